@@ -7,9 +7,7 @@ that the other side takes 1.2 times as long.
 Lines: a drive with accelerometer and gyroscope at 200 Hz, ground truth at 100 Hz, pictures of two cameras at 20 Hz and
 fixes at 1 Hz, all numbers with the digits that a 64-bit number needs. The other side is a plain loop of `orjson.loads`
 that checks nothing and fills the same arrays. The peak is what reading allocates at most, beside the arrays that it
-ends with. Processor seconds are those of this process and, with two, of the busier one: what two idle processors take.
-Two processors are seldom twice one: the row below these has two processes read a log each at the same time, which share
-nothing and wait for nothing, and shows the time for a log. Nothing can be faster on that machine.
+ends with.
 
 Writing: such a drive without pictures, from the scene to the folder, against a plain loop of `orjson.dumps` over the
 same arrays in the order of their times. Ours finds the exact number of each time and the order of its lines besides.

@@ -1,14 +1,10 @@
 """The lines of recordings, read and written: a part of `benchmarks.recording`, which says what is compared."""
 
 import argparse
-import multiprocessing
-import os
-import time
 import tracemalloc
 from array import array
 from collections.abc import Callable
 from math import nan
-from multiprocessing.connection import Connection
 from pathlib import Path
 from shutil import rmtree
 from typing import Any
@@ -20,7 +16,6 @@ import sceneloom
 from benchmarks.sides import measure, show
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.columns import RecordingColumns
-from sceneloom.formats.recording.line_parts import PROCESSES
 from sceneloom.formats.recording.lines import read_lines
 from sceneloom.scene import GnssSensor, ImuSensor
 
@@ -103,25 +98,23 @@ def read_plainly(path: Path) -> Arrays:
     return arrays
 
 
-def read_here(path: Path, processes: int) -> RecordingColumns:
+def read_here(path: Path) -> RecordingColumns:
     """As the package reads."""
-    os.environ[PROCESSES] = str(processes)
     return read_lines(path, Ledger(lenient=False))
 
 
 def check_equal(path: Path) -> None:
     """Refuse to compare sides that do different work."""
     theirs = read_plainly(path)
-    for processes in (1, 2):
-        ours = read_here(path, processes)
-        streams = {**ours.sensors, "gps": ours.gnss}
-        streams["groundTruth"] = ours.poses["groundTruth", "groundTruth"].samples
-        assert streams.keys() | {"frames"} == theirs.keys()
-        for name, stream in streams.items():
-            np.testing.assert_array_equal(stream.seconds, theirs[name][0])
-            np.testing.assert_array_equal(stream.values, theirs[name][1])
-        assert ours.frames.seconds == theirs["frames"][0]
-        assert ours.frames.numbers == theirs["frames"][1]
+    ours = read_here(path)
+    streams = {**ours.sensors, "gps": ours.gnss}
+    streams["groundTruth"] = ours.poses["groundTruth", "groundTruth"].samples
+    assert streams.keys() | {"frames"} == theirs.keys()
+    for name, stream in streams.items():
+        np.testing.assert_array_equal(stream.seconds, theirs[name][0])
+        np.testing.assert_array_equal(stream.values, theirs[name][1])
+    assert ours.frames.seconds == theirs["frames"][0]
+    assert ours.frames.numbers == theirs["frames"][1]
 
 
 def size_of(columns: RecordingColumns) -> int:
@@ -136,37 +129,11 @@ def size_of(columns: RecordingColumns) -> int:
     return sum(len(numbers) * numbers.itemsize for numbers in arrays)
 
 
-def read_when_told(path: Path, told: Connection) -> None:
-    """Read a log alone each time that something is received; answer with the seconds that it took."""
-    while told.recv():
-        begun, used = time.perf_counter(), time.process_time()
-        read_here(path, 1)
-        told.send((time.perf_counter() - begun, time.process_time() - used))
-
-
-def two_at_once(path: Path, repetitions: int) -> tuple[float, float]:
-    """Give the least seconds, and processor seconds, for a log, where two processes read one each."""
-    context, least = multiprocessing.get_context("spawn"), (float("inf"), float("inf"))
-    pipes = [context.Pipe() for _ in range(2)]
-    readers = [context.Process(target=read_when_told, args=(path, far)) for _, far in pipes]
-    for reader in readers:
-        reader.start()
-    for go in [True] * (repetitions + 1) + [False]:
-        for near, _ in pipes:
-            near.send(go)
-        if go:
-            walls, used = zip(*(near.recv() for near, _ in pipes), strict=True)
-            least = min(least[0], max(walls) / 2), min(least[1], max(used) / 2)
-    for reader in readers:
-        reader.join()
-    return least
-
-
-def peak_ratio(path: Path, processes: int) -> float:
+def peak_ratio(path: Path) -> float:
     """What reading allocates at most, for each byte of the arrays that it ends with."""
     tracemalloc.start()
     try:
-        columns = read_here(path, processes)
+        columns = read_here(path)
         return tracemalloc.get_traced_memory()[1] / size_of(columns)
     finally:
         tracemalloc.stop()
@@ -178,15 +145,11 @@ def measure_lines(folder: Path, given: argparse.Namespace) -> None:
     check_equal(path)
     sides: dict[str, Callable[[], object]] = {
         "plain loop of orjson": lambda: read_plainly(path),
-        "one process": lambda: read_here(path, 1),
-        "two processes": lambda: read_here(path, 2),
+        "here": lambda: read_here(path),
     }
     title = f"lines: {given.lines:,} in {path.stat().st_size / 1e6:.0f} MB"
-    found = measure(sides, given.repetitions)
-    found["two logs at once, for each"] = two_at_once(path, given.repetitions)
-    show(title, "plain loop of orjson", found)
-    for processes in (1, 2):
-        print(f"  peak with {processes}: {peak_ratio(path, processes):.2f} times the arrays")
+    show(title, "plain loop of orjson", measure(sides, given.repetitions))
+    print(f"  peak: {peak_ratio(path):.2f} times the arrays")
 
 
 def arrays_of(scene: sceneloom.Scene) -> dict[str, tuple[Any, Any]]:
@@ -232,7 +195,6 @@ def measure_writing(folder: Path, given: argparse.Namespace) -> None:
     drive, ours, theirs = folder / "drive", folder / "ours", folder / "theirs.jsonl"
     drive.mkdir()
     write_lines(drive / "data.jsonl", given.lines, pictures=False)
-    os.environ[PROCESSES] = "1"
     scene = sceneloom.open(drive)
 
     def write_here() -> None:

@@ -9,9 +9,12 @@ from sceneloom.scene import NoticeKind, Scene, Severity
 
 _TOLD_BY_RULES_OF_RECORDINGS = frozenset(
     {
+        "blank-lines-at-end",
+        "byte-order-mark",
         "lens-scaled",
         "lines-sorted",
         "missing-bitmaps",
+        "poses-without-orientation",
         "repeated-poses",
         "rotation-normalised",
     }
@@ -67,11 +70,11 @@ def _within_recording(subject: Subject, place: str) -> str:
     return place.removeprefix(str(subject.recording.folder)).lstrip("/")
 
 
-def notices_of_code(code: str) -> Find:
-    """Tell what the reader remarked under a code."""
+def notices_of_code(*codes: str) -> Find:
+    """Tell what the reader remarked under some codes."""
 
     def find(subject: Subject) -> Iterator[Hit]:
-        remarks = (remark for remark in subject.remarks if remark.code == code)
+        remarks = (remark for remark in subject.remarks if remark.code in codes)
         return (Hit(_within_recording(subject, r.place), r.message, r.count) for r in remarks)
 
     return find

@@ -77,12 +77,21 @@ FAULT_RULES: tuple[Rule, ...] = (
         "Every camera of a recording has a lens and pictures that can be used.",
         "Correct what the message names; the camera is left out until then.",
     ),
-    Rule(
+    _error(
+        "contradicting-mounts",
+        "An entry of `calibration.json` with `imuToCamera` and `imuToCameraMatrix` has the same numbers in both.",
+        "Leave out the wrong one; other programs read `imuToCamera`, and so does `--lenient`.",
+    ),
+    _error(
+        "mounts-missing",
+        "Every camera has an `imuToCamera`, in its entry of `calibration.json` or in its lines.",
+        "Write it; until then nothing can be brought into the pictures. `--lenient` keeps the camera without it.",
+    ),
+    _error(
         "cameras-without-calibration",
-        Severity.WARNING,
         "Every camera that `frames` lines name is in `calibration.json`, or has its lens in its lines.",
         "Write its entry (model, focal lengths, principal point, imuToCamera); the camera is left out until then.",
-        find=_without_calibration,
+        _without_calibration,
     ),
     _error(
         "missing-videos",

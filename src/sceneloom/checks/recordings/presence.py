@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from sceneloom.checks.reading import as_read, notices_of_code
 from sceneloom.checks.recordings.streams import Kind, streams_of, streams_of_kind
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
@@ -42,5 +43,20 @@ RULES: tuple[Rule, ...] = (
         "A recording has a `calibration.json`.",
         "Write one, though its list of cameras be empty: the format asks for it.",
         find=_without_calibration,
+    ),
+    Rule(
+        "json-plain",
+        Severity.WARNING,
+        "Files of JSON begin without a byte order mark, and `data.jsonl` ends without blank lines.",
+        "Write them without: other programs stop at them; `--fix` does.",
+        find=notices_of_code("byte-order-mark", "blank-lines-at-end"),
+        fix=as_read,
+    ),
+    Rule(
+        "poses-without-orientation",
+        Severity.WARNING,
+        "Either all poses of a trajectory have an orientation, or none.",
+        "See why some lack it; they are left out of the trajectory, and their lines are kept.",
+        find=notices_of_code("poses-without-orientation"),
     ),
 )

@@ -1,6 +1,6 @@
 """The recording format of Spectacular AI: a folder of JSON lines, videos, a calibration and lidar binaries.
 
-What decodes videos is imported when the format is first asked for: processes that read lines need none of it.
+What decodes videos is imported when the format is first asked for.
 """
 
 from importlib import import_module

@@ -6,14 +6,16 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import msgspec
+import numpy as np
 from msgspec import Meta
 
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.files import read_bytes
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_fault, json_problem
+from sceneloom.formats.recording.json_faults import BYTE_ORDER_MARK, DECODER_FAULTS, json_fault, json_problem
 from sceneloom.formats.recording.lenses import CameraParameters
 from sceneloom.formats.recording.line_shapes import SensorIndex
+from sceneloom.formats.recording.lines import note_mark
 from sceneloom.formats.recording.mounts import MatrixNumbers, rigid_transform
 from sceneloom.formats.recording.old_forms import read_old_calibration
 from sceneloom.formats.recording.rig_calibration import RigCalibration, read_rig
@@ -25,6 +27,9 @@ CALIBRATION_FILE = "calibration.json"
 
 Duration = Annotated[float, Meta(ge=0, le=10)]
 """How long a picture takes [s]."""
+
+_SAME_MATRIX = 1e-6
+"""Elements of two matrices that are closer are the same number, written with other digits."""
 
 Shift = Annotated[float, Meta(ge=-1e6, le=1e6)]
 
@@ -117,7 +122,7 @@ def read_calibration(
     if not path.exists():
         return _read_old(folder, data_path or folder, other_lines, ledger)
     try:
-        content = _read_object(path)
+        content = _read_object(path, ledger)
         listed = {name: _entries(path, content, name) for name in ("cameras", "lidars")}
     except DataError as error:
         ledger.refuse("unreadable-calibration", error)
@@ -150,9 +155,11 @@ def _read_old(folder: Path, data_path: Path, other_lines: Iterable[str], ledger:
     return Calibration(path, cameras, content=old.content)
 
 
-def _read_object(path: Path) -> Mapping[str, Any]:
+def _read_object(path: Path, ledger: Ledger) -> Mapping[str, Any]:
     try:
         text = read_bytes(path)
+        note_mark(text, path, ledger)
+        text = text.removeprefix(BYTE_ORDER_MARK)
         content = msgspec.json.decode(text)
     except OSError as error:
         raise DataError(path, "", f"cannot be read: {error.strerror}") from error
@@ -168,11 +175,9 @@ def _cameras(path: Path, items: list[Any], ledger: Ledger) -> Iterator[tuple[int
         name = f"cameras[{index}]"
         try:
             entry = _convert(path, name, item, CameraEntry)
-            mount = entry.imuToCamera if entry.imuToCamera is not None else entry.imuToCameraMatrix
             place = f"{path}: {name}"
-            camera_from_imu = (
-                None if mount is None else rigid_transform(mount, f"{place}.imuToCamera", ledger)
-            )
+            matrices = {"imuToCamera": entry.imuToCamera, "imuToCameraMatrix": entry.imuToCameraMatrix}
+            camera_from_imu = _mount(path, name, matrices, ledger)
         except (DataError, CalibrationError) as error:
             ledger.fault("unusable-calibrations", error)
             continue
@@ -185,13 +190,38 @@ def _lidars(path: Path, items: list[Any], ledger: Ledger) -> Iterator[tuple[int,
         name = f"lidars[{index}]"
         try:
             entry = _convert(path, name, item, LidarEntry)
-            mount = entry.imuToLidar if entry.imuToLidar is not None else entry.imuToLidarMatrix
             place = f"{path}: {name}"
-            lidar_from_imu = None if mount is None else rigid_transform(mount, f"{place}.imuToLidar", ledger)
+            matrices = {"imuToLidar": entry.imuToLidar, "imuToLidarMatrix": entry.imuToLidarMatrix}
+            lidar_from_imu = _mount(path, name, matrices, ledger)
         except (DataError, CalibrationError) as error:
             ledger.fault("unusable-calibrations", error)
             continue
         yield entry.lidarInd, LidarCalibration(place, lidar_from_imu, item)
+
+
+def _mount(
+    path: Path, entry: str, matrices: Mapping[str, MatrixNumbers | None], ledger: Ledger
+) -> RigidTransform | None:
+    """Read the matrix that an entry has under one of two keys; where both say different things, the first is taken.
+
+    Raises:
+        DataError: they differ, and the reading is not lenient.
+        CalibrationError: a matrix is not rigid.
+    """
+    found = {
+        key: rigid_transform(matrix, f"{path}: {entry}.{key}", ledger)
+        for key, matrix in matrices.items()
+        if matrix is not None
+    }
+    if not found:
+        return None
+    (key, first), *others = found.items()
+    for other, second in others:
+        apart = float(np.abs(first.matrix - second.matrix).max())
+        if apart > _SAME_MATRIX:
+            problem = f"differs from {key} by up to {apart:.3g}; expected one of the two, or the same numbers in both"
+            ledger.fault("contradicting-mounts", DataError(path, f"{entry}.{other}", problem))
+    return first
 
 
 def _entries(path: Path, content: Mapping[str, Any], name: str) -> list[Any]:

@@ -280,8 +280,16 @@ def _own_mount(
         return calibration.camera_from_imu.inverse()
     first = next(iter(table.mounts.values()), None)
     if first is None:
-        message = "imuToCamera is missing, so it is not known where the camera is on the vehicle"
-        sources.ledger.note(NoticeKind.SKIPPED, "mounts-missing", calibration.place, message)
+        problem = (
+            "imuToCamera is missing: where the camera is on the vehicle; expected 4 rows of 4 numbers, which take "
+            "points of the IMU into the camera (a lenient reading keeps the camera without it)"
+        )
+        sources.ledger.fault("mounts-missing", DataError(calibration.place, "", problem))
+    elif (table.mount_texts == table.OWN).any():
+        message = (
+            "frames without imuToCamera, of a camera whose calibration has none: taken as in its first frame"
+        )
+        sources.ledger.note(NoticeKind.ASSUMED, "mounts-of-first-frame", calibration.place, message)
     return first
 
 

@@ -53,7 +53,7 @@ def further_contents(contents: RecordingContents, ledger: Ledger, *, alone: bool
         vio_config: the text of `vio_config.yaml`.
         parameters: the text of `parameters.txt`, which old recordings have.
         other_lines: the text of lines that nothing here computes with, in the order of the file; and poses that repeat
-            the time of another one of their trajectory.
+            the time of another one of their trajectory, or lack the orientation that others have.
         other_seconds: by index in `other_lines`, the time of the line before [s], for lines without a time.
         further_keys: the text of lines that say more than the scene holds, by stream ("imu.accelerometer", "gnss",
             "gnss.rtkgps", "trajectories.output", "lidars.0") and by time [ns] as text; `TIME#1` is the second line of
@@ -67,11 +67,11 @@ def further_contents(contents: RecordingContents, ledger: Ledger, *, alone: bool
         line_order: of lines of one time; `LineOrder` describes it.
     """
     columns, streams = contents.columns, named_streams(contents)
-    repeated = _repeated_poses(contents)
+    as_texts = _poses_as_text(contents)
     seconds = filled_seconds(columns)
-    texts, anchors = _other_lines(columns, repeated, seconds)
+    texts, anchors = _other_lines(columns, as_texts, seconds)
     names = {stream.code: name for name, stream in streams.items()}
-    as_text = np.array([line for line, _ in repeated], np.int64)
+    as_text = np.array([line for line, _ in as_texts], np.int64)
     found = {
         "calibration": dict(contents.calibration.content),
         "vio_config": None
@@ -116,19 +116,23 @@ def named_streams(contents: RecordingContents) -> dict[str, Columns]:
     }
 
 
-def _repeated_poses(contents: RecordingContents) -> list[tuple[int, str]]:
-    """Number and text of lines with a pose of which its trajectory has another one of the same time.
+def _poses_as_text(contents: RecordingContents) -> list[tuple[int, str]]:
+    """Number and text of lines with a pose that its trajectory does not have.
+
+    That is one of which it has another of the same time, or one without the orientation that others have.
 
     A line with other records beside such a pose is written for these; one of nothing but such poses is kept as it is.
     """
     shared = contents.columns.log.shared
     found: dict[int, str] = {}
     again: set[tuple[int, int]] = set()
-    for origin in contents.trajectories:
+    for origin, trajectory in contents.trajectories.items():
         columns = contents.columns.poses[origin]
         samples = by_time(columns.samples)
-        rows = np.flatnonzero(np.diff(samples.timestamps_ns) == 0) + 1
-        for row in rows.tolist():
+        turned = ~np.isnan(samples.values[:, 3]) | (trajectory.quaternions_xyzw is None)
+        rows = np.flatnonzero(turned)
+        again_rows = rows[1:][np.diff(samples.timestamps_ns[rows]) == 0]
+        for row in [*np.flatnonzero(~turned).tolist(), *again_rows.tolist()]:
             place = int(samples.order[row])
             again.add((columns.samples.code, place))
             if columns.lines[place] in shared:
@@ -155,11 +159,11 @@ def pose_text(origin: tuple[str, str], values: list[float], seconds: float) -> s
 
 
 def _other_lines(
-    columns: RecordingColumns, repeated: list[tuple[int, str]], seconds: Float64Array
+    columns: RecordingColumns, as_texts: list[tuple[int, str]], seconds: Float64Array
 ) -> tuple[list[str], dict[str, float]]:
     """Texts in the order of the file, and the times of those that have none of their own."""
     lines = lines_of(columns.log, TEXT).tolist()
-    entries = sorted([*zip(lines, columns.other_lines, strict=True), *repeated])
+    entries = sorted([*zip(lines, columns.other_lines, strict=True), *as_texts])
     untimed = set(np.asarray(lines, np.int64)[np.isnan(view(columns.other_seconds))].tolist())
     anchors = {
         str(k): float(seconds[line - 1])

@@ -28,7 +28,7 @@ _TYPES = {
 }
 _BOUNDS = {"<=": " of at most ", ">=": " of at least ", "<": " below ", ">": " above "}
 
-_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _OTHER_FILES = {
     b"\xff\xfe": "is text in UTF-16",
     b"\xfe\xff": "is text in UTF-16",
@@ -40,7 +40,7 @@ _OTHER_FILES = {
     b"\xfd7zXZ\0": "is compressed by xz",
 }
 """How files begin that are none of text in UTF-8."""
-_OTHER_BEGINNINGS = {_BYTE_ORDER_MARK: "begins with a byte order mark", **_OTHER_FILES}
+_OTHER_BEGINNINGS = {BYTE_ORDER_MARK: "begins with a byte order mark", **_OTHER_FILES}
 
 _UNITS = ((1e18, "nanoseconds"), (1e15, "microseconds"), (1e12, "milliseconds"))
 """Times of our days are beyond these numbers, in these units."""

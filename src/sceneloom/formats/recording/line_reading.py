@@ -36,10 +36,19 @@ _decode_any = msgspec.json.Decoder().decode
 
 _GROUND_TRUTH = ("groundTruth", "groundTruth")
 
+BLANK = "blank-lines"
+"""The code of a line that is blank: a fault, but at the end of the file."""
+BLANK_LINE = "blank; expected a JSON object"
+
 _NO_SUBJECT = {"time", "number"}
 
 
 _NO_TURN = ExactQuaternion(nan, nan, nan, nan)
+
+
+class _BlankLineError(UnfitLineError):
+    """A line holds nothing."""
+
 
 _Bound = tuple["array[float]", "array[float]", int, int]
 
@@ -184,6 +193,8 @@ class LineReader:
         """Take a line that is broken, wrong, or says more than the exact shapes hold."""
         try:
             self._take_open(text, _decode_object(text))
+        except _BlankLineError as error:
+            self._fault(BLANK, str(error))
         except UnfitLineError as error:
             self._fault("unfit-lines", str(error))
         except msgspec.ValidationError as error:
@@ -269,7 +280,7 @@ def _says_more(line: FrequentLine, text: bytes) -> bool:
 
 def _decode_object(text: bytes) -> dict[str, Any]:
     if not text.strip():
-        raise UnfitLineError("blank; expected a JSON object")
+        raise _BlankLineError(BLANK_LINE)
     text.decode()
     content = _decode_any(text)
     if not isinstance(content, dict):

@@ -1,7 +1,6 @@
 """`data.jsonl` read line by line into columns; the file is never in memory as a whole."""
 
 from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import BinaryIO
 
@@ -12,21 +11,17 @@ from sceneloom.formats.files import open_file
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.column_arrays import line_seconds
 from sceneloom.formats.recording.columns import RecordingColumns
-from sceneloom.formats.recording.columns_joining import ColumnsJoiner
-from sceneloom.formats.recording.json_faults import other_file
-from sceneloom.formats.recording.line_blocks import blocks_of_lines
-from sceneloom.formats.recording.line_parts import LineParts, reading_processes
-from sceneloom.formats.recording.line_reading import LineReader
-from sceneloom.formats.recording.other_records import OUTPUT_TRAJECTORY
+from sceneloom.formats.recording.json_faults import BYTE_ORDER_MARK, other_file
+from sceneloom.formats.recording.line_reading import BLANK, BLANK_LINE, LineReader
 from sceneloom.scene import NoticeKind
 
-__all__ = ["OUTPUT_TRAJECTORY", "iter_lines", "read_lines"]
-
+_BLOCK = 1 << 16
+_LONGEST_LINE = 1 << 26
 _KEYS_SHOWN = 10
 
 
 def read_lines(path: Path, ledger: Ledger) -> RecordingColumns:
-    """Read all lines; of a large file, with several processes (`reading_processes`).
+    """Read all lines.
 
     Args:
         path: `data.jsonl`.
@@ -34,74 +29,96 @@ def read_lines(path: Path, ledger: Ledger) -> RecordingColumns:
 
     Raises:
         DataError: the file cannot be read or is empty; or a line is wrong and the reading is not lenient.
-        OptionError: the environment names no number of processes.
     """
-    reader = LineReader()
     try:
-        _check_beginning(path)
-        size = path.stat().st_size
-        processes = reading_processes(size)
-        if processes > 1:
-            _read_parts(reader, path, size, processes, ledger)
-        else:
-            _read_serially(reader, path, ledger)
+        _check_beginning(path, ledger)
+        columns, blank = _read(path, ledger)
     except OSError as error:
         raise DataError(path, "", f"cannot be read: {error.strerror}") from error
-    columns = reader.columns
-    if not columns.log.codes:
+    count = len(columns.log.codes)
+    if count == blank:
         raise DataError(path, "", "is empty; expected JSON lines: record or export it again")
+    if blank:
+        place, message = f"{path}: line {count - blank + 1}", "blank lines at the end were left out"
+        ledger.note(NoticeKind.REPAIRED, "blank-lines-at-end", place, message, count=blank)
     _note_order(columns, path, ledger)
     _note_other_lines(columns, path, ledger)
     return columns
 
 
-def _check_beginning(path: Path) -> None:
+def _check_beginning(path: Path, ledger: Ledger) -> None:
     """Refuse a file that is no text at once: of its lines there would be none that is right."""
     with open_file(path) as file:
-        told = other_file(file.read(16))
+        beginning = file.read(16)
+    told = other_file(beginning)
     if told is not None:
         raise DataError(path, "", f"{told}; expected lines of JSON in UTF-8: unpack or export it as such")
+    note_mark(beginning, path, ledger)
 
 
-def _read_serially(
-    reader: LineReader, path: Path, ledger: Ledger, start: int = 0, stop: int | None = None
-) -> None:
+def note_mark(text: bytes, path: Path, ledger: Ledger) -> None:
+    """Note a byte order mark at the beginning of a file of JSON, which is read over it."""
+    if text.startswith(BYTE_ORDER_MARK):
+        message = "begins with a byte order mark, which JSON must not have; it was passed over"
+        ledger.note(NoticeKind.REPAIRED, "byte-order-mark", str(path), message)
+
+
+def _read(path: Path, ledger: Ledger) -> tuple[RecordingColumns, int]:
+    """Give the columns, and how many lines at the end are blank, which is no fault there."""
+    reader, ended = LineReader(), 0
     with open_file(path) as file:
-        for lines, offset in blocks_of_lines(file, path, start, stop):
+        for lines, offset in _blocks_of_lines(file, path):
+            before = len(reader.columns.log.codes)
             reader.read(lines, offset)
-            _pass_faults(reader.faults, path, ledger)
+            count, faults = len(reader.columns.log.codes), reader.faults
+            blank = 0
+            while blank < len(faults) and faults[-1 - blank][:2] == (BLANK, count - blank):
+                blank += 1
+            if blank < count - before:
+                # so the blank lines before are none at the end
+                for number in range(ended + 1, before + 1):
+                    _pass_fault((BLANK, number, BLANK_LINE), path, ledger)
+                for fault in faults[: len(faults) - blank]:
+                    _pass_fault(fault, path, ledger)
+                ended = count - blank
+            faults.clear()
+    return reader.columns, len(reader.columns.log.codes) - ended
 
 
-def _read_parts(reader: LineReader, path: Path, size: int, processes: int, ledger: Ledger) -> None:
-    joiner = ColumnsJoiner(reader.columns)
-    with closing(LineParts(path, size, processes)) as parts:
-        for bounds, part in parts:
-            if part is None or not joiner.can_join(part.columns):
-                joiner.finish()
-                reader.bind()
-                _read_serially(reader, path, ledger, *bounds)
-                joiner = ColumnsJoiner(reader.columns)
-                continue
-            before = joiner.lines
-            joiner.join(part.columns)
-            _pass_faults([(code, before + line, why) for code, line, why in part.faults], path, ledger)
-    joiner.finish()
+def _pass_fault(fault: tuple[str, int, str], path: Path, ledger: Ledger) -> None:
+    code, number, problem = fault
+    ledger.fault("unfit-lines" if code == BLANK else code, DataError(path, f"line {number}", problem))
 
 
-def iter_lines(file: BinaryIO, path: Path) -> Iterator[bytes]:
-    """Give the lines of a file without their line feeds, block by block.
+def _blocks_of_lines(file: BinaryIO, path: Path) -> Iterator[tuple[list[bytes], int]]:
+    """Give the lines of a file without their line feeds, some at a time, without a byte order mark before the first.
+
+    Args:
+        file: the file, from its beginning.
+        path: what messages call it.
+
+    Returns:
+        Lines, and the byte at which the first of them begins.
 
     Raises:
         DataError: a line is longer than 64 MiB, so this is no file of lines.
     """
-    for lines, _ in blocks_of_lines(file, path):
-        yield from lines
-
-
-def _pass_faults(faults: list[tuple[str, int, str]], path: Path, ledger: Ledger) -> None:
-    for code, number, problem in faults:
-        ledger.fault(code, DataError(path, f"line {number}", problem))
-    faults.clear()
+    mark = len(BYTE_ORDER_MARK) if file.read(len(BYTE_ORDER_MARK)) == BYTE_ORDER_MARK else 0
+    file.seek(mark)
+    offset, parts, length = mark, list[bytes](), 0
+    while block := file.read(_BLOCK):
+        last = block.rfind(b"\n") + 1
+        if last:
+            text = b"".join([*parts, block[:last]])
+            yield text.split(b"\n")[:-1], offset
+            offset += len(text)
+            parts, length = [], 0
+        parts.append(block[last:])
+        length += len(block) - last
+        if length > _LONGEST_LINE:
+            raise DataError(path, "", f"a line is longer than {_LONGEST_LINE} bytes; expected JSON lines")
+    if length:
+        yield [b"".join(parts)], offset
 
 
 def _note_order(columns: RecordingColumns, path: Path, ledger: Ledger) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from sceneloom.formats.files import open_file
-from sceneloom.formats.recording.json_faults import DECODER_FAULTS
+from sceneloom.formats.recording.json_faults import BYTE_ORDER_MARK, DECODER_FAULTS
 from sceneloom.formats.recording.line_shapes import RECORD_KEYS
 from sceneloom.formats.recording.picture_files import OpenPictures
 from sceneloom.formats.recording.zipped import damage_of_zip, is_zip, unpack
@@ -90,7 +90,7 @@ def is_log(path: Path) -> bool:
     try:
         with open_file(path) as file:
             for _ in range(_LEADING_LINES):
-                line = _object(file.readline(_LONGEST_FIRST_LINE))
+                line = _object(file.readline(_LONGEST_FIRST_LINE).removeprefix(BYTE_ORDER_MARK))
                 if line is None or _is_known(line):
                     return line is not None
     except OSError:

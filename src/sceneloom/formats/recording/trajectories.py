@@ -33,7 +33,7 @@ def build_trajectories(
         The trajectories by root key and name as in `poses`; their own names differ from each other.
 
     Raises:
-        DataError: an orientation is missing or not of length 1, and the reading is not lenient.
+        DataError: an orientation is not of length 1, and the reading is not lenient.
     """
     trajectories: dict[tuple[str, str], Trajectory] = {}
     names = set(RESERVED_NAMES)
@@ -51,10 +51,12 @@ def _trajectory(name: str, columns: PoseColumns, path: Path, ledger: Ledger) -> 
     samples = by_time(columns.samples)
     lines = np.asarray(columns.lines)[samples.order]
     quaternions = samples.values[:, 3:]
-    oriented = bool(np.isfinite(quaternions[:, 0]).any())
+    missing = np.isnan(quaternions[:, 0])
+    oriented = not missing.all()
     usable = np.ones(len(lines), np.bool_)
     if oriented:
         usable = _check_orientations(name, samples, lines, path, ledger)
+        _note_missing(name, missing, lines, path, ledger)
     usable = _first_of_each_time(name, samples, usable, lines, path, ledger)
     if not usable.any():
         return None
@@ -74,14 +76,23 @@ def _check_orientations(
     with np.errstate(over="ignore"):
         error = np.abs(np.sqrt((quaternions * quaternions).sum(axis=1)) - 1.0)
     usable: BoolArray = error <= GREATEST_NORM_ERROR
-    for row in np.flatnonzero(~usable):
-        if np.isnan(error[row]):
-            problem = f"{name}.orientation: missing, while other lines of {name!r} have one"
-        else:
-            shown = ", ".join(f"{number:.6g}" for number in quaternions[row].tolist())
-            problem = f"{name}.orientation: {shown} (x, y, z, w); expected length 1 within 0.01"
+    for row in np.flatnonzero(~usable & ~np.isnan(error)):
+        shown = ", ".join(f"{number:.6g}" for number in quaternions[row].tolist())
+        problem = f"{name}.orientation: {shown} (x, y, z, w); expected length 1 within 0.01"
         ledger.fault("unusable-orientations", DataError(path, f"line {lines[row]}", problem))
     return usable
+
+
+def _note_missing(name: str, missing: BoolArray, lines: Int64Array, path: Path, ledger: Ledger) -> None:
+    """Say how many poses lack the orientation that others have: nothing is made up for them."""
+    count = int(missing.sum())
+    if count:
+        message = (
+            f"{count} of {len(missing)} poses of {name!r} have no orientation, while others have one; they are left "
+            "out of the trajectory"
+        )
+        place = f"{path}: line {lines[np.flatnonzero(missing)[0]]}"
+        ledger.note(NoticeKind.SKIPPED, "poses-without-orientation", place, message, count=count)
 
 
 def _first_of_each_time(

@@ -9,9 +9,10 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.column_arrays import line_seconds
 from sceneloom.formats.recording.line_order import line_order
-from sceneloom.formats.recording.line_worker import read_part
+from sceneloom.formats.recording.lines import read_lines
 
 STREAMS = "abcde"
 
@@ -26,10 +27,9 @@ def order_of(groups: list[list[int]]) -> dict[str, Any]:
     with TemporaryDirectory() as folder:
         path = Path(folder, "data.jsonl")
         path.write_text("".join(json.dumps(line) + "\n" for line in lines))
-        part = read_part(path, 0, path.stat().st_size)
-    assert part is not None
-    names = {stream.code: name for name, stream in part.columns.sensors.items()}
-    return line_order(part.columns, names, np.zeros(0, np.int64), line_seconds(part.columns))
+        columns = read_lines(path, Ledger(lenient=False))
+    names = {stream.code: name for name, stream in columns.sensors.items()}
+    return line_order(columns, names, np.zeros(0, np.int64), line_seconds(columns))
 
 
 @given(st.permutations(range(5)), st.lists(st.sets(st.integers(0, 4), min_size=1), min_size=1, max_size=12))

@@ -114,7 +114,9 @@ def test_a_camera_of_no_model_is_taken_for_a_pinhole(recording):
 
 def test_a_turned_video_leaves_the_mounting_open(recording):
     stereo(recording).path.joinpath("parameters.txt").write_text(FULL + "videoRotation CW90;\n")
-    with FORMAT.open(recording.path) as scene:
+    with pytest.raises(DataError, match="imuToCamera is missing"):
+        FORMAT.open(recording.path)
+    with FORMAT.open(recording.path, lenient=True) as scene:
         assert [camera.mount for camera in scene.cameras] == [None, None]
         assert any("videoRotation" in notice.message for notice in scene.notices)
 

@@ -238,12 +238,42 @@ def test_a_camera_whose_picture_size_nothing_tells_is_left_out_with_a_notice(rec
     assert [notice.code for notice in scene.notices] == ["cameras-without-size"]
 
 
-def test_a_camera_without_mounting_has_none_and_a_notice(recording):
+def test_a_camera_without_mounting_is_an_error_and_leniently_one_without_a_place(recording):
     camera = entry("pinhole", [])
     del camera["imuToCamera"]
-    scene = open_with(recording, camera)
+    with pytest.raises(DataError, match=r"cameras\[0\]: imuToCamera is missing"):
+        open_with(recording, camera)
+    scene = FORMAT.open(recording.path, lenient=True)
     assert scene.cameras[0].mount is None
     assert [notice.code for notice in scene.notices] == ["mounts-missing"]
+
+
+@pytest.mark.parametrize(("key", "listed"), [("imuToCamera", "cameras"), ("imuToLidar", "lidars")])
+def test_two_matrices_that_differ_are_an_error_and_leniently_the_first_counts(recording, key, listed):
+    one, other = np.eye(4), np.eye(4)
+    one[0, 3], other[0, 3] = 1.0, 1.5
+    camera = entry("pinhole", [])
+    sensor = camera if listed == "cameras" else {}
+    sensor |= {key: one.tolist(), f"{key}Matrix": other.tolist()}
+    further = {} if listed == "cameras" else {"lidars": [sensor]}
+    with pytest.raises(DataError, match=rf"{listed}\[0\].{key}Matrix: differs from {key} by up to 0.5"):
+        open_with(recording, camera, **further)
+    with FORMAT.open(recording.path, lenient=True) as scene:
+        assert [notice.code for notice in scene.notices] == ["contradicting-mounts"]
+        if listed == "cameras":
+            assert scene.cameras[0].mount.translation[0] == -1.0
+    sensor[f"{key}Matrix"] = one.tolist()
+    with open_with(recording, camera, **further) as scene:
+        assert scene.notices == ()
+
+
+def test_a_byte_order_mark_is_passed_over_with_a_warning(recording):
+    open_with(recording, entry("pinhole", []))
+    path = recording.path / "calibration.json"
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    with FORMAT.open(recording.path) as scene:
+        assert [notice.code for notice in scene.notices] == ["byte-order-mark"]
+        assert len(scene.cameras) == 1
 
 
 def test_entries_are_kept_word_by_word(recording):

@@ -155,7 +155,11 @@ def filmed(tmp_path, monkeypatch):
         "principalPointY": 64,
     }
     lines = [
-        {"time": 0.1 * k, "number": k, "frames": [{"cameraInd": 0, "cameraParameters": lens}]}
+        {
+            "time": 0.1 * k,
+            "number": k,
+            "frames": [{"cameraInd": 0, "cameraParameters": lens, "imuToCamera": np.eye(4).tolist()}],
+        }
         for k in range(PICTURES)
     ]
     folder = tmp_path / "filmed"

@@ -25,7 +25,6 @@ ALLOWED = {
         "io.FileIO",
     ): "of files that were fetched into a folder of our own",
     ("sceneloom.formats.remote.stores", "source.open"): "what was written is sent",
-    ("sceneloom.formats.recording.line_parts", "read_bytes"): "written by our own process",
     ("sceneloom.formats.sfs.spool", "path.open"): "what was written before is put together",
     ("sceneloom.formats.encoded_pictures", "Image.open"): "after `check_regular`, or of bytes in memory",
     ("sceneloom.formats.argoverse2.feather", "feather.read_table"): "after `check_regular`",

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sceneloom.errors import DataError
+from sceneloom.formats import open_scene
 from sceneloom.formats.clouds import PointMapping, PointTimes, parse_layout, points_of, read_cloud
 from sceneloom.formats.clouds.points import SweepClock
 
@@ -145,3 +146,121 @@ def test_no_byte_of_a_table_of_chunks_ends_the_process(tmp_path):
     (tmp_path / "many.laz").write_bytes(bytes(many))
     with pytest.raises(DataError, match=rf"byte {table + 4}: 1851981824 chunks; expected"):
         read_cloud(tmp_path / "many.laz")
+
+
+def las(path: Path, version: str) -> bytes:
+    laspy = pytest.importorskip("laspy")
+    header = laspy.LasHeader(version=version, point_format=6 if version == "1.4" else 3)
+    header.scales = np.full(3, 0.001)
+    points = laspy.LasData(header)
+    points.x = points.y = points.z = np.arange(300) / 7.0
+    points.write(str(path))
+    return path.read_bytes()
+
+
+NAN, INFINITE = float("nan"), float("inf")
+LAS_FAULTS = {
+    "points begin beyond the file": ("<I", 96, 1 << 31, "points begin at byte 2147483648; expected"),
+    "points begin in the header": ("<I", 96, 100, "points begin at byte 100; expected"),
+    "points begin a byte late": ("<I", 96, 400, "is the file cut off?"),
+    "as many records as there are numbers": ("<I", 100, 2**32 - 1, "4294967295 records of variable length"),
+    "a point format that there is none of": ("<B", 104, 63, "point format 63; expected 0 to 10"),
+    "points too short": ("<H", 105, 12, "points of 12 bytes; expected"),
+    "points a byte too long": ("<H", 105, 35, "is the file cut off?"),
+    "no scale": ("<d", 131, 0.0, "scale of x is 0.0; expected"),
+    "a scale that is no number": ("<d", 139, NAN, "scale of y is nan; expected"),
+    "a huge scale": ("<d", 147, 1e308, "scale of z is 1e[+]308; expected"),
+    "a tiny scale": ("<d", 131, 1e-300, "scale of x is 1e-300; expected"),
+    "an offset that is not finite": ("<d", 155, INFINITE, "offset of x is inf; expected"),
+    "a huge offset": ("<d", 163, -1e308, "offset of y is -1e[+]308; expected"),
+}
+COUNTS = {
+    "no points": (0, "behind the last of 0 points"),
+    "a point less": (299, "behind the last of 299 points"),
+    "a point more": (301, "is the file cut off?"),
+    "all points": (2**32 - 1, "4294967295 points; expected 0 to"),
+}
+
+
+def refused(tmp_path: Path, content: bytes, told: str, suffix: str = "las") -> None:
+    (tmp_path / f"changed.{suffix}").write_bytes(content)
+    with pytest.raises(DataError, match=told):
+        read_cloud(tmp_path / f"changed.{suffix}")
+
+
+@pytest.mark.parametrize("version", ["1.2", "1.4"])
+def test_a_las_header_that_does_not_agree_with_the_content_is_refused(tmp_path, version):
+    whole = las(tmp_path / "whole.las", version)
+    assert read_cloud(tmp_path / "whole.las").count == 300
+    kind, place = ("<Q", 247) if version == "1.4" else ("<I", 107)
+    faults = [*LAS_FAULTS.values(), *((kind, place, value, told) for value, told in COUNTS.values())]
+    for form, at, value, told in faults:
+        content = bytearray(whole)
+        struct.pack_into(form, content, at, value)
+        refused(tmp_path, bytes(content), told)
+
+
+def test_no_number_of_a_las_header_loses_points_in_silence(tmp_path):
+    whole = las(tmp_path / "whole.las", "1.2")
+    known = read_cloud(tmp_path / "whole.las").columns["x"]
+    for place in range(94, 227):
+        for value in (0, 1, 0x7F, 0xFF):
+            content = bytearray(whole)
+            content[place] = value
+            (tmp_path / "changed.las").write_bytes(bytes(content))
+            try:
+                cloud = read_cloud(tmp_path / "changed.las")
+            except DataError:
+                continue
+            assert cloud.count == 300
+            moved = np.abs(cloud.columns["x"] - known).max()
+            # two steps are what bounds are rounded by
+            assert moved < 0.002 or "other_bounds" in cloud.head
+
+
+def test_points_elsewhere_than_the_bounds_of_a_las_header_are_remarked(tmp_path):
+    content = bytearray(las(tmp_path / "whole.las", "1.2"))
+    struct.pack_into("<d", content, 131, 0.01)
+    (tmp_path / "moved.las").write_bytes(bytes(content))
+    with open_scene(tmp_path / "moved.las") as scene:
+        told = [notice.message for notice in scene.notices if notice.code == "other-bounds"]
+    assert len(told) == 1
+    assert "x by 384.426 m" in told[0]
+
+
+def test_records_behind_the_points_that_reach_beyond_the_file_are_refused(tmp_path):
+    content = bytearray(las(tmp_path / "whole.las", "1.4"))
+    for start, count in ((len(content) - 10, 1), (0, 1), (len(content), 2**32 - 1)):
+        struct.pack_into("<QI", content, 235, start, count)
+        refused(tmp_path, bytes(content), "extended record")
+
+
+def test_bytes_behind_the_last_point_are_refused_but_for_zeros(tmp_path):
+    whole = las(tmp_path / "whole.las", "1.2")
+    (tmp_path / "padded.las").write_bytes(whole + bytes(100))
+    assert read_cloud(tmp_path / "padded.las").count == 300
+    refused(tmp_path, whole + b"\0\0\1", "3 bytes behind the last of 300 points")
+
+
+@pytest.mark.parametrize("count", [0, 50_001, 2**28])
+def test_a_laz_header_that_does_not_agree_with_the_table_of_chunks_is_refused(tmp_path, count):
+    content = bytearray(laz(tmp_path / "whole.laz"))
+    struct.pack_into("<Q", content, 247, count)
+    struct.pack_into("<I", content, 107, 0)
+    refused(tmp_path, bytes(content), "its 1 chunks hold 1 to 50000|bytes that unpack to", "laz")
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_points_that_the_head_does_not_count_are_not_left_out_in_silence(tmp_path, name, count):
+    heads = {"pcd": (b"WIDTH 2", b"POINTS 2"), "ply": (b"element vertex 2",)}.get(name[-3:], ())
+    content = FILES[name]
+    for head in heads:
+        assert head in content
+        content = content.replace(head, head[:-1] + str(count).encode())
+    assert not heads or not read(tmp_path / name, content)
+
+
+@pytest.mark.parametrize("filling", [b"", b"\n", b"\0" * 4000])
+def test_zeros_and_blanks_that_fill_a_file_up_are_no_points(tmp_path, name, filling):
+    if not name.endswith(("bin", "npz")):
+        assert read(tmp_path / name, FILES[name] + (filling if "text" not in name else b"\n"))

@@ -60,3 +60,22 @@ def check_count(path: Path, place: str, count: int) -> None:
     """
     if not 0 <= count <= MOST_POINTS:
         raise DataError(path, place, f"{count} points; expected 0 to {MOST_POINTS}")
+
+
+def check_end(path: Path, left: bytes, place: int, told: str) -> None:
+    """Refuse bytes behind the last point that a head declares: they may be points that it does not count.
+
+    Args:
+        path: for messages.
+        left: what stands behind the last point; zeros and blanks fill files up, and are no points.
+        place: where they begin [byte].
+        told: the points that the head declares.
+
+    Raises:
+        DataError: there is anything else.
+    """
+    if left.strip(b"\0\t\r\n "):
+        problem = (
+            f"{len(left)} bytes behind the last of {told}; expected none: is the count of the head wrong?"
+        )
+        raise DataError(path, f"byte {place}", problem)

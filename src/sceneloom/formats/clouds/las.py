@@ -4,6 +4,7 @@ Source: "LAS Specification 1.4 - R15", American Society for Photogrammetry and R
 """
 
 import struct
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, BinaryIO
@@ -12,9 +13,9 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.cloud import Cloud, check_count
+from sceneloom.formats.clouds.cloud import Cloud, check_count, check_end
 from sceneloom.formats.clouds.written import NO_LABEL, WrittenPoints, seconds
-from sceneloom.formats.files import file_faults, open_file
+from sceneloom.formats.files import check_unpacked, file_faults, open_file
 
 STEP = 0.001
 """Positions are whole multiples of this [m] from an offset: finer than any lidar measures."""
@@ -26,6 +27,17 @@ _FULL_SCALE = 257
 _LARGEST_CLASS = 255
 _REACH = 2**31 - 1
 _PLACES = ("x", "y", "z")
+_FARTHEST_M = 1e10
+"""Beyond it lies no point: some 70 times as far as the sun [m]."""
+_SMALLEST_SCALE, _LARGEST_SCALE = 1e-12, 1e6
+"""Steps of positions [m]."""
+_LAYOUT = struct.Struct("<HIIBHI")
+_RECORD_HEAD, _EXTENDED_HEAD = 54, 60
+_HEADER_LENGTHS = (227, 227, 227, 235, 375)
+"""Shortest headers of the versions 1.0 to 1.4 [bytes]."""
+_LONGEST_HEADER = 375
+_POINT_LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
+"""Shortest points of the point formats 0 to 10 [bytes]. Source: section 2.6."""
 _KNOWN_RECORDS = (4, 22204)
 """Numbers of the records that describe further dimensions and how LAZ is packed. Source: section 2.8, "Extra Bytes"."""
 
@@ -112,17 +124,25 @@ def _dimensions(points: WrittenPoints) -> dict[str, AnyArray]:
 def read_las(path: Path) -> Cloud:
     """Read all points of a LAS or LAZ file, of any point format; positions in metres, times as `gps_time`.
 
+    What the header declares is held against the bytes of the file before anything is read: where the points begin, how
+    many they are and how long each is, and how many records stand before and behind them. Points that reach
+    elsewhere than the header's bounds say are read, and the head of the cloud says so.
+
     Raises:
-        DataError: the file is damaged or of another kind.
+        DataError: the file is damaged or of another kind, or its header and its content do not agree.
     """
     import laspy
 
     with file_faults(path), open_file(path) as stream:
-        if not path.stat().st_size:
+        size = path.stat().st_size
+        if not size:
             raise DataError(path, "", "is empty; expected a LAS file")
+        known = _Header.of(path, stream.read(_LONGEST_HEADER))
+        known.check(size)
+        _check_records(path, stream, known, size)
+        stream.seek(0)
         try:
             with laspy.open(stream, closefd=False) as file:
-                check_count(path, "header", int(file.header.point_count))
                 if file.header.are_points_compressed:
                     _check_chunks(path, stream, file.header)
                 points = file.read()
@@ -133,7 +153,189 @@ def read_las(path: Path) -> Cloud:
             # laspy and what unpacks LAZ for it raise what they met, of any kind
             told = str(error) or type(error).__name__
             raise DataError(path, "", f"cannot be read: {told}; expected a LAS file") from error
-    return Cloud(path, len(columns["x"]), columns, MappingProxyType(head))
+    _check_positions(path, columns, known.count)
+    return Cloud(path, known.count, columns, MappingProxyType({**head, **_bounds(columns, known)}))
+
+
+@dataclass(frozen=True, slots=True)
+class _Header:
+    """What a header declares of the file's layout.
+
+    Source: section 2.4, "Public Header Block".
+
+    Attributes:
+        path: the file.
+        version: minor one.
+        length: of the header [bytes].
+        points_start: where the points begin [byte].
+        records: records of variable length before the points.
+        compressed: whether the points are LAZ.
+        point_format: number of the point format.
+        point_length: of each point [bytes].
+        count: of the points.
+        legacy_count: of the points, as versions before 1.4 say it.
+        scales, offsets: x, y, z [m].
+        bounds: largest and smallest x, y, z, each axis for itself [m].
+        waveforms_start: where packets of waveforms begin, 0 for none in this file [byte].
+        extended_start: where records of variable length behind the points begin [byte].
+        extended: how many these are.
+    """
+
+    path: Path
+    version: int
+    length: int
+    points_start: int
+    records: int
+    compressed: bool
+    point_format: int
+    point_length: int
+    count: int
+    legacy_count: int
+    scales: tuple[float, ...]
+    offsets: tuple[float, ...]
+    bounds: tuple[float, ...]
+    waveforms_start: int = 0
+    extended_start: int = 0
+    extended: int = 0
+
+    @classmethod
+    def of(cls, path: Path, content: bytes) -> "_Header":
+        """Take a header apart.
+
+        Raises:
+            DataError: it is none, of another version, or cut off.
+        """
+        if not content.startswith(b"LASF"):
+            raise DataError(path, "byte 0", f"{content[:4]!r}; expected b'LASF', a LAS file")
+        if len(content) < _HEADER_LENGTHS[0]:
+            raise DataError(path, "header", f"{len(content)} bytes; expected {_HEADER_LENGTHS[0]} or more")
+        major, version = content[24:26]
+        length, points_start, records, kind, point_length, legacy_count = _LAYOUT.unpack_from(content, 94)
+        if major != 1 or version >= len(_HEADER_LENGTHS):
+            raise DataError(path, "byte 24", f"version {major}.{version}; expected 1.0 to 1.4")
+        if len(content) < _HEADER_LENGTHS[version] or length < _HEADER_LENGTHS[version]:
+            problem = (
+                f"{min(length, len(content))} bytes; expected {_HEADER_LENGTHS[version]} or more in version"
+            )
+            raise DataError(path, "header", f"{problem} 1.{version}")
+        numbers = struct.unpack_from("<12d", content, 131)
+        waveforms, extended_start, extended, count = 0, 0, 0, legacy_count
+        if version >= 3 and content[6] & 2:
+            (waveforms,) = struct.unpack_from("<Q", content, 227)
+        if version >= 4:
+            extended_start, extended, count = struct.unpack_from("<QIQ", content, 235)
+        compressed = kind & 0xC0 == 0x80
+        return cls(
+            path, version, length, points_start, records, compressed,
+            kind & 0x3F if compressed else kind, point_length, count, legacy_count,
+            numbers[:3], numbers[3:6], numbers[6:], waveforms, extended_start, extended,
+        )  # fmt: skip
+
+    def check(self, size: int) -> None:
+        """Hold what is declared against the length of the file.
+
+        Raises:
+            DataError: it does not fit.
+        """
+        path = self.path
+        if self.point_format >= len(_POINT_LENGTHS):
+            raise DataError(path, "byte 104", f"point format {self.point_format}; expected 0 to 10")
+        if self.point_length < _POINT_LENGTHS[self.point_format]:
+            problem = (
+                f"points of {self.point_length} bytes; expected {_POINT_LENGTHS[self.point_format]} or more"
+            )
+            raise DataError(path, "byte 105", f"{problem} in point format {self.point_format}")
+        if not self.length <= self.points_start <= size:
+            problem = (
+                f"points begin at byte {self.points_start}; expected {self.length} to {size}, in the file"
+            )
+            raise DataError(path, "byte 96", problem)
+        if self.records * _RECORD_HEAD > self.points_start - self.length:
+            problem = (
+                f"{self.records} records of variable length in the {self.points_start - self.length} bytes"
+            )
+            raise DataError(path, "byte 100", f"{problem} between header and points")
+        if self.extended and (
+            self.extended_start < self.points_start
+            or self.extended * _EXTENDED_HEAD > size - self.extended_start
+        ):
+            problem = f"{self.extended} extended records from byte {self.extended_start} on"
+            raise DataError(path, "byte 243", f"{problem}; the file has {size} bytes")
+        check_count(path, "header", self.count)
+        if self.version >= 4 and self.legacy_count not in {0, self.count}:
+            problem = f"{self.count} points, and {self.legacy_count} by the count of older versions"
+            raise DataError(path, "byte 247", f"{problem}; expected the same, or 0")
+        for name, values, least, most in (
+            ("scale", self.scales, _SMALLEST_SCALE, _LARGEST_SCALE),
+            ("offset", self.offsets, 0.0, _FARTHEST_M),
+        ):
+            for axis, value in zip(_PLACES, values, strict=True):
+                if not least <= abs(value) <= most:
+                    problem = f"{name} of {axis} is {value}; expected a number from {least:g} to {most:g}"
+                    raise DataError(path, "header", problem)
+        self._check_length(size)
+
+    def _check_length(self, size: int) -> None:
+        content = self.count * self.point_length
+        if self.compressed:
+            check_unpacked(self.path, "points", size - self.points_start, content)
+            return
+        behind = [
+            place for place in (self.waveforms_start, self.extended_start * bool(self.extended)) if place
+        ]
+        there = min([size, *behind]) - self.points_start
+        if content > there:
+            problem = (
+                f"{self.count} points of {self.point_length} bytes; expected {content} bytes, found {there}"
+            )
+            raise DataError(self.path, f"byte {self.points_start}", f"{problem}: is the file cut off?")
+
+
+def _check_records(path: Path, stream: BinaryIO, header: _Header, size: int) -> None:
+    """Walk over the records before and behind the points, and look at what stands behind the last point."""
+    place = header.length
+    for number in range(header.records):
+        place += _RECORD_HEAD + _number(stream, place + 20, "<H")
+        if place > header.points_start:
+            problem = f"ends at byte {place}; expected {header.points_start} at most, where the points begin"
+            raise DataError(path, f"record {number}", problem)
+    place = header.extended_start
+    for number in range(header.extended):
+        place += _EXTENDED_HEAD + _number(stream, place + 20, "<Q") if place + 28 <= size else size
+        if place > size:
+            raise DataError(path, f"extended record {number}", f"ends at byte {place}; the file has {size}")
+    if header.compressed:
+        return
+    stop = header.points_start + header.count * header.point_length
+    behind = [at for at in (header.waveforms_start, header.extended_start * bool(header.extended)) if at]
+    stream.seek(stop)
+    left = stream.read(max(min([size, *behind]) - stop, 0))
+    check_end(path, left, stop, f"{header.count} points of {header.point_length} bytes")
+
+
+def _check_positions(path: Path, columns: dict[str, AnyArray], count: int) -> None:
+    for axis in _PLACES:
+        if len(columns[axis]) != count:
+            raise DataError(path, axis, f"{len(columns[axis])} points were read; the header declares {count}")
+        far = np.flatnonzero(~(np.abs(columns[axis]) <= _FARTHEST_M))
+        if len(far):
+            problem = f"{columns[axis][far[0]]:g} m; expected at most {_FARTHEST_M:g}: is its scale or offset wrong?"
+            raise DataError(path, f"point {int(far[0])}, {axis}", problem)
+
+
+def _bounds(columns: dict[str, AnyArray], header: _Header) -> dict[str, Any]:
+    """In which axes the points reach elsewhere than the bounds of the header say, and how far from these."""
+    if not header.count:
+        return {}
+    told = []
+    for k, axis in enumerate(_PLACES):
+        found = float(columns[axis].max()), float(columns[axis].min())
+        apart = max(
+            abs(there - declared) for there, declared in zip(found, header.bounds[2 * k :], strict=False)
+        )
+        if not apart <= 2 * abs(header.scales[k]) + 1e-9 * abs(header.offsets[k]):
+            told.append(f"{axis} by {apart:g} m")
+    return {"other_bounds": ", ".join(told)} if told else {}
 
 
 def _check_chunks(path: Path, stream: BinaryIO, header: Any) -> None:
@@ -141,7 +343,8 @@ def _check_chunks(path: Path, stream: BinaryIO, header: Any) -> None:
 
     Source: "LASzip: lossless compression of LiDAR data", Isenburg 2013: point data begin with the place of the table,
     -1 where that stands in the last bytes of the file; the table with its version and the number of chunks, each of
-    which begins with a point as it is.
+    which begins with a point as it is. Chunks have as many points each, but for the last one, or say how many they
+    have.
     """
     import lazrs
 
@@ -149,6 +352,9 @@ def _check_chunks(path: Path, stream: BinaryIO, header: Any) -> None:
     place = _number(stream, int(header.offset_to_point_data), "<q")
     if place == -1:
         place = _number(stream, size - 8, "<q")
+    if not int(header.offset_to_point_data) <= place <= size - 8:
+        problem = f"the table of chunks is at byte {place}; the file has {size}: is it cut off?"
+        raise DataError(path, "points", problem)
     count = _number(stream, place + 4, "<I")
     most = size // int(header.point_format.size) + 1
     if count > most:
@@ -156,17 +362,25 @@ def _check_chunks(path: Path, stream: BinaryIO, header: Any) -> None:
             path, f"byte {place + 4}", f"{count} chunks; expected {most} or fewer in {size} bytes"
         )
     stream.seek(int(header.offset_to_point_data))
-    chunks = lazrs.read_chunk_table(stream, lazrs.LazVlr(header.vlrs.get("LasZipVlr")[0].record_data))
+    vlr = lazrs.LazVlr(header.vlrs.get("LasZipVlr")[0].record_data)
+    chunks = lazrs.read_chunk_table(stream, vlr)
     told = sum(length for _, length in chunks)
     if told > size:
         raise DataError(path, f"byte {place}", f"chunks of {told} bytes in all; the file has {size}")
+    points, most_points = int(header.point_count), sum(number for number, _ in chunks)
+    least_points = most_points if vlr.uses_variable_size_chunks() else most_points - vlr.chunk_size() + 1
+    if not (least_points if chunks else 0) <= points <= most_points:
+        problem = f"{points} points; its {len(chunks)} chunks hold {least_points} to {most_points}"
+        raise DataError(path, "header", problem)
     stream.seek(before)
 
 
 def _number(stream: BinaryIO, place: int, form: str) -> int:
     stream.seek(place)
-    found: tuple[int] = struct.unpack(form, stream.read(struct.calcsize(form)))
-    return found[0]
+    found = stream.read(struct.calcsize(form))
+    if len(found) < struct.calcsize(form):
+        raise DataError(getattr(stream, "name", ""), f"byte {place}", "is beyond the end of the file")
+    return int(struct.unpack(form, found)[0])
 
 
 def _head(header: Any) -> dict[str, Any]:

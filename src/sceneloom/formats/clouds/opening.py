@@ -249,6 +249,10 @@ def _note_first(folder: CloudFolder, frames: CloudFrames, ledger: Ledger) -> Non
             ledger.note(
                 NoticeKind.SKIPPED, name.replace("_", "-"), place, message, count=count(frame.extras[name])
             )
+    apart = frame.extras.get("head", {}).get("other_bounds")
+    if apart:
+        told = f"the bounds in the header are not those of the points ({apart} off); the points are read as they are"
+        ledger.note(NoticeKind.ASSUMED, "other-bounds", str(frames.files[0]), told)
     others = frame.extras.get("head", {}).get("elements_left_out")
     if others:
         listed = ", ".join(f"{count} {name}" for name, count in others.items())

@@ -13,7 +13,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.cloud import Cloud, check_count, columns_of, unique_names
+from sceneloom.formats.clouds.cloud import Cloud, check_count, check_end, columns_of, unique_names
 from sceneloom.formats.clouds.text_rows import parse_rows
 from sceneloom.formats.files import read_bytes
 
@@ -55,6 +55,8 @@ def read_pcd(path: Path) -> Cloud:
     content = read_bytes(path)
     header = parse_header(path, content)
     if header.count == 0 or header.dtype.itemsize == 0:
+        # a compressed file of no points still says that it is 0 bytes
+        check_end(path, content[header.start :], header.start, f"{header.count} points")
         return Cloud(path, header.count, columns_of(np.zeros(header.count, header.dtype)), header.further)
     return Cloud(path, header.count, _READERS[header.data](path, content, header), header.further)
 
@@ -180,6 +182,8 @@ def _read_binary(path: Path, content: bytes, header: PcdHeader) -> dict[str, Any
             f"{header.count} points of {header.dtype.itemsize} bytes; the file breaks off"
         )
         raise DataError(path, f"byte {header.start}", problem)
+    stop = header.start + expected
+    check_end(path, content[stop:], stop, f"{header.count} points of {header.dtype.itemsize} bytes")
     return columns_of(np.frombuffer(content, header.dtype, header.count, header.start))
 
 
@@ -198,6 +202,7 @@ def _read_compressed(path: Path, content: bytes, header: PcdHeader) -> dict[str,
     if size != expected or size > packed_size * LARGEST_RATIO:
         problem = f"{packed_size} bytes that unfold to {size}; expected {expected} from {header.count} points"
         raise DataError(path, place, problem)
+    check_end(path, content[body + packed_size :], body + packed_size, f"{header.count} points")
     unpacked = np.empty(size, np.uint8)
     done = unfold(np.frombuffer(content, np.uint8, packed_size, body), unpacked)
     if done != size:

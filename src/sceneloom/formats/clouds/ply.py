@@ -13,7 +13,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.cloud import Cloud, check_count, columns_of, unique_names
+from sceneloom.formats.clouds.cloud import Cloud, check_count, check_end, columns_of, unique_names
 from sceneloom.formats.clouds.text_rows import parse_rows
 from sceneloom.formats.files import read_bytes
 
@@ -165,7 +165,18 @@ def _read_binary(path: Path, content: bytes, header: PlyHeader) -> AnyArray:
             start += element.count * dtype.itemsize
         if element.name == "vertex":
             break
+    _check_rest(path, content, start, header)
     return rows
+
+
+def _check_rest(path: Path, content: bytes, start: int, header: PlyHeader) -> None:
+    """Refuse bytes behind the last element; rows of lists behind the vertices are not walked through."""
+    vertex = [element.name for element in header.elements].index("vertex")
+    others = header.elements[vertex + 1 :]
+    if not any(element.has_lists for element in others):
+        stop = start + sum(element.count * element.dtype(header.order).itemsize for element in others)
+        told = f"{header.elements[vertex].count} vertices"
+        check_end(path, content[stop:], stop, told if not others else f"{told} and of what follows them")
 
 
 def _check_bytes(path: Path, content: bytes, start: int, element: Element, size: int) -> None:
@@ -227,6 +238,10 @@ def _read_text(path: Path, content: bytes, header: PlyHeader) -> AnyArray:
     if len(rows) < element.count:
         problem = f"{len(rows)} lines of vertex; expected {element.count}; the file breaks off"
         raise DataError(path, "", problem)
+    known = sum(one.count for one in header.elements if one.properties)
+    if len(lines) > known:
+        problem = f"{len(lines)} lines; expected {known} by the counts of the head"
+        raise DataError(path, f"line {lines[known][0]}", problem)
     return _parse_vertices(path, rows, element)
 
 

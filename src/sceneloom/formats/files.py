@@ -3,7 +3,7 @@
 Every reader opens its files with `open_file` or `read_bytes`, or asks `check_regular` before a library opens one by its
 path: a named pipe would be waited for without end, a device gives bytes without end. What a file declares is checked
 against the bytes that are there before memory is asked for; what is compressed may declare more, within
-`check_unpacked`. The constants of this module are looked up at each call, so a program that has larger files may raise
+`most_unpacked`. The constants of this module are looked up at each call, so a program that has larger files may raise
 them: `sceneloom.formats.files.LARGEST_RATIO = 1000`.
 """
 
@@ -118,6 +118,11 @@ def check_length(path: Path) -> None:
         )
 
 
+def most_unpacked(packed: int) -> int:
+    """How many bytes so many compressed ones may become [bytes]."""
+    return max(ALWAYS_UNPACKED, LARGEST_RATIO * packed)
+
+
 def check_unpacked(path: object, place: str, packed: int, unpacked: int) -> None:
     """Refuse compressed bytes that declare to become far more than data of sensors do.
 
@@ -128,9 +133,9 @@ def check_unpacked(path: object, place: str, packed: int, unpacked: int) -> None
         unpacked: how many they declare to become [bytes].
 
     Raises:
-        DataError: these are more than `ALWAYS_UNPACKED` and more than `LARGEST_RATIO` times as many.
+        DataError: these are more than `most_unpacked` allows.
     """
-    most = max(ALWAYS_UNPACKED, LARGEST_RATIO * packed)
+    most = most_unpacked(packed)
     if unpacked > most:
         raise DataError(path, place, f"{packed} bytes that unpack to {unpacked}; expected {most} at most")
 

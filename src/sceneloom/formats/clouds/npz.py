@@ -1,5 +1,7 @@
 """NPZ and NPY, the files of NumPy; pickled objects in them are refused, never run."""
 
+import ast
+import math
 import tokenize
 import zipfile
 import zlib
@@ -14,12 +16,13 @@ from sceneloom.errors import DataError
 from sceneloom.formats.clouds.cloud import Cloud, check_count, columns_of
 from sceneloom.formats.clouds.layout import FieldLayout
 from sceneloom.formats.clouds.roles import ALIASES, ROW_ALIASES
-from sceneloom.formats.files import file_faults, open_file
+from sceneloom.formats.files import check_unpacked, file_faults, open_file
 
-_LARGEST_ARRAY = 1 << 32
+_MAGIC = b"\x93NUMPY"
+_LONGEST_HEAD = 20_000
 _FAULTS = (
     ValueError, KeyError, EOFError, TypeError, SyntaxError, RuntimeError, NotImplementedError, OverflowError,
-    IndexError, zipfile.BadZipFile, zlib.error, tokenize.TokenError, UserWarning,
+    IndexError, RecursionError, zipfile.BadZipFile, zlib.error, tokenize.TokenError, UserWarning,
 )  # fmt: skip
 """What NumPy and the modules below it raise for files that are damaged, encrypted, or hold objects."""
 
@@ -85,16 +88,20 @@ def _check_lengths(path: Path, lengths: Mapping[str, int], count: int) -> None:
 
 
 def _arrays(path: Path) -> dict[str, AnyArray]:
-    with file_faults(path):
-        if not path.stat().st_size:
+    with file_faults(path), open_file(path) as file:
+        size = path.stat().st_size
+        if not size:
             raise DataError(path, "", "is empty; expected arrays of NumPy")
         try:
-            with open_file(path) as file:  # NumPy leaves a file that it opened itself open where it fails
-                loaded: Any = np.load(file, allow_pickle=False)
-                if isinstance(loaded, np.ndarray):
-                    return {"points" if loaded.dtype.names is None else "": loaded}
-                _check_sizes(path, loaded.zip)
-                return {name: loaded[name] for name in loaded.files}
+            head = file.read(_LONGEST_HEAD)
+            file.seek(0)
+            if head.startswith(_MAGIC):
+                _check_size(path, "", head, size)
+            loaded: Any = np.load(file, allow_pickle=False)
+            if isinstance(loaded, np.ndarray):
+                return {"points" if loaded.dtype.names is None else "": loaded}
+            _check_sizes(path, loaded.zip, size)
+            return {name: loaded[name] for name in loaded.files}
         except _FAULTS as error:
             objects = "allow_pickle" in str(error) or "pickle" in str(error).lower()
             problem = (
@@ -103,11 +110,42 @@ def _arrays(path: Path) -> dict[str, AnyArray]:
             raise DataError(path, "", f"{problem}; expected arrays of numbers") from error
 
 
-def _check_sizes(path: Path, archive: zipfile.ZipFile) -> None:
+def _check_sizes(path: Path, archive: zipfile.ZipFile, size: int) -> None:
+    """Hold what the entries declare against the bytes of the file, before any of them is unpacked."""
+    check_unpacked(path, "", size, sum(entry.file_size for entry in archive.infolist()))
     for entry in archive.infolist():
-        if entry.file_size > _LARGEST_ARRAY:
-            problem = f"unfolds to {entry.file_size} bytes; expected at most {_LARGEST_ARRAY}"
-            raise DataError(path, entry.filename, problem)
+        with archive.open(entry) as file:
+            _check_size(path, entry.filename, file.read(_LONGEST_HEAD), entry.file_size)
+
+
+def _check_size(path: Path, place: str, head: bytes, size: int) -> None:
+    """Refuse an array that is not as long as the bytes behind its head.
+
+    Source: "NPY format", numpy.lib.format: magic, version, length of the head, the head as a dictionary of Python.
+
+    Args:
+        path: for messages.
+        place: the array, for messages.
+        head: how the array's bytes begin.
+        size: how many bytes it has with its head.
+
+    Raises:
+        DataError: its shape says otherwise.
+        ValueError, KeyError, TypeError, SyntaxError: it has no head that can be read.
+    """
+    if not head.startswith(_MAGIC) or len(head) < 12:
+        return
+    start, stop = (10, 10 + int.from_bytes(head[8:10], "little")) if head[6] == 1 else (
+        12, 12 + int.from_bytes(head[8:12], "little")
+    )  # fmt: skip
+    told = ast.literal_eval(head[start:stop].decode("latin-1").strip())
+    kind = np.lib.format.descr_to_dtype(told["descr"])
+    if kind.hasobject:
+        return
+    expected = math.prod(told["shape"]) * kind.itemsize
+    if min(told["shape"], default=0) < 0 or expected != size - stop:
+        problem = f"{size - stop} bytes; expected {expected} of shape {told['shape']} and type {kind}"
+        raise DataError(path, place, problem)
 
 
 def _columns(path: Path, name: str, array: AnyArray, layout: FieldLayout | None) -> dict[str, AnyArray]:

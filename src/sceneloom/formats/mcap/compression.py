@@ -5,6 +5,7 @@ from types import MappingProxyType
 from typing import Any, cast
 
 from sceneloom.errors import MissingExtraError, OptionError, how_to_install
+from sceneloom.formats.files import most_unpacked
 
 COMPRESSIONS = ("none", "lz4", "zstd")
 """What chunks can be compressed with."""
@@ -30,12 +31,24 @@ def decompress(compression: str, content: bytes, size: int) -> bytes:
     """Give the first `size` bytes of what was compressed.
 
     Raises:
-        ValueError: the bytes are damaged, or of a compression that is not known.
+        ValueError: the bytes are damaged, of a compression that is not known, or would become too many.
         MissingExtraError: its library is not installed.
     """
     if compression not in _DECOMPRESSORS:
         raise ValueError(f"compression {compression!r}; expected one of {', '.join(_DECOMPRESSORS)}")
+    check_ratio(compression, content, size)
     return _DECOMPRESSORS[compression](content, size)
+
+
+def check_ratio(compression: str, content: bytes, size: int) -> None:
+    """Refuse to unpack what declares to become far more than chunks of messages do, before memory is asked for.
+
+    Raises:
+        ValueError: it is compressed, and `size` is more than `most_unpacked` allows.
+    """
+    most = most_unpacked(len(content))
+    if compression and size > most:
+        raise ValueError(f"{len(content)} bytes that unpack to {size}; expected {most} at most")
 
 
 def _lz4() -> Any:

@@ -23,7 +23,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, read_only
 from sceneloom.errors import DataError
-from sceneloom.formats.files import file_faults, open_file
+from sceneloom.formats.files import file_faults, most_unpacked, open_file
 
 LARGEST = 1 << 29
 """More bytes than this, unpacked, no frame has."""
@@ -113,11 +113,12 @@ def _unpacked(path: Path) -> bytes:
         with file_faults(path), open_file(path) as file:
             is_packed = file.read(2) == _GZIP
             file.seek(0)
-            content = (gzip.GzipFile(fileobj=file) if is_packed else file).read(LARGEST + 1)
+            most = min(LARGEST, most_unpacked(path.stat().st_size)) if is_packed else LARGEST
+            content = (gzip.GzipFile(fileobj=file) if is_packed else file).read(most + 1)
     except (EOFError, zlib.error) as error:
         raise DataError(path, "", f"is no whole gzip file: {error}") from error
-    if len(content) > LARGEST:
-        raise DataError(path, "", f"more than {LARGEST} bytes; expected a frame of a sweep")
+    if len(content) > most:
+        raise DataError(path, "", f"more than {most} bytes; expected a frame of a sweep")
     return content
 
 

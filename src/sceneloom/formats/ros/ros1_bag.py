@@ -14,6 +14,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.mcap.compression import check_ratio
 from sceneloom.formats.mcap.compression import decompress as decompress_lz4
 from sceneloom.formats.ros.bags import Connection, full_type
 from sceneloom.formats.topics.chunks import ChunkPlace, Chunks
@@ -267,10 +268,11 @@ def decompress(compression: str, content: bytes, size: int) -> bytes:
     """Give the first bytes of a chunk.
 
     Raises:
-        ValueError: the bytes are damaged, or of a compression that is not known.
+        ValueError: the bytes are damaged, of a compression that is not known, or would become too many.
     """
     if compression != "bz2":
         return decompress_lz4(compression, content, size)
+    check_ratio(compression, content, size)
     try:
         return bz2.BZ2Decompressor().decompress(content, size)
     except (OSError, EOFError) as error:

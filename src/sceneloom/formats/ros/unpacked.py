@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError, MissingExtraError, how_to_install
+from sceneloom.formats.files import check_unpacked, most_unpacked
 from sceneloom.formats.ros.bags import Bag, Connection
-
-_LARGEST = 1 << 31
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,10 +39,14 @@ class UnpackedBag:
         except ImportError as missing:
             raise MissingExtraError(f"{missing}; install the extra: {how_to_install('ros')}") from missing
         try:
-            with zstandard.ZstdDecompressor().stream_reader(bytes(self.bag.data(number, k))) as reader:
-                return memoryview(reader.read(_LARGEST))
+            packed = bytes(self.bag.data(number, k))
+            most = most_unpacked(len(packed))
+            with zstandard.ZstdDecompressor().stream_reader(packed) as reader:
+                content = memoryview(reader.read(most + 1))
         except (zstandard.ZstdError, MemoryError) as error:
             raise DataError(place, "", f"cannot be decompressed: {error}") from error
+        check_unpacked(place, "", len(packed), len(content))
+        return content
 
     def heads(self, number: int, size: int) -> Iterator[bytes]:
         """How each message of a connection begins; they are unpacked whole."""

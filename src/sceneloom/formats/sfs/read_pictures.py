@@ -10,6 +10,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
+from sceneloom.formats.files import check_pixels
 from sceneloom.formats.sfs.container import Container, format_keys
 from sceneloom.formats.sfs.mapped_file import MappedContent
 from sceneloom.formats.sfs.mp4 import is_mp4, video_codec
@@ -22,9 +23,6 @@ from sceneloom.scene.types import NO_FIELDS
 if TYPE_CHECKING:
     from sceneloom.formats.video import VideoReader
     from sceneloom.formats.video.index import VideoIndex
-
-_LARGEST_PICTURE = 1 << 28
-"""Pictures of more pixels are refused: a damaged head can claim any size."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,9 +127,7 @@ def _decode_jpeg(container: Container, content: AnyArray, place: str) -> UInt8Ar
 
     try:
         height, width = decode_jpeg_header(content.data)[:2]
-        if width * height > _LARGEST_PICTURE:
-            problem = f"a picture of {width}x{height}; expected at most {_LARGEST_PICTURE} pixels"
-            raise DataError(container.file, place, problem)
+        check_pixels(container.file, place, width, height)
         return cast("UInt8Array", decode_jpeg(content.data, "RGB"))
     except (ValueError, RuntimeError, MemoryError) as error:
         raise DataError(container.file, place, f"cannot be decoded as JPEG: {error}") from None
@@ -162,11 +158,7 @@ class _Player:
     def size(self) -> tuple[int, int]:
         """Width and height of its pictures [px]."""
         reader = self._opened()
-        if reader.width * reader.height > _LARGEST_PICTURE:
-            problem = (
-                f"pictures of {reader.width}x{reader.height}; expected at most {_LARGEST_PICTURE} pixels"
-            )
-            raise DataError(self._container.file, self._place, problem)
+        check_pixels(self._container.file, self._place, reader.width, reader.height)
         return reader.width, reader.height
 
     def rgb(self, index: int) -> UInt8Array:

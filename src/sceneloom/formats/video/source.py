@@ -14,7 +14,7 @@ from av.video.stream import VideoStream
 
 from sceneloom.errors import DataError
 from sceneloom.formats.byte_stream import ByteStream
-from sceneloom.formats.files import open_file
+from sceneloom.formats.files import check_pixels, open_file
 from sceneloom.formats.processors import processors
 
 VideoSource = Path | str | bytes | bytearray | memoryview | Callable[[], BinaryIO]
@@ -117,6 +117,7 @@ class OpenVideo:
         decoder = stream.codec_context
         if decoder is None or decoder.width <= 0 or decoder.height <= 0:
             raise DataError(name, "", "its video stream is of an unknown codec or picture size")
+        check_pixels(name, "", decoder.width, decoder.height)
         return stream
 
     def decode_ahead(self) -> None:

@@ -2,7 +2,8 @@
 
 A mutant is a drive with one file changed, and is known by the name of the drive and a number, so that each can be made
 again: `python -m tests.malformed.mutants NAME NUMBER` shows what becomes of one, with its traceback.
-`python -m tests.malformed.mutants NAME --count 2000` tries the first of them.
+`python -m tests.malformed.mutants NAME --count 2000` tries the first of them. Mutants with negative numbers have a
+named pipe, a device, a folder, a socket or a file of 200 GB without content in the place of a file.
 
 What may become of a mutant is a scene, or a `SceneloomError`. Any other exception, a process that dies, takes more
 memory than `MEMORY`, or longer than `SECONDS`, is a failure.
@@ -14,6 +15,7 @@ import re
 import resource
 import select
 import shutil
+import socket
 import struct
 import subprocess
 import sys
@@ -25,6 +27,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +78,26 @@ def _written(name: str, place: str, **options: Any) -> Callable[[Path], Path]:
     return write
 
 
+def _by_test(module: str, function: str, place: str = "drive") -> Callable[[Path], Path]:
+    """A drive of a format that is only read, made by the writer in the tests of that format."""
+
+    def write(folder: Path) -> Path:
+        (folder / place).mkdir(exist_ok=True)
+        written: Path = getattr(import_module(f"tests.unit.formats.{module}"), function)(folder / place)
+        return written
+
+    return write
+
+
+def _street(folder: Path) -> Path:
+    """A folder of the nuScenes schema."""
+    from tests.unit.formats.nuscenes.schema_folder import street
+    from tests.unit.formats.nuscenes.test_write import with_classes
+
+    written: Path = with_classes(street(folder / "drive")).write()
+    return written
+
+
 DRIVES: dict[str, Callable[[Path], Path]] = {
     "openlabel": _written("openlabel", "drive.json"),
     "kitti-raw": _written("kitti-raw", "drive"),
@@ -86,6 +109,27 @@ DRIVES: dict[str, Callable[[Path], Path]] = {
     "npz": _written("npz", "drive"),
 }
 """Writers of sound drives: each takes an empty folder and gives the path of the drive in it, a file or a folder."""
+
+OTHER_DRIVES: dict[str, Callable[[Path], Path]] = {
+    "sfs": _written("sfs", "drive.sfs"),
+    "recording": _written("recording", "drive"),
+    "rig": _by_test("rig.conftest", "write_folder"),
+    "mcap": _written("mcap", "drive.mcap"),
+    "ros1": _written("ros1", "drive.bag"),
+    "ros2": _written("ros2", "drive"),
+    "kitti-tracking": _written("kitti-tracking", "drive"),
+    "kitti-odometry": _written("kitti-odometry", "drive"),
+    "kitti-bin": _written("kitti-bin", "drive"),
+    "nuscenes-bin": _written("nuscenes-bin", "drive"),
+    "nuscenes": _street,
+    "argoverse2": _by_test("argoverse2.test_read", "write_log"),
+    "pandaset": _by_test("pandaset.test_read", "write_drive"),
+    "scale-toolkit": _by_test("scale_toolkit.test_read", "write_folder"),
+    "euroc-mav": _by_test("euroc_mav.test_euroc_mav", "write_drive", "."),
+}
+"""Those of the formats whose mutants are tried elsewhere."""
+
+ALL_DRIVES = DRIVES | OTHER_DRIVES
 
 
 def mutant_of(content: bytes, chance: np.random.Generator) -> bytes:
@@ -206,20 +250,20 @@ class Tried:
         return "\n".join([counts, *lines])
 
 
-def try_mutants(name: str, numbers: range, *, seconds: float = float("inf")) -> Tried:
+def try_mutants(name: str, numbers: range | None, *, seconds: float = float("inf")) -> Tried:
     """Make mutants of a drive and see what becomes of them.
 
     Args:
-        name: of `DRIVES`.
-        numbers: of the mutants.
+        name: of `ALL_DRIVES`.
+        numbers: of the mutants; None for those of `impostors_of`.
         seconds: begin no further mutant after this time.
     """
     tried, stop = Tried(), time.monotonic() + seconds
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         sound = Path(folder, "sound")
         sound.mkdir()
-        DRIVES[name](sound)
-        waiting = list(reversed(numbers))
+        ALL_DRIVES[name](sound)
+        waiting = list(reversed(impostors_of(next(sound.iterdir())) if numbers is None else numbers))
         while waiting and time.monotonic() < stop:
             _work_off(name, Path(folder), waiting, tried, stop)
     return tried
@@ -235,7 +279,8 @@ def _work_off(name: str, folder: Path, waiting: list[int], tried: Tried, stop: f
             number = waiting.pop()
             worker.stdin.write(f"{number}\n".encode())
             worker.stdin.flush()
-            told = _answer(worker, SECONDS)
+            # a video is looked through for ten seconds each time that it is opened
+            told = _answer(worker, SECONDS if number >= 0 else 3 * SECONDS)
             if told is None:
                 worker.kill()
                 code = worker.wait()
@@ -302,21 +347,72 @@ def _work(name: str, folder: Path) -> None:
             number = int(line)
             file, content = change(drive, name, number)
             outcome, told = _use(drive, name, number)
-            file.write_bytes(content)
+            _restore(file, content)
             answers.write(json.dumps({"outcome": outcome, "told": told}) + "\n")
 
 
 def change(drive: Path, name: str, number: int) -> tuple[Path, bytes]:
     """Make a mutant of a drive in place; gives the file that was changed and what it was before."""
-    chance = np.random.default_rng([number, *name.encode()])
-    kinds: dict[Any, list[Path]] = {}
-    for file in sorted(file for file in drive.rglob("*") if file.is_file()) if drive.is_dir() else [drive]:
-        kinds.setdefault((file.parent, file.suffix), []).append(file)
-    files = list(kinds.values())[int(chance.integers(len(kinds)))]
+    chance = np.random.default_rng([abs(number), *name.encode()])
+    kinds = _kinds_of_files(drive)
+    if number < 0:
+        file = kinds[(-number - 1) // len(IMPOSTORS)][0]
+        content = file.read_bytes()
+        file.unlink()
+        os.chdir(file.parent)
+        list(IMPOSTORS.values())[(-number - 1) % len(IMPOSTORS)](file.name, content)
+        return file, content
+    files = kinds[int(chance.integers(len(kinds)))]
     file = files[int(chance.integers(len(files)))]
     content = file.read_bytes()
     file.write_bytes(mutant_of(content, chance))
     return file, content
+
+
+def _kinds_of_files(drive: Path) -> list[list[Path]]:
+    """All files of a drive, those of one ending in one folder together, unless each has a name of its own."""
+    kinds: dict[Any, list[Path]] = {}
+    for file in sorted(file for file in drive.rglob("*") if file.is_file()) if drive.is_dir() else [drive]:
+        stem = re.sub(r"\d+", "0", file.stem)
+        kinds.setdefault((file.parent, stem, file.suffix), []).append(file)
+    return list(kinds.values())
+
+
+def _restore(file: Path, content: bytes) -> None:
+    if file.is_dir():
+        file.rmdir()
+    else:
+        file.unlink()
+    file.write_bytes(content)
+
+
+def _make_socket(name: str, content: bytes) -> None:
+    del content
+    with socket.socket(socket.AF_UNIX) as there:
+        there.bind(name)
+
+
+def _make_sparse(name: str, content: bytes) -> None:
+    Path(name).write_bytes(content)
+    os.truncate(name, SPARSE)
+
+
+SPARSE = 200_000_000_000 // 55_200 * 55_200
+"""Length of files without content [bytes]: a whole number of points of every kind."""
+
+IMPOSTORS: dict[str, Callable[[str, bytes], None]] = {
+    "pipe": lambda name, _: os.mkfifo(name),
+    "device": lambda name, _: Path(name).symlink_to("/dev/zero"),
+    "folder": lambda name, _: Path(name).mkdir(),
+    "socket": _make_socket,
+    "sparse": _make_sparse,
+}
+"""What stands in the place of a file, and the function that makes it there, given what the file held."""
+
+
+def impostors_of(drive: Path) -> range:
+    """The numbers of the mutants that have something else in the place of a file, for each kind of file."""
+    return range(-len(IMPOSTORS) * len(_kinds_of_files(drive)), 0)
 
 
 def _use(drive: Path, name: str, number: int) -> tuple[str, str]:
@@ -385,13 +481,14 @@ def _main() -> None:
     arguments = sys.argv[1:]
     if arguments[0] == "--worker":
         _work(arguments[1], Path(arguments[2]))
-    elif arguments[1] == "--count":
+    elif arguments[1] in {"--count", "--impostors"}:
         begun = time.monotonic()
-        tried = try_mutants(arguments[0], range(int(arguments[2])))
+        numbers = range(int(arguments[2])) if arguments[1] == "--count" else None
+        tried = try_mutants(arguments[0], numbers)
         sys.stdout.write(f"{arguments[0]}: {tried}\n  {time.monotonic() - begun:.0f} s\n")
     else:
         with tempfile.TemporaryDirectory() as folder:
-            drive = DRIVES[arguments[0]](Path(folder))
+            drive = ALL_DRIVES[arguments[0]](Path(folder))
             file, content = change(drive, arguments[0], int(arguments[1]))
             sys.stdout.write(f"{file.relative_to(folder)}: {len(content)} -> {file.stat().st_size} bytes\n")
             sys.stdout.write("\n".join(_use(drive, arguments[0], int(arguments[1]))) + "\n")

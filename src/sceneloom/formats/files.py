@@ -30,6 +30,12 @@ ALWAYS_UNPACKED = 1 << 26
 MOST_PIXELS = 1 << 27
 """Most pixels of a picture, by its head, before it is decoded: 16384 x 8192."""
 
+LARGEST_HOLES = 1000
+"""How many times as long as its stored bytes a file of more than `LARGEST_READ` bytes may be: who reads on to the end
+of a longer one finds nothing for hours. Files of which next to nothing is said to be stored are elsewhere, on a tape or
+in a store, and pass."""
+
+_PAGE = 4096
 _KINDS = {
     stat.S_IFIFO: "is a named pipe",
     stat.S_IFCHR: "is a device",
@@ -43,16 +49,22 @@ def check_regular(path: Path) -> None:
     """Refuse what is no regular file, for libraries that open files by their paths.
 
     Raises:
-        OSError: it is a folder, a pipe, a device or a socket, or cannot be looked at.
+        OSError: it is a folder, a pipe, a device or a socket, is long and nearly all of it holes, or cannot be looked
+            at.
     """
-    _check_mode(path, path.stat().st_mode)
+    status = path.stat()
+    _check_mode(path, status.st_mode)
+    stored = getattr(status, "st_blocks", 0) * 512
+    if status.st_size > LARGEST_READ and _PAGE <= stored < status.st_size / LARGEST_HOLES:
+        problem = f"is {status.st_size} bytes long, of which {stored} are stored; expected a file without such holes"
+        raise OSError(errno.EINVAL, problem, str(path))
 
 
 def open_file(path: Path, *, buffering: int = -1) -> BinaryIO:
     """Open a file of a drive for reading bytes.
 
     Raises:
-        OSError: it is no regular file, or cannot be opened.
+        OSError: `check_regular` refuses it, or it cannot be opened.
     """
     check_regular(path)
     if type(path) is not type(Path()):
@@ -105,8 +117,8 @@ def read_bytes(path: Path) -> bytes:
         return file.read()
 
 
-def check_length(path: Path) -> None:
-    """Refuse a file that is too long to be read whole.
+def check_length(path: Path) -> int:
+    """Give the length of a file that is to be read whole [bytes].
 
     Raises:
         DataError: it is longer than `LARGEST_READ`.
@@ -116,6 +128,7 @@ def check_length(path: Path) -> None:
         raise DataError(
             path, "", f"{size} bytes; expected {LARGEST_READ} at most in a file that is read whole"
         )
+    return size
 
 
 def most_unpacked(packed: int) -> int:

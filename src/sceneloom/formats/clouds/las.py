@@ -15,7 +15,7 @@ from sceneloom.arrays import AnyArray, Float64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.clouds.cloud import Cloud, check_count, check_end
 from sceneloom.formats.clouds.written import NO_LABEL, WrittenPoints, seconds
-from sceneloom.formats.files import check_unpacked, file_faults, open_file
+from sceneloom.formats.files import check_length, check_unpacked, file_faults, open_file
 
 STEP = 0.001
 """Positions are whole multiples of this [m] from an offset: finer than any lidar measures."""
@@ -134,7 +134,7 @@ def read_las(path: Path) -> Cloud:
     import laspy
 
     with file_faults(path), open_file(path) as stream:
-        size = path.stat().st_size
+        size = check_length(path)
         if not size:
             raise DataError(path, "", "is empty; expected a LAS file")
         known = _Header.of(path, stream.read(_LONGEST_HEADER))

@@ -16,7 +16,7 @@ from sceneloom.errors import DataError
 from sceneloom.formats.clouds.cloud import Cloud, check_count, columns_of
 from sceneloom.formats.clouds.layout import FieldLayout
 from sceneloom.formats.clouds.roles import ALIASES, ROW_ALIASES
-from sceneloom.formats.files import check_unpacked, file_faults, open_file
+from sceneloom.formats.files import check_length, check_unpacked, file_faults, open_file
 
 _MAGIC = b"\x93NUMPY"
 _LONGEST_HEAD = 20_000
@@ -89,7 +89,7 @@ def _check_lengths(path: Path, lengths: Mapping[str, int], count: int) -> None:
 
 def _arrays(path: Path) -> dict[str, AnyArray]:
     with file_faults(path), open_file(path) as file:
-        size = path.stat().st_size
+        size = check_length(path)
         if not size:
             raise DataError(path, "", "is empty; expected arrays of NumPy")
         try:

@@ -28,7 +28,7 @@ def open_bags(path: Path, ledger: Ledger) -> list[Bag]:
         DataError: a file is missing, damaged, or packed as a whole.
     """
     told = _metadata(path, ledger) if path.is_dir() else {}
-    files = [path] if path.is_file() else _files(path, told, ledger)
+    files = _files(path, told, ledger) if path.is_dir() else [path]
     packed = str(told.get("compression_mode") or "").lower() == "message"
     bags: list[Bag] = []
     try:

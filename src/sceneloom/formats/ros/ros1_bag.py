@@ -112,6 +112,8 @@ class Ros1Bag:
         if length > _LONGEST_HEAD:
             raise ValueError(f"a record's head of {length} bytes")
         fields = _fields(self._file.read(place + 4, length))
+        if "op" not in fields:
+            raise ValueError(f"a record's head of {length} bytes without `op`")
         (size,) = struct.unpack("<I", self._file.read(place + 4 + length, 4))
         start = place + 8 + length
         if start + size > self._file.size:

@@ -7,7 +7,7 @@ from threading import Lock
 from typing import Any, BinaryIO, Protocol
 
 from sceneloom.errors import DataError
-from sceneloom.formats.files import open_file
+from sceneloom.formats.files import file_faults, open_file
 from sceneloom.formats.identity import FileIdentity
 from sceneloom.formats.remote import Range, RangedFile, RemoteIdentity
 from sceneloom.formats.urls import path_or_url
@@ -129,7 +129,8 @@ class FileBytes:
 def _opened(identity: FileIdentity | RemoteIdentity) -> _OpenFile:
     if isinstance(identity, RemoteIdentity):
         return _Remote(identity.open())
-    return _Local(open_file(identity.path, buffering=0))
+    with file_faults(identity.path):
+        return _Local(open_file(identity.path, buffering=0))
 
 
 class _Local:

@@ -48,8 +48,7 @@ WAY = (
 )
 
 
-@pytest.fixture
-def drive(tmp_path):
+def write_drive(tmp_path):
     mav = tmp_path / "MH_01" / "mav0"
     for name in ("cam0", "imu0", "state_groundtruth_estimate0", "leica0", "pointcloud0"):
         (mav / name).mkdir(parents=True)
@@ -82,6 +81,11 @@ def drive(tmp_path):
         "property float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n4 5 6\n"
     )
     return mav.parent
+
+
+@pytest.fixture
+def drive(tmp_path):
+    return write_drive(tmp_path)
 
 
 def test_a_drive_is_read_whole(drive):

@@ -48,9 +48,8 @@ POSES = """\
 """
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """Three sweeps of four points, three pictures of 8x6, a trajectory, and the manifest."""
+def write_folder(tmp_path: Path) -> Path:
+    """Write three sweeps of four points, three pictures of 8x6, a trajectory, and the manifest."""
     (tmp_path / "top").mkdir()
     (tmp_path / "front").mkdir()
     for k in range(3):
@@ -61,6 +60,12 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "poses.txt").write_text(POSES)
     (tmp_path / "rig.toml").write_text(MANIFEST)
     return tmp_path
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A small folder of own data."""
+    return write_folder(tmp_path)
 
 
 @pytest.fixture

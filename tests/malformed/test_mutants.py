@@ -11,7 +11,7 @@ pytestmark = pytest.mark.skipif(
 
 FEW, MANY = 24, 2000
 ALWAYS = {"openlabel", "laz", "recording", "kitti-object", "scale-toolkit", "mcap"}
-"""Drives that have something else in the place of a file in the usual run; those of the others follow in the long one."""
+"""Drives whose files are replaced in the usual run; the others follow in the long one."""
 
 
 @pytest.mark.parametrize("name", DRIVES)

@@ -128,12 +128,15 @@ def _bounds(subject: Subject) -> tuple[int, int] | None:
     return subject.table("the scene's time with a sweep around it", _make_bounds)
 
 
+_LEAST_NS, _MOST_NS = -(2**63), 2**63 - 1
+
+
 def _make_bounds(subject: Subject) -> tuple[int, int] | None:
     span = time_span(subject.scene)
     if span is None:
         return None
     period_ns = scene_period_ns(subject.scene)
-    return span[0] - period_ns, span[1] + period_ns
+    return max(span[0] - period_ns, _LEAST_NS), min(span[1] + period_ns, _MOST_NS)
 
 
 def _outside(subject: Subject) -> Iterator[Hit]:
@@ -171,8 +174,7 @@ def _beyond(subject: Subject) -> Iterator[Hit]:
     if bounds is None:
         return
     times = table.timestamps_ns
-    away = np.maximum(bounds[0] - times, times - bounds[1])
-    rows = np.flatnonzero(away > 0)
+    rows = np.flatnonzero((times < bounds[0]) | (times > bounds[1]))
     parts = np.searchsorted(table.starts, rows, side="right") - 1
     told = {
         part
@@ -183,7 +185,8 @@ def _beyond(subject: Subject) -> Iterator[Hit]:
     }
     rows = rows[np.isin(parts, list(told))]
     if len(rows):
-        row = int(rows[np.argmax(away[rows])])
+        far = times[rows].astype(np.float64)  # differences of int64 may be none of int64
+        row = int(rows[np.argmax(np.maximum(bounds[0] - far, far - bounds[1]))])
         part = int(np.searchsorted(table.starts, row, side="right") - 1)
         others = f"; of {len(told)} that reach beyond, it reaches farthest" if len(told) > 1 else ""
         place = f"{table.place(subject, part)}.timestamps[{row - int(table.starts[part])}]"

@@ -10,6 +10,7 @@ from msgspec import structs
 from sceneloom.cli import options
 from sceneloom.cli.mountings import mounting_text
 from sceneloom.cli.printing import amount, print_json, print_notices, print_table, seconds, several
+from sceneloom.scene.ego import ego_axes
 from sceneloom.scene.summary import SceneSummary, SensorSummary
 from sceneloom.scene.types import SensorType
 
@@ -49,7 +50,8 @@ def info(
         # a drive may be named by a file in it
         whole = Path(scene.source) if isinstance(path, Path) and Path(scene.source).exists() else path
         summary = summarise(scene, size_bytes=size_on_disk(whole))
-        mountings = [mounting_text(sensor) for sensor in scene.sensors]
+        axes = ego_axes(scene)
+        mountings = [mounting_text(sensor, axes) for sensor in scene.sensors]
         drawn = [] if pictures is None else _draw(scene, pictures, at, overwrite=overwrite)
     if as_json:
         print_json(

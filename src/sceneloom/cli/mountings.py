@@ -5,6 +5,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraSensor, DepthCameraSensor, Sensor
+from sceneloom.scene.ego import EgoAxes
 
 _SECTORS = ("ahead", "ahead left", "left", "back left", "back", "back right", "right", "ahead right")
 _STEEP = np.cos(np.pi / 6)
@@ -13,8 +14,14 @@ _STEEP = np.cos(np.pi / 6)
 _TILTED = np.cos(np.pi / 4)
 
 
-def mounting_text(sensor: Sensor) -> str | None:
-    """Say where a sensor is seen from the ego (x ahead, y left, z up), and how it is turned.
+_STANDARD = EgoAxes(np.eye(3), known=True)
+
+
+def mounting_text(sensor: Sensor, axes: EgoAxes = _STANDARD) -> str | None:
+    """Say where a sensor is in the ego's frame, and how it is turned against the vehicle.
+
+    Args:
+        axes: where the vehicle's forward and upward directions are in the ego's frame.
 
     Returns:
         None where the mounting is not known.
@@ -22,7 +29,7 @@ def mounting_text(sensor: Sensor) -> str | None:
     mount: RigidTransform | None = getattr(sensor, "mount", None)
     if mount is None:
         return None
-    rotation = mount.matrix[:3, :3]
+    rotation = axes.body_from_ego @ mount.matrix[:3, :3]
     x, y, z = mount.translation + 0.0
     turn = (
         _camera_turn(rotation)
@@ -30,6 +37,8 @@ def mounting_text(sensor: Sensor) -> str | None:
         else _body_turn(rotation)
     )
     place = "" if not np.abs(mount.translation).max() else f" at ({x:.2f}, {y:.2f}, {z:.2f}) m"
+    if turn and not axes.known:
+        turn += " if the ego's x axis is ahead"
     return ", ".join(filter(None, [f"mounted on the ego{place}", turn]))
 
 

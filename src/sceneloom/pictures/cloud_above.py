@@ -24,6 +24,10 @@ _FAR_PX = 100_000.0
 _REACH_PERCENT, _FARTHEST_REACH = 94.0, 50.0
 
 
+_MOST_LINES = 1000
+"""More than this no grid has: its places are so far off that there are no numbers for its lines."""
+
+
 @dataclass(frozen=True, slots=True)
 class MapLayout:
     """Where the world lies on the map: x of the world to the right, y up.
@@ -51,7 +55,8 @@ class MapLayout:
         """Give the grid lines across an axis of the world: (coordinate [m], column or row in the rectangle [px])."""
         half = ((self.width, self.height)[axis] - 1) / 2 / self.px_per_m
         middle = self.center_world[axis]
-        numbers = np.arange(np.ceil((middle - half) / spacing), np.floor((middle + half) / spacing) + 1)
+        first, last = np.ceil((middle - half) / spacing), np.floor((middle + half) / spacing)
+        numbers = np.arange(first, last + 1) if last - first < _MOST_LINES else np.zeros(0)
         places = np.repeat(np.array([self.center_world]), len(numbers), axis=0)
         places[:, axis] = numbers * spacing
         pixels = self.pixels(places)[:, axis]

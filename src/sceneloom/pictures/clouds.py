@@ -123,15 +123,23 @@ def check_size(size_px: tuple[int, int]) -> None:
         raise OptionError(f"picture of {size_px[0]}x{size_px[1]} px; expected at least {least}")
 
 
+_HUGE = 1e100
+"""Squares of larger numbers need not be finite."""
+
+
 def sample_polyline(corners: FloatArray, step: float) -> Float64Array:
     """Give points along a line through (K, D) corners, at most `step` apart; corners not finite are left out."""
     known = corners[np.isfinite(corners).all(axis=1)].astype(np.float64)
     if len(known) < 2:
         return known
+    largest = float(np.abs(known).max())
+    unit = largest if largest > _HUGE else 1.0
+    known /= unit
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(known, axis=0), axis=1))])
-    count = int(min(np.ceil(lengths[-1] / step) + 1, _MOST_SAMPLES))
+    with np.errstate(over="ignore"):
+        count = int(min(np.ceil(lengths[-1] / step * unit) + 1, _MOST_SAMPLES))
     at = np.linspace(0.0, lengths[-1], max(count, 2))
-    return np.column_stack([np.interp(at, lengths, column) for column in known.T])
+    return np.column_stack([np.interp(at, lengths, column) for column in known.T]) * unit
 
 
 def cloud_caption(lines: Sequence[str], cloud: DrawnCloud) -> list[str]:

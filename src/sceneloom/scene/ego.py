@@ -2,12 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from sceneloom.arrays import Float64Array
+from sceneloom.errors import SceneloomError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import multiply_quaternions
+from sceneloom.geometry.rotations import matrix_from_quaternion, multiply_quaternions, normalise_quaternion
+from sceneloom.scene.motion import ImuSensor
 from sceneloom.scene.notices import Notice
 from sceneloom.scene.part import cut_path
 from sceneloom.scene.part_annotations import Interval
@@ -75,6 +78,125 @@ class EgoMotion:
             return replace(self, path=path)
         kept = np.isin(self.path.timestamps_ns, path.timestamps_ns)
         return replace(self, path=path, covariances=self.covariances[kept])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EgoAxes:
+    """How the ego's frame lies on the vehicle.
+
+    Attributes:
+        body_from_ego: (3, 3) float64, rows: the vehicle's forward, left and up in the ego's frame.
+        known: whether something says so; else the axes are taken as x forward, y left, z up.
+    """
+
+    body_from_ego: Float64Array
+    known: bool
+
+
+_LEAST_PATH = 0.5
+"""A path shorter than this says nothing of the forward axis [m]."""
+_STEADY = 0.8
+"""Least length of a mean of unit vectors that are one direction."""
+_NEAR_AXIS = np.cos(np.pi / 4)
+_GRAVITY = (8.0, 11.5)
+"""Mean specific force of an IMU that may be taken as gravity [m/s²]."""
+
+
+def ego_axes(scene: Scene) -> EgoAxes:
+    """Find the vehicle's forward and upward direction in the ego's frame.
+
+    Up is against gravity as accelerometers measure it, else the world's z by the poses of the ego. Forward is
+    `imuForward` of a recording, else where the ego moves. Formats other than recordings define the ego's x as forward:
+    there the motion counts only where it is neither along x nor backwards.
+    """
+    free = scene.format == "recording"
+    path = _posed_path(scene)
+    up = _measured_up(scene)
+    if up is None and path is not None:
+        up = _steady(_unrotated(path.quaternions_xyzw, np.array([[0.0, 0.0, 1.0]])))
+    known_up = up is not None
+    if up is None or (not free and up[2] > _NEAR_AXIS):
+        up = np.array([0.0, 0.0, 1.0])
+    forward = _stated_forward(scene)
+    if forward is None and path is not None:
+        forward = _moved_forward(path)
+        if forward is not None and not free and abs(forward[0]) > _NEAR_AXIS:
+            forward = None
+    known = forward is not None if free else True
+    if forward is None:
+        forward = np.array([1.0, 0.0, 0.0])
+    forward = forward - up * (forward @ up)
+    length = float(np.linalg.norm(forward))
+    if length < 0.1:
+        return EgoAxes(np.eye(3), known=False)
+    forward = forward / length
+    return EgoAxes(np.stack([forward, np.cross(up, forward), up]), known and (known_up or not free))
+
+
+def _posed_path(scene: Scene) -> PosePath | None:
+    """The first trajectory with orientations, of its first 10,000 poses."""
+    for way in scene.trajectories.values():
+        if way.quaternions_xyzw is not None and len(way.timestamps_ns) > 1:
+            try:
+                rows = slice(0, 10_000)
+                return PosePath(way.timestamps_ns[rows], way.positions[rows], way.quaternions_xyzw[rows])
+            except SceneloomError:
+                continue
+    return None
+
+
+def _measured_up(scene: Scene) -> Float64Array | None:
+    """Against gravity, by the mean of the first accelerometer; the first 10,000 samples."""
+    for sensor in scene.sensors:
+        stream = sensor.streams.get("accelerometer") if isinstance(sensor, ImuSensor) else None
+        if stream is None or stream.values.shape[1] != 3 or not len(stream):
+            continue
+        with np.errstate(over="ignore", invalid="ignore"):
+            mean = np.nanmedian(stream.values[:10_000], axis=0)
+            length = float(np.linalg.norm(mean))
+        if _GRAVITY[0] <= length <= _GRAVITY[1]:
+            return np.asarray(mean / length, np.float64)
+    return None
+
+
+def _stated_forward(scene: Scene) -> Float64Array | None:
+    """`imuForward` of a recording's calibration."""
+    told: Any = scene.metadata.get("recording")
+    for name in ("calibration", "imuForward"):
+        told = told.get(name) if isinstance(told, Mapping) else None
+    if isinstance(told, Mapping):
+        told = [told.get(axis) for axis in "xyz"]
+    if not isinstance(told, list | tuple) or len(told) != 3:
+        return None
+    if not all(isinstance(each, int | float) and np.isfinite(each) for each in told):
+        return None
+    length = float(np.linalg.norm(np.array(told, np.float64)))
+    return np.array(told, np.float64) / length if 0.0 < length < np.inf else None
+
+
+def _moved_forward(path: PosePath) -> Float64Array | None:
+    """The direction in the ego's frame in which it moves; None where it hardly moves, or now this way and now that."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        steps = np.diff(path.positions, axis=0)
+        lengths = np.linalg.norm(steps, axis=1)
+        total = float(lengths.sum())
+        if not _LEAST_PATH <= total < 1e12:
+            return None
+        local = _unrotated(path.quaternions_xyzw[:-1], steps)
+    return _steady(local / total * len(local))
+
+
+def _unrotated(quaternions_xyzw: Float64Array, vectors: Float64Array) -> Float64Array:
+    """Vectors of the parent frame, (N, 3) or (1, 3), in the frames of the body."""
+    turns = matrix_from_quaternion(normalise_quaternion(quaternions_xyzw))
+    return np.asarray(np.einsum("nij,ni->nj", turns, np.broadcast_to(vectors, (len(turns), 3))), np.float64)
+
+
+def _steady(vectors: Float64Array) -> Float64Array | None:
+    """The mean direction of vectors whose mean length is 1; None where they point into several."""
+    mean = np.asarray(vectors.mean(axis=0), np.float64)
+    length = float(np.linalg.norm(mean))
+    return mean / length if length >= _STEADY else None
 
 
 def stated_origin(scene: Scene) -> tuple[float, float, float] | None:

@@ -13,7 +13,16 @@ from scipy.spatial.transform import Rotation
 from sceneloom.cameras.camera import Camera
 from sceneloom.cli.mountings import mounting_text
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import CameraSensor, LazyFrames, LidarSensor
+from sceneloom.scene import (
+    CameraSensor,
+    ImuSensor,
+    LazyFrames,
+    LidarSensor,
+    Scene,
+    Trajectory,
+    VectorSamples,
+)
+from sceneloom.scene.ego import ego_axes
 
 LENS = Camera("pinhole", 8, 6, 6.0, 6.0, 3.5, 2.5)
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -84,3 +93,69 @@ def test_fuse_remarks_a_camera_that_sees_no_point(
     outcome = call("fuse", drive, "-o", tmp_path / "a.sfs")
     assert "no point falls into the pictures of camera0" in outcome.err
     assert "no point falls" not in call("fuse", recording, "-o", tmp_path / "b.sfs").err
+
+
+def drive_of(turn: Rotation, *, format: str = "recording", metres: float = 20.0, **fields: Any) -> Scene:
+    """A vehicle that goes east on a level road; `turn` takes its body into the ego's frame."""
+    count = 11
+    times = np.arange(count, dtype=np.int64) * 10**8
+    positions = np.linspace([0.0, 0, 0], [metres, 0, 0], count)
+    world_from_ego = np.tile(turn.inv().as_quat(), (count, 1))
+    ways = {"groundTruth": Trajectory("groundTruth", times, positions, world_from_ego)}
+    return Scene((), trajectories=ways, format=format, **fields)
+
+
+TURNS = {
+    "x ahead": Rotation.identity(),
+    "y ahead": Rotation.from_euler("z", 90, degrees=True),
+    "back": Rotation.from_euler("z", 180, degrees=True),
+    "camera axes": Rotation.from_matrix(OPTICAL.T),
+    "odd": Rotation.from_euler("zyx", [40, -70, 130], degrees=True),
+}
+LOOKS = {0: "ahead", 90: "left", -90: "right", 180: "back", 45: "ahead left"}
+
+
+def worded(scene: Scene, turn: Rotation, yaw_deg: float) -> str | None:
+    body_from_camera = Rotation.from_euler("z", yaw_deg, degrees=True).as_matrix() @ OPTICAL
+    return mounting_text(camera(turn.as_matrix() @ body_from_camera), ego_axes(scene))
+
+
+@pytest.mark.parametrize("name", TURNS)
+@pytest.mark.parametrize("yaw_deg", LOOKS)
+def test_in_a_recording_motion_and_the_world_s_up_say_where_a_camera_looks(name: str, yaw_deg: float) -> None:
+    turn = TURNS[name]
+    assert str(worded(drive_of(turn), turn, yaw_deg)).endswith(f"m, looks {LOOKS[yaw_deg]}")
+
+
+def test_the_accelerometer_and_the_forward_axis_of_the_calibration_say_it_of_a_device_that_stands() -> None:
+    turn = TURNS["odd"]
+    gravity = turn.apply([0.0, 0.0, 9.81])
+    imu = ImuSensor("imu", {"accelerometer": VectorSamples([0, 1], [gravity, gravity])})
+    told = {"recording": {"calibration": {"imuForward": turn.apply([1.0, 0, 0]).tolist()}}}
+    scene = Scene((imu,), metadata=told, format="recording")
+    assert str(worded(scene, turn, 90)).endswith("looks left")
+    assert str(worded(scene, turn, 0)).endswith("looks ahead")
+
+
+@pytest.mark.parametrize("metres", [0.0, 0.3])
+def test_a_recording_that_says_nothing_of_its_axes_is_not_interpreted(metres: float) -> None:
+    scene = drive_of(TURNS["x ahead"], metres=metres)
+    assert str(worded(scene, TURNS["x ahead"], 0)).endswith("looks ahead if the ego's x axis is ahead")
+
+
+def test_where_the_format_says_that_x_is_ahead_driving_backwards_and_bends_change_nothing() -> None:
+    for degrees in (180, 20):
+        turn = Rotation.from_euler("z", degrees, degrees=True)
+        axes = ego_axes(drive_of(turn, format="nuscenes"))
+        np.testing.assert_allclose(axes.body_from_ego, np.eye(3), atol=1e-12)
+        assert axes.known
+    assert str(worded(drive_of(TURNS["y ahead"], format="pandaset"), TURNS["y ahead"], 90)).endswith(
+        "looks left"
+    )
+
+
+def test_huge_and_missing_numbers_leave_the_axes_as_they_are_defined() -> None:
+    scene = drive_of(TURNS["x ahead"], metres=1e300)
+    assert not ego_axes(scene).known
+    imu = ImuSensor("imu", {"accelerometer": VectorSamples([0, 1], [[np.nan] * 3, [1e300] * 3])})
+    assert not ego_axes(Scene((imu,), format="recording")).known

@@ -101,11 +101,16 @@ def grid_step(scale: float) -> float:
     return round_up(80.0 / scale, COARSE_DIGITS)
 
 
+_MOST_LINES = 1000
+
+
 def _grid(svg: Svg, middle: Float64Array, scale: float, height: float) -> None:
     step = grid_step(scale)
     for axis, length in ((0, WIDTH), (1, height)):
         half = length / 2 / scale
         first, last = np.ceil((middle[axis] - half) / step), np.floor((middle[axis] + half) / step)
+        if not last - first < _MOST_LINES:  # places so far off that a grid has no numbers for them
+            continue
         for at in np.arange(first, last + 1) * step:
             place = (at - middle[axis]) * scale
             if axis == 0:

@@ -84,11 +84,12 @@ class CloudTally:
             points_level: (N, 3) [m] from the sensor, z up, x ahead.
             points: what else is known of them.
         """
+        points_level = points_level.astype(np.float64)  # squares of float32 end at 2e19 m
         ranges = np.linalg.norm(points_level, axis=1)
         known = np.isfinite(ranges) & (ranges > 1e-6)
         self.counts.append(len(ranges))
         self.nowhere += int(len(ranges) - known.sum())
-        self._add_known(points_level[known].astype(np.float64), ranges[known].astype(np.float64))
+        self._add_known(points_level[known], ranges[known])
         if points is None:
             return
         self.with_times |= points.timestamps_ns is not None
@@ -105,7 +106,7 @@ class CloudTally:
         self._ranges += np.bincount(rows, minlength=len(RANGE_EDGES))
         degrees = np.degrees(np.arctan2(points_level[:, 1], points_level[:, 0]))
         directions = np.floor(degrees).astype(np.int64) % _FINE
-        steps = np.minimum((ranges / _STEP).astype(np.int64), _STEPS - 1)
+        steps = np.minimum(ranges / _STEP, _STEPS - 1).astype(np.int64)
         flat = np.bincount(directions * _STEPS + steps, minlength=_FINE * _STEPS)
         self._by_direction += flat.reshape(_FINE, _STEPS)
         heights = np.degrees(np.arcsin(np.clip(points_level[:, 2] / ranges, -1.0, 1.0)))

@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 
 _PNG_HEAD = struct.Struct(">8s4x4sIIBB")
 _PNG_MARK = b"\x89PNG\r\n\x1a\n"
+_SCAN_MARK = b"\xff\xda"
+_MOST_SCANS = 100
+"""Of a progressive picture; encoders make some ten."""
+
 _FAULTS = (OSError, ValueError, SyntaxError, EOFError, MemoryError, RuntimeError, struct.error)
 
 
@@ -139,14 +143,22 @@ def _png_size(content: bytes) -> tuple[int, int]:
 def _decode_jpeg(content: bytes) -> UInt8Array:
     from simplejpeg import decode_jpeg
 
+    scans = content.count(_SCAN_MARK)
+    if scans > _MOST_SCANS:
+        raise ValueError(
+            f"it has {scans} scans, each of which may paint the whole picture; expected at most {_MOST_SCANS}"
+        )
     return cast("UInt8Array", decode_jpeg(content, "RGB"))
 
 
 def _decode_png(content: bytes) -> UInt8Array:
     from PIL import Image
 
-    with Image.open(io.BytesIO(content), formats=("PNG",)) as image:
-        return np.array(image.convert("RGB"), np.uint8)
+    try:
+        with Image.open(io.BytesIO(content), formats=("PNG",)) as image:
+            return np.array(image.convert("RGB"), np.uint8)
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        raise ValueError(str(error)) from error
 
 
 _SIZES: Mapping[str, Callable[[bytes], tuple[int, int]]] = MappingProxyType(

@@ -12,7 +12,8 @@ LENGTH_TYPE = 2
 _VARINT_TYPE = 0
 _FIXED_SIZES = {1: 8, 5: 4}
 _LONGEST_VARINT = 10
-_MOST_FIELDS = 1000
+MOST_FIELDS = 1000
+"""Of one message: more are very many."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,12 +60,15 @@ def enclosed(number: int, parts: Iterable[bytes | memoryview]) -> list[bytes | m
     return [field_head(number, sum(len(part) for part in content)), *content]
 
 
-def wire_fields(content: bytes | memoryview, start: int, stop: int) -> list[WireField] | None:
+def wire_fields(
+    content: bytes | memoryview, start: int, stop: int, *, most: int = MOST_FIELDS
+) -> list[WireField] | None:
     """Find the fields of a message without reading them.
 
     Args:
         content: bytes in which the message stands.
         start, stop: where it begins and ends.
+        most: how many fields are not very many.
 
     Returns:
         The fields in order; None where there is something unusual: another type of field, very many, or no message.
@@ -84,7 +88,7 @@ def wire_fields(content: bytes | memoryview, start: int, stop: int) -> list[Wire
             position += _FIXED_SIZES[kind]
         else:
             return None
-        if position > stop or len(fields) == _MOST_FIELDS:
+        if position > stop or len(fields) == most:
             return None
         fields.append(WireField(tag >> 3, kind, head, begin, position))
     return fields

@@ -17,14 +17,18 @@ from sceneloom.fusion.messages.scene_form import (
     lidar_frame_of_raw,
     picture_of,
     picture_of_raw,
+    result_fields,
 )
 from sceneloom.fusion.messages.sensor_data import ImageData, PointCloudData, RawData
-from sceneloom.fusion.messages.tables import BOX_3D
+from sceneloom.fusion.messages.tables import BOX_3D, POINT_CLOUD
 from sceneloom.fusion.outcome import Cause, Outcome, refused
 from sceneloom.fusion.setting import Setting
 
 _REMEMBERED = 256
 """Numbers of each stream that are kept to tell one that comes again."""
+
+_MOST_FIELDS = 255
+"""Of a point of table 9, whose fields_number is a uint8."""
 
 _LEAST_LEVEL = 1e-3
 """A direction whose part along the ground is a smaller share of it than this is vertical."""
@@ -207,7 +211,14 @@ def _refuse_uncalibrated(kind: SensorKind, sensor_id: int, setting: Setting) -> 
 
 def _received(record: WholeRecord, sensor_id: int, setting: Setting) -> Received:
     if isinstance(record, PointCloudData):
-        return lidar_frame_of(record)
+        frame = lidar_frame_of(record)
+        count = len(result_fields(frame))
+        if count > _MOST_FIELDS:
+            problem = (
+                f"{len(record.fields)} names; expected so many that {_MOST_FIELDS} are left with r, g, b"
+            )
+            raise POINT_CLOUD.fault("fields", problem)
+        return frame
     if isinstance(record, ImageData):
         return picture_of(record, setting.camera(sensor_id))
     if isinstance(record, Boxes3d):

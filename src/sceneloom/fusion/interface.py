@@ -12,7 +12,12 @@ from sceneloom.errors import CalibrationError, OptionError, SceneloomError
 from sceneloom.fusion.admitted import Admitted, WholeRecord
 from sceneloom.fusion.algorithms import FusionType, algorithm
 from sceneloom.fusion.calibration.declared import check_calibration
-from sceneloom.fusion.calibration.entries import CalibrationEntry, format_calibrations, parse_calibrations
+from sceneloom.fusion.calibration.entries import (
+    MOST_PAIRS,
+    CalibrationEntry,
+    format_calibrations,
+    parse_calibrations,
+)
 from sceneloom.fusion.calibration.table import CalibrationTable
 from sceneloom.fusion.counters import Counters
 from sceneloom.fusion.events import Announcer, Observer, Refused, Result
@@ -142,8 +147,15 @@ class FusionInterface:
             check_calibration(data)
         except CalibrationError as error:
             return refused(Cause.BAD_CALIBRATION, error)
+        width, height = data.image_size
+        if width * height > self._limits.most_pixels:
+            return refused(Cause.TOO_MANY, self._too_many_pixels(width * height))
         with self._lock:
             table = self._table.having([CalibrationEntry(camera_id, lidar_id, data)])
+            if len(table.entries) > MOST_PAIRS:
+                return refused(
+                    Cause.TOO_MANY, f"{len(table.entries)} calibrations; expected at most {MOST_PAIRS}"
+                )
             outcome = self.properties.set("calibration", format_calibrations(tuple(table.entries.values())))
             if outcome:
                 self._table = table
@@ -279,7 +291,12 @@ class FusionInterface:
                 found = self._setting = Setting.of(snapshot, self._table, before=found)
             except SceneloomError as error:
                 raise RefusedError(refused(Cause.BAD_CALIBRATION, error)) from error
+        if found.pixels > self._limits.most_pixels:
+            raise RefusedError(refused(Cause.TOO_MANY, self._too_many_pixels(found.pixels)))
         return found
+
+    def _too_many_pixels(self, count: int) -> str:
+        return f"the cameras have {count} pixels together; expected at most {self._limits.most_pixels} here"
 
     def _admit(self, record: WholeRecord, setting: Setting, verb: str) -> Outcome:
         """Take a record of a whole frame, and count it as one that was received or gathered."""

@@ -39,6 +39,10 @@ Task = Admitted | Moved | Flushed
 """What a worker does."""
 
 
+_PIXEL_BYTES = 7
+"""What a pixel takes while its picture is fused: red, green, blue, and a depth of 32 bits."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QueueLimits:
     """What waits in one system at most, whatever its properties say.
@@ -50,6 +54,11 @@ class QueueLimits:
 
     most_length: int = 2**32 - 1
     most_bytes: int = 2**63
+
+    @property
+    def most_pixels(self) -> int:
+        """How many pixels all cameras may have together: a sweep is fused with a picture of each at once."""
+        return self.most_bytes // _PIXEL_BYTES
 
 
 QUEUE_PROPERTIES = ("queue_length", "result_queue_length")

@@ -130,6 +130,12 @@ class Setting:
         )
 
     @cached_property
+    def pixels(self) -> int:
+        """Of the pictures of all calibrated cameras together."""
+        sizes = {camera_id: pair.camera for (camera_id, _), pair in self.pairs.items()}
+        return sum(camera.width * camera.height for camera in sizes.values())
+
+    @cached_property
     def standard_from_lidar(self) -> Float64Array:
         """Takes coordinates of the declared lidar frame into x forward, y left, z up, (3, 3) float64."""
         return self.frames.lidar.standard_from_declared(SensorKind.LIDAR)

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sceneloom.fusion.calibration.entries import CalibrationEntry, format_calibrations
+from sceneloom.fusion.calibration.entries import MOST_PAIRS, CalibrationEntry, format_calibrations
 from sceneloom.fusion.interface import FusionInterface
-from sceneloom.fusion.messages import Boxes2d, Boxes3d
+from sceneloom.fusion.messages import Boxes2d, Boxes3d, PointCloudData
 from sceneloom.fusion.outcome import Cause
+from sceneloom.fusion.queues import QueueLimits
 
 from .sending import (
     FORWARD,
@@ -531,3 +532,42 @@ def test_a_camera_that_comes_back_is_waited_for_again(fusion):
             assert fusion.send(image(100 * seq, seq, sensor_id=sensor_id))
     found = {(r.record.points_seq, r.record.camera_id) for r in fusion.results(0)}
     assert {(2, 1), (2, 2)} <= found
+
+
+def test_a_cloud_leaves_room_for_colours_in_the_result(fusion):
+    for count, status in ((252, 1), (253, 0)):
+        fields = ("x", "y", "z", *(f"f{k}" for k in range(count - 3)))
+        sent = PointCloudData(
+            sensor_id=0,
+            timestamp=stamp(count),
+            seq=count,
+            number=1,
+            fields=fields,
+            fields_number=count,
+            data=np.ones(count, np.float32),
+        )
+        assert fusion.send(sent).status == status
+    assert fusion.send(image(252, 1))
+    fusion.flush()
+    assert fusion.get(0).record.fields_number == 255
+
+
+def test_cameras_may_have_so_many_pixels_together():
+    with FusionInterface(inline=True, limits=QueueLimits(most_bytes=7 * 2 * 64 * 48)) as fusion:
+        too_large = calibration(image_size=(64, 97))
+        assert fusion.set_calibration(too_large, camera_id=0).cause is Cause.TOO_MANY
+        for camera_id, status in ((0, 1), (1, 1), (2, 0)):
+            assert fusion.set_calibration(calibration(), camera_id=camera_id)
+            assert fusion.send(cloud(100 * camera_id, camera_id)).status == status
+
+
+def test_so_many_calibrations_may_be_there():
+    with FusionInterface(inline=True) as fusion:
+        for k in range(MOST_PAIRS):
+            fusion._table = fusion._table.having([CalibrationEntry(k % 256, k // 256, calibration())])
+        assert fusion.set_calibration(calibration(), camera_id=3, lidar_id=0)
+        assert fusion.set_calibration(calibration(), camera_id=3, lidar_id=200).cause is Cause.TOO_MANY
+        many = format_calibrations(
+            tuple(CalibrationEntry(k % 256, k // 256, calibration()) for k in range(MOST_PAIRS + 1))
+        )
+        assert fusion.set_property("calibration", many).cause is Cause.OUT_OF_RANGE

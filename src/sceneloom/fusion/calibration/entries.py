@@ -11,6 +11,9 @@ from sceneloom.fusion.json_property import read_json, sensor_id_of
 from sceneloom.fusion.messages.calibration_data import CalibrationData
 from sceneloom.fusion.messages.tables import CALIBRATION
 
+MOST_PAIRS = 1024
+"""Cameras and lidars that one system may relate: every change of a calibration looks at all of them."""
+
 _OWNER = "calibration"
 _IDS = ("camera_id", "lidar_id")
 _FIELDS = {row.name: row.attribute for row in CALIBRATION.rows}
@@ -44,6 +47,8 @@ def parse_calibrations(text: str) -> tuple[CalibrationEntry, ...]:
         found = [found]
     if not isinstance(found, list):
         raise DataError(_OWNER, "", "neither a JSON list nor an object; expected records of table 3")
+    if len(found) > MOST_PAIRS:
+        raise DataError(_OWNER, "", f"{len(found)} records; expected at most {MOST_PAIRS}")
     entries = tuple(entry_of(item, f"[{k}]") for k, item in enumerate(found))
     pairs = [(entry.camera_id, entry.lidar_id) for entry in entries]
     for k, pair in enumerate(pairs):

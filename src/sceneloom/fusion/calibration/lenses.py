@@ -34,7 +34,7 @@ def _lens(entry: Any, place: str) -> Camera:
             raise DataError(
                 LENSES, place, f"{entry!r}; expected a model out of {', '.join(MODELS)} and whole sizes"
             )
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
         raise DataError(
             LENSES, place, f"{entry!r}; expected model, image_size, fx, fy, cx, cy, coefficients"
         ) from error

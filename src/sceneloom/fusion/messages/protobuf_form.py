@@ -13,7 +13,7 @@ from sceneloom.fusion.messages.records import (
     SentRecord,
     kind_of,
 )
-from sceneloom.fusion.messages.rows import ARRAY_DTYPES, STREAM
+from sceneloom.fusion.messages.rows import ARRAY_DTYPES, STREAM, Row
 
 try:
     from google.protobuf.message import DecodeError, Message
@@ -32,6 +32,18 @@ except ImportError as missing:
 
 _KIND_OF_MESSAGE: Mapping[str, RecordKind] = {kind.message_name: kind for kind in RECORD_KINDS.values()}
 
+
+LARGEST_PLAIN = 1 << 24
+"""Of a message, what is not the bytes of pixels, points and depths [byte]: parsed, it takes many times the memory.
+
+100,000 boxes or poses have some 10 MB.
+"""
+
+MOST_PARTS = 100_100
+"""Of one message: 100,000 boxes or poses, and what stands beside them. A part of two bytes takes hundreds in memory."""
+
+_FEW_PARTS = 1 << 16
+"""Messages of fewer bytes are not looked through for how many parts they have."""
 
 _SENT_KINDS: Mapping[int, RecordKind] = {
     field.number: RECORD_KINDS[field.name]
@@ -95,7 +107,7 @@ def encoded_parts(record: Record) -> list[bytes | memoryview]:
     message = message_type()
     for row in kind.table.rows:
         value = getattr(record, row.attribute)
-        if row.type not in ARRAY_DTYPES and row.type != STREAM:
+        if not _is_array(row):
             write_field(message, row, value)
             continue
         view = memoryview(value) if isinstance(value, bytes) else bytes_view(value)
@@ -145,15 +157,41 @@ def decode(name: str, content: bytes) -> Any:
         DataError: the bytes are no such message, or the record is faulty.
     """
     kind = RECORD_KINDS[name]
-    return from_protobuf(parse_message(getattr(fusion_pb2, kind.message_name), content))
+    message_type = getattr(fusion_pb2, kind.message_name)
+    large = kind.layout is None and any(_is_array(row) for row in kind.table.rows)
+    return from_protobuf((_parsed if large else parse_message)(message_type, content))
 
 
 def parse_message(message_type: type[Any], content: bytes) -> Any:
     """Read a message of the `.proto` from bytes.
 
     Raises:
-        DataError: they are no such message.
+        DataError: they are no such message, or very many for one without arrays.
     """
+    _check_parts(message_type.DESCRIPTOR.name, content, 0, len(content))
+    return _parsed(message_type, content)
+
+
+def _check_parts(name: str, content: bytes, start: int, stop: int) -> None:
+    """Refuse a message without arrays that is very large or has very many parts, before it is taken apart.
+
+    Raises:
+        DataError: it is.
+    """
+    size = stop - start
+    if size > LARGEST_PLAIN:
+        problem = f"{size} bytes; expected a message {name} of at most {LARGEST_PLAIN} beside its arrays"
+        raise DataError("protobuf", "", problem)
+    if size > _FEW_PARTS and wire_fields(content, start, stop, most=MOST_PARTS) is None:
+        problem = f"{size} bytes; expected a message {name} of at most {MOST_PARTS} parts"
+        raise DataError("protobuf", "", problem)
+
+
+def _is_array(row: Row) -> bool:
+    return row.type in ARRAY_DTYPES or row.type == STREAM
+
+
+def _parsed(message_type: type[Any], content: bytes) -> Any:
     try:
         return message_type.FromString(content)
     except DecodeError as error:
@@ -188,10 +226,15 @@ def decode_send_request(content: bytes) -> SentRecord:
     """
     field = _only_record(content)
     if field is not None and _SENT_KINDS[field.number].layout is not None:
+        _check_parts(_SENT_KINDS[field.number].message_name, content, field.start, field.stop)
         record = read_usual_list(content, field.start, field.stop, _SENT_KINDS[field.number])
         if record is not None:
             return cast("SentRecord", record)
     found = None if field is None else _large_record(content, field)
+    if field is None and len(content) > _FEW_PARTS:
+        raise DataError(
+            "request", "data", f"{len(content)} bytes; expected one record of one of tables 4 to 8"
+        )
     if found is None:
         return from_send_request(parse_message(fusion_pb2.SendRequest, content))
     kind, message, arrays = found
@@ -226,7 +269,7 @@ def _large_record(content: bytes, field: WireField) -> tuple[RecordKind, Any, di
     None where the library had better read it: it has no arrays, or something is unusual about it.
     """
     kind = _SENT_KINDS[field.number]
-    large = {row.number: row for row in kind.table.rows if row.type in ARRAY_DTYPES or row.type == STREAM}
+    large = {row.number: row for row in kind.table.rows if _is_array(row)}
     if kind.layout is not None or not large:
         return None
     inner = wire_fields(content, field.start, field.stop)

@@ -19,6 +19,9 @@ _LONGEST_DESCRIPTION = 65_536
 MOST_PROPERTIES = 1_000
 """Properties that one system may have: a caller that adds for ever is stopped."""
 
+LARGEST_VALUES = 1 << 25
+"""How large the values of all properties may be together: their characters, and 8 for each number."""
+
 
 @dataclass(frozen=True, slots=True)
 class Property:
@@ -87,6 +90,7 @@ class PropertyStore:
     _properties: dict[str, Property] = field(default_factory=_predefined)
     _algorithms: list[str] = field(default_factory=lambda: [PREDEFINED["fusion_algorithm"].default] * 2)
     _revision: int = 0
+    _size: int = 0
     _snapshot: Snapshot | None = None
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -142,6 +146,13 @@ class PropertyStore:
                 return refused(Cause.UNKNOWN_ALGORITHM, error)
             except FAULTS as error:
                 return refused(Cause.OUT_OF_RANGE, f"{name}: {error}")
+            size = self._size - _size_of(known.value) + _size_of(checked)
+            if size > LARGEST_VALUES:
+                problem = (
+                    f"all values have {size} characters and numbers then; expected at most {LARGEST_VALUES}"
+                )
+                return refused(Cause.TOO_MANY, f"{name}: {problem}")
+            self._size = size
             if name == "fusion_algorithm":
                 self._algorithms[self._properties["fusion_type"].value] = checked
             self._keep(replace(known, value=checked))
@@ -207,6 +218,12 @@ def _check_words(name: str, description: str) -> None:
     if len(description) > _LONGEST_DESCRIPTION:
         problem = f"{len(description)} characters; expected at most {_LONGEST_DESCRIPTION}"
         raise DataError(f"property {name}", "description", problem)
+
+
+def _size_of(value: Any) -> int:
+    if isinstance(value, tuple):
+        return sum(map(_size_of, value))
+    return len(value) if isinstance(value, str) else 8
 
 
 def _is_name(name: str) -> bool:

@@ -18,6 +18,7 @@ import msgspec
 
 from sceneloom.batch.jobs import Task
 from sceneloom.errors import OutputError
+from sceneloom.formats.output import exchange
 from sceneloom.redaction import redacted
 
 CLAIM = ".sceneloom-run"
@@ -206,6 +207,8 @@ def _own_last(draft: Path) -> list[Path]:
 
 def move(made: Path, place: Path) -> None:
     """Put something in its place in one step; a folder that is there steps aside first."""
+    if place.is_dir() and not place.is_symlink() and made.is_dir() and exchange(made, place):
+        return
     if place.is_dir() and not place.is_symlink():
         shutil.rmtree(place) if not made.is_dir() else place.rename(made.with_name(f"{made.name}.before"))
     made.replace(place)

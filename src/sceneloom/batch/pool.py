@@ -14,11 +14,14 @@ from typing import Protocol
 from sceneloom.batch.jobs import Outcome, Task
 from sceneloom.batch.nursery import Nursery
 from sceneloom.batch.working import NUMBA, THREADS, run_task
+from sceneloom.errors import SceneloomError
 
 LOST = "Lost"
 """Kind of the error of a worker that is gone."""
 
 _ENDING_SECONDS = 5.0
+_STARTS = 5
+"""How often a worker is tried to be started: what forks them may be killed at any moment."""
 
 
 class Executor(Protocol):
@@ -116,12 +119,23 @@ class ProcessPool:
         self._nursery.close()
 
     def _start(self) -> _Worker:
-        context = self._nursery.open()
-        ours, theirs = context.Pipe()
-        process = context.Process(target=_work, args=(theirs,), name="sceneloom batch", daemon=True)
-        with one_thread(), _without_main():
-            process.start()
-        theirs.close()
+        for left in reversed(range(_STARTS)):
+            context = self._nursery.open()
+            ours, theirs = context.Pipe()
+            process = context.Process(target=_work, args=(theirs,), name="sceneloom batch", daemon=True)
+            try:
+                with one_thread(), _without_main():
+                    process.start()
+            except (EOFError, ConnectionError) as error:  # what forks workers is gone: it is started anew
+                ours.close()
+                if not left:
+                    raise SceneloomError(
+                        f"no worker can be started: {error or type(error).__name__}"
+                    ) from error
+                continue
+            finally:
+                theirs.close()
+            break
         worker = _Worker(process, ours)
         self._workers.append(worker)
         return worker

@@ -315,15 +315,30 @@ def next_step(error: SceneloomError, values: Mapping[str, Any]) -> str | None:
         )
     if type(error) is not DataError or "lenient" not in values:
         return None
-    if any(told in error.problem for told in ("`--", "`sceneloom ", "\n")):
-        return None  # it names an option or a verb, or lists all that is wrong
     drive = next((values[name] for name in _DRIVES if isinstance(values.get(name), Path)), None)
+    whole = _salvage(drive, error)
+    if any(told in error.problem for told in ("`--", "`sceneloom ", "\n")):
+        return whole  # it names an option or a verb, or lists all that is wrong
     if drive is None or not str(error.file).startswith(str(drive)):
         return None
-    lists = (
+    lists = f"{whole}; " if whole else ""
+    lists += (
         f"`{shlex.join(['sceneloom', 'validate', str(drive), *_as_read(values)])}` lists all that is wrong"
     )
     return lists if values["lenient"] else f"{lists}; `--lenient` goes on without what is broken"
+
+
+def _salvage(drive: Path | None, error: DataError) -> str | None:
+    """How what is whole is taken out of a scene file; None of other drives."""
+    if (
+        drive is None
+        or drive.suffix.lower() != ".sfs"
+        or str(error.file) != str(drive)
+        or not drive.is_file()
+    ):
+        return None
+    saved = drive.with_name(f"{drive.stem}-salvaged.sfs")
+    return f"`{shlex.join(['sceneloom', 'salvage', str(drive), '-o', str(saved)])}` takes out what is whole"
 
 
 def _as_read(values: Mapping[str, Any]) -> Iterator[str]:

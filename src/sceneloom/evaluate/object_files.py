@@ -84,7 +84,9 @@ def read_both(
     if _Kind.SCENE in kinds:
         if kinds != [_Kind.SCENE, _Kind.SCENE]:
             raise OptionError(
-                f"{results} is {kinds[0]}, {truth} is {kinds[1]}; expected two scenes, or KITTI's text on both sides"
+                f"{results} is {kinds[0]}, {truth} is {kinds[1]}; expected two scenes, or KITTI's text on both sides: "
+                "`sceneloom convert SCENE OUT --to kitti-tracking` writes a scene's boxes as such text, in "
+                "OUT/training/label_02"
             )
         sides, sequences = _read_scenes(results, truth, sequences, ledger), ()
     else:

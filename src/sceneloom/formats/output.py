@@ -285,9 +285,14 @@ def _replace_folder(draft: Path, target: Path, workplace: Path) -> None:
     """Put a folder in the place of another; where that takes two renames, a next run finds the old one."""
     if not os.path.lexists(target):
         draft.rename(target)
-    elif _renameat2(draft, target, _EXCHANGE):
+    elif not exchange(draft, target):
         target.rename(workplace / _REPLACED)
         draft.rename(target)
+
+
+def exchange(one: Path, other: Path) -> bool:
+    """Exchange two names at once; say false, and do nothing, where the system cannot."""
+    return not _renameat2(one, other, _EXCHANGE)
 
 
 _FREE_ONLY, _EXCHANGE, _HERE = 1, 2, -100

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from pathlib import Path
+from tempfile import TemporaryFile
 from types import ModuleType
 
 _DECORATED = re.compile(r"cache=True|\*\*_?(KERNEL|COMPILED)\b")
@@ -25,12 +26,14 @@ class KernelCache:
         writable: whether new ones can be kept.
         modules: how many modules hold kernels.
         compiled: of how many of them there are compiled ones, not older than their source.
+        usable: whether Numba finds any folder to keep them in; where it finds none, kernels cannot be imported.
     """
 
     folder: Path
     writable: bool
     modules: int
     compiled: int
+    usable: bool = True
 
     @property
     def is_warm(self) -> bool:
@@ -49,9 +52,23 @@ def find_kernel_cache() -> KernelCache:
     elsewhere = os.environ.get("NUMBA_CACHE_DIR")
     beside = Path(__file__).parent / "__pycache__"
     folder = Path(elsewhere) if elsewhere else beside
-    writable = os.access(folder if folder.exists() else folder.parent, os.W_OK)
+    writable = _can_write(folder)
     compiled = sum(_is_compiled(source, Path(elsewhere) if elsewhere else None) for source in kernels)
-    return KernelCache(folder, writable, len(kernels), compiled)
+    users = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "numba"
+    usable = writable or any(map(_can_write, (beside, users)))
+    return KernelCache(folder, writable, len(kernels), compiled, usable)
+
+
+def _can_write(folder: Path) -> bool:
+    """Whether files can be made in a folder, which is made if it is not there: tried, as rights alone do not tell."""
+    there = next((one for one in (folder, *folder.parents) if one.exists()), None)
+    if there is None or not there.is_dir():
+        return False
+    try:
+        with TemporaryFile(dir=there):
+            return True
+    except OSError:
+        return False
 
 
 def will_compile(module: str) -> bool:

@@ -77,6 +77,8 @@ def collect(
         OptionError: an option or its value is not known.
         DataError: nothing of the drive can be read, or the loss report cannot.
     """
+    if settings.truth is not None and not Path(settings.truth).exists():
+        raise DataError(settings.truth, "", "no such file or folder; expected what the drive is held against")
     losses = () if settings.losses is None else read_losses(settings.losses)
     if isinstance(source, Scene):
         return _Collector(source, None, settings, dict(reading or {}), progress, made).collect(losses)

@@ -2,8 +2,12 @@
 
 import os
 import random
+import shutil
 import signal
+import subprocess
+import sys
 import threading
+import time
 from collections import Counter
 from contextlib import suppress
 from pathlib import Path
@@ -19,7 +23,6 @@ from sceneloom.cli.batch.one_drive import CALL, verb_named
 from sceneloom.simulate import LidarSpec, simulate_street
 
 pytestmark = [
-    pytest.mark.slow,
     pytest.mark.filterwarnings("ignore::ResourceWarning"),  # of sockets to workers that were killed
     pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds its workers in Linux's /proc"),
 ]
@@ -56,6 +59,7 @@ def contents(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [ProcessPool, DaskCluster.local], ids=["pool", "dask"])
 def test_outputs_under_kills_are_those_of_a_quiet_run(tmp_path, make):
     places = [tmp_path / f"{k:03d}.sfs" for k in range(40)]
@@ -86,3 +90,77 @@ def test_outputs_under_kills_are_those_of_a_quiet_run(tmp_path, make):
     assert set(made.values()) == {1}
     assert contents(tmp_path / "out") == contents(tmp_path / "quiet")
     assert not (tmp_path / "out" / FOLDER / "drafts").exists()
+
+
+def batch(*words):
+    """A run of its own, in a group of processes that is no one else's."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "sceneloom", "batch", *map(str, words), "--quiet", "--workers", "2"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
+
+
+def living(group):
+    """Processes of a group that are still there, but for dead ones that nobody has asked for."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            state, _, its_group = (process / "stat").read_text().rpartition(")")[2].split()[:3]
+            if int(its_group) == group and state not in "ZX":
+                found.append(int(process.name))
+    return found
+
+
+@pytest.mark.parametrize("kills", [2, pytest.param(40, marks=pytest.mark.slow)])
+def test_a_run_whose_parent_is_killed_again_and_again_is_taken_up_to_the_same_outputs(tmp_path, kills):
+    (tmp_path / "in").mkdir()
+    first = tmp_path / "in" / "00.sfs"
+    sceneloom.write(simulate_street(frames=4, lidar=LidarSpec(beams=8, steps=90)).scene, first)
+    for k in range(1, 12):
+        (tmp_path / "in" / f"{k:02d}.sfs").hardlink_to(first)
+    words = ("convert", *sorted((tmp_path / "in").iterdir()), "-o")
+    quiet = batch(*words, tmp_path / "quiet")
+    begun = time.monotonic()
+    assert quiet.wait() == 0, quiet.stderr.read()
+    usual, generator, killed, out = (
+        time.monotonic() - begun,
+        random.Random(kills),
+        Counter(),
+        tmp_path / "out",
+    )
+    while sum(killed.values()) < kills:
+        going = batch(*words, out, *(("--resume",) if (out / FOLDER).exists() else ()))
+        with suppress(subprocess.TimeoutExpired):
+            going.wait(usual * generator.uniform(0.2, 1.1))
+        whom = generator.choice(["parent", "worker"])
+        group = living(going.pid)
+        if whom == "worker" and len(group) > 1 and going.poll() is None:
+            os.kill(generator.choice([one for one in group if one != going.pid]), signal.SIGKILL)
+            killed[whom] += 1
+            assert going.wait(100 * usual) in {0, 1}, going.stderr.read()
+        elif going.poll() is None:
+            going.kill()
+            killed["parent"] += 1
+        else:
+            shutil.rmtree(out)
+        going.wait()
+        for path in out.glob("*.sfs"):
+            assert path.read_bytes() == (tmp_path / "quiet" / path.name).read_bytes()
+        wait_until(lambda group=going.pid: not living(group))
+    last = batch(*words, out, *(("--resume",) if (out / FOLDER).exists() else ()))
+    assert last.wait() == 0, last.stderr.read()
+    assert contents(out) == contents(tmp_path / "quiet")
+    assert not (out / FOLDER / "drafts").exists()
+    print(killed)  # noqa: T201 - figures of a long run
+
+
+def wait_until(holds):
+    """Wait until something holds, for a minute at the most."""
+    ending = threading.Event()
+    for _ in range(600):
+        if holds():
+            return
+        ending.wait(0.1)
+    pytest.fail("does not come to hold")

@@ -1,6 +1,12 @@
 """Workers of their own, and what becomes of a run when they die."""
 
+import multiprocessing.context
+import sys
+
+import pytest
+
 from sceneloom.batch import run
+from sceneloom.batch.pool import ProcessPool
 from sceneloom.batch.record import Record
 
 
@@ -19,3 +25,24 @@ def test_workers_have_one_thread_unless_the_user_says_otherwise(tmp_path, drives
     monkeypatch.setenv("NUMBA_NUM_THREADS", "3")
     run(job("environment", drives("a.sfs")), tmp_path / "out", workers=1)
     assert (tmp_path / "out" / "a.txt").read_text() == "13"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="workers are forked on Linux only")
+def test_a_killed_fork_server_is_started_anew(monkeypatch):
+    pool = ProcessPool(1)
+    starts = []
+    start = multiprocessing.context.ForkServerProcess.start
+
+    def killed_once(process):
+        starts.append(process)
+        if len(starts) == 1:
+            raise EOFError
+        start(process)
+
+    monkeypatch.setattr(multiprocessing.context.ForkServerProcess, "start", killed_once)
+    monkeypatch.setattr(multiprocessing.context.SpawnProcess, "start", killed_once)
+    try:
+        worker = pool._start()
+        assert (len(starts), worker.process.is_alive()) == (2, True)
+    finally:
+        pool.stop()

@@ -313,3 +313,19 @@ def test_a_stray_point_beyond_what_the_file_can_hold_is_told_as_a_fault_of_the_d
     assert "\n1 sweep or picture skipped\n" in summary
     with sceneloom.open(tmp_path / "out.sfs") as scene:
         assert len(scene.lidars[0].frames) == 2
+
+
+def test_a_scene_file_that_was_cut_off_names_what_takes_out_the_rest(call, recording, tmp_path):
+    sceneloom.convert(recording, tmp_path / "cut.sfs")
+    content = (tmp_path / "cut.sfs").read_bytes()
+    for length in (300, len(content) // 2):
+        (tmp_path / "cut.sfs").write_bytes(content[:length])
+        outcome = call("info", tmp_path / "cut.sfs")
+        assert (outcome.code, f"sceneloom salvage {tmp_path / 'cut.sfs'} -o " in outcome.err) == (1, True)
+
+
+def test_a_scene_held_against_kittis_text_says_how_to_go_on(call, recording, tmp_path):
+    sceneloom.convert(recording, tmp_path / "drive.sfs")
+    (tmp_path / "0000.txt").write_text("0 1 Car 0 0 0 10 10 50 50 1.5 1.6 4 1 1 10 0\n")
+    outcome = call("eval", "tracking", tmp_path / "drive.sfs", tmp_path / "0000.txt")
+    assert (outcome.code, "sceneloom convert SCENE OUT --to kitti-tracking" in outcome.err) == (2, True)

@@ -38,3 +38,9 @@ def test_a_path_that_is_not_there_is_an_error(call, tmp_path):
     outcome = call("report", tmp_path / "nothing", "-o", tmp_path / "r.html")
     assert outcome.code == 1
     assert "no such file" in outcome.err
+
+
+def test_a_truth_that_is_not_there_is_an_error(call, recording, tmp_path):
+    outcome = call("report", recording, "-o", tmp_path / "page.html", "--truth", tmp_path / "no.tum")
+    assert (outcome.code, "no.tum: no such file or folder" in outcome.err) == (1, True)
+    assert not (tmp_path / "page.html").exists()

@@ -49,7 +49,7 @@ def open_argoverse2(
     with ledger.telling():
         trajectory = _trajectory(log, ledger)
         poses = None if trajectory is None else trajectory.poses
-        mounts = read_mounts(log)
+        mounts = read_mounts(log, ledger)
         sensors = (
             *build_lidars(log, mounts, poses, one_lidar=joined, ledger=ledger),
             *build_cameras(log, mounts, poses, distorted=bent, ledger=ledger),

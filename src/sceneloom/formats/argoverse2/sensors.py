@@ -48,15 +48,19 @@ _LENS_COLUMNS = {
 }
 
 
-def read_mounts(log: Path) -> dict[str, RigidTransform]:
-    """`ego_from_sensor` by the sensor's name.
+def read_mounts(log: Path, ledger: Ledger) -> dict[str, RigidTransform]:
+    """`ego_from_sensor` by the sensor's name; {} in a lenient reading without them.
 
     Raises:
         DataError: the file is missing or wrong.
     """
     path = log / MOUNTS
-    columns = read_columns(path, {"sensor_name": str, **POSE_COLUMNS})
-    positions, quaternions = poses_of(path, columns)
+    try:
+        columns = read_columns(path, {"sensor_name": str, **POSE_COLUMNS})
+        positions, quaternions = poses_of(path, columns)
+    except DataError as error:
+        ledger.fault("mountings-missing", error)
+        return {}
     return {
         name: RigidTransform.from_quaternion(positions[k], quaternions[k])
         for k, name in enumerate(columns["sensor_name"].tolist())
@@ -119,7 +123,7 @@ def build_lidars(
         ledger.note(NoticeKind.ASSUMED, "lidars-joined", str(log / LIDAR), message)
     sensors: list[Sensor] = []
     for name in (BOTH,) if one_lidar else (UP, DOWN):
-        mount = _mount(log, mounts, UP if one_lidar else name)
+        mount = _mount(log, mounts, UP if one_lidar else name, ledger)
         sensors.append(
             LidarSensor(
                 id=name,
@@ -132,13 +136,18 @@ def build_lidars(
     return sensors
 
 
-def _mount(log: Path, mounts: Mapping[str, RigidTransform], name: str) -> RigidTransform:
+def _mount(
+    log: Path, mounts: Mapping[str, RigidTransform], name: str, ledger: Ledger
+) -> RigidTransform | None:
     if name not in mounts:
-        raise DataError(log / MOUNTS, "", f"no sensor {name!r}; it has {', '.join(mounts) or 'none'}")
-    return mounts[name]
+        problem = f"no sensor {name!r}; it has {', '.join(mounts) or 'none'}"
+        ledger.fault("mountings-missing", DataError(log / MOUNTS, "", problem))
+    return mounts.get(name)
 
 
-def _poses(path: PosePath | None, mount: RigidTransform, stamps_ns: Int64Array) -> PosePath | None:
+def _poses(path: PosePath | None, mount: RigidTransform | None, stamps_ns: Int64Array) -> PosePath | None:
+    if mount is None:
+        return None
     return poses_along(path, {0: mount}, np.zeros(len(stamps_ns), np.int64), stamps_ns)
 
 
@@ -160,16 +169,28 @@ def build_cameras(
     folders = sorted(child.name for child in (log / CAMERAS).glob("*") if child.is_dir())
     if not (log / LENSES).is_file():
         if folders:
-            raise DataError(log / LENSES, "", f"is not there; expected the lenses of {', '.join(folders)}")
+            problem = f"is not there; expected the lenses of {', '.join(folders)}"
+            ledger.fault("lenses-missing", DataError(log / LENSES, "", problem), count=len(folders))
         return []
-    columns = read_columns(log / LENSES, _LENS_COLUMNS)
+    try:
+        columns = read_columns(log / LENSES, _LENS_COLUMNS)
+    except DataError as error:
+        ledger.fault("lenses-missing", error, count=len(folders))
+        return []
     names = columns["sensor_name"].tolist()
     unknown = sorted(set(folders) - set(names))
     if unknown:
-        raise DataError(log / LENSES, "", f"no camera {unknown[0]!r}; it has {', '.join(names) or 'none'}")
+        problem = f"no camera {unknown[0]!r}; it has {', '.join(names) or 'none'}"
+        ledger.fault("lenses-missing", DataError(log / LENSES, "", problem), count=len(unknown))
     _note_cameras(log, names, folders, distorted=distorted, ledger=ledger)
     return [
-        _camera(log, {key: column[k] for key, column in columns.items()}, mounts, path, distorted=distorted)
+        _camera(
+            log,
+            {key: column[k] for key, column in columns.items()},
+            _mount(log, mounts, names[k], ledger),
+            path,
+            distorted=distorted,
+        )
         for k in range(len(names))
     ]
 
@@ -191,13 +212,12 @@ def _note_cameras(
 def _camera(
     log: Path,
     row: Mapping[str, Any],
-    mounts: Mapping[str, RigidTransform],
+    mount: RigidTransform | None,
     path: PosePath | None,
     *,
     distorted: bool,
 ) -> CameraSensor:
     name = str(row["sensor_name"])
-    mount = _mount(log, mounts, name)
     fx, fy, cx, cy = (float(row[f"{key}_px"]) for key in ("fx", "fy", "cx", "cy"))
     size = int(row["width_px"]), int(row["height_px"])
     model = "brown_conrady" if distorted else "pinhole"

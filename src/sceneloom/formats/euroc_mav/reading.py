@@ -82,8 +82,10 @@ def _camera(folder: Path, world_from_body: PosePath | None, ledger: Ledger) -> C
     if not len(rows):
         raise DataError(folder / TABLE, "", "names no pictures")
     names = tuple(_file_name(table, row) for row in rows)
+    if ledger.lenient:
+        times, names = _those_there(folder, times, names, ledger)
     files = tuple(folder / "data" / name for name in names)
-    size = _size_of_first(files, ledger)
+    size = _size_of_first(files, ledger) if files else _told_size(place, description)
     camera = lens(place, description, size)
     mount = body_from_sensor(place, description)
     poses = None
@@ -109,6 +111,27 @@ def _file_name(table: Table, row: int) -> str:
     if not name or name in {".", ".."} or "/" in name or "\\" in name:
         raise DataError(table.path, f"line {table.lines[row]}", f"{name[:60]!r}; expected the name of a file")
     return name
+
+
+def _those_there(
+    folder: Path, times: Int64Array, names: tuple[str, ...], ledger: Ledger
+) -> tuple[Int64Array, tuple[str, ...]]:
+    """Leave out the pictures whose files are not there, and count them."""
+    is_there = np.array([(folder / "data" / name).is_file() for name in names], bool)
+    missing = [name for name, there in zip(names, is_there.tolist(), strict=True) if not there]
+    if missing:
+        fault = DataError(folder / "data" / missing[0], "", "is not there; expected the picture of a row")
+        ledger.fault("files-missing", fault, count=len(missing))
+    kept = tuple(name for name, there in zip(names, is_there.tolist(), strict=True) if there)
+    return read_only(times[is_there]), kept
+
+
+def _told_size(place: Path, description: dict[str, Any]) -> tuple[int, int]:
+    """Width and height of pictures of which none is there [px]."""
+    told = description.get("resolution")
+    if isinstance(told, list) and len(told) == 2 and all(isinstance(one, int) and one > 0 for one in told):
+        return told[0], told[1]
+    raise DataError(place, "resolution", f"{told!r}, and no picture is there; expected [width, height]")
 
 
 def _size_of_first(files: tuple[Path, ...], ledger: Ledger) -> tuple[int, int]:

@@ -141,15 +141,17 @@ def _kernels() -> Iterator[Finding]:
     yield Finding(
         group="kernels",
         name="compiled kernels",
-        status=Status.GOOD if cache.is_warm or cache.writable else Status.MISSING,
+        status=Status.GOOD if cache.writable else Status.MISSING if cache.usable else Status.BROKEN,
         said=f"{cache.compiled} of {cache.modules} modules compiled, kept in {place}",
         remedy=_kernel_remedy(warm=cache.is_warm, writable=cache.writable),
     )
 
 
 def _kernel_remedy(*, warm: bool, writable: bool) -> str | None:
-    if warm:
+    if warm and writable:
         return None
+    if warm:
+        return "nothing new can be kept; set NUMBA_CACHE_DIR to a folder that can be written"
     if not writable:
         return "set NUMBA_CACHE_DIR to a folder that can be written, else each run compiles them anew"
     return "the others are compiled when first used, which takes some seconds each"

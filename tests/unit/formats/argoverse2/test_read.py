@@ -311,3 +311,18 @@ def test_without_pyarrow_the_extra_is_named(log, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(MissingExtraError, match=r"sceneloom\[argoverse\]"):
         sceneloom.open(log)
+
+
+@pytest.mark.parametrize(
+    "gone", [(MOUNTINGS,), (LENSES,), (MOUNTINGS, LENSES)], ids=["mountings", "lenses", "both"]
+)
+@pytest.mark.parametrize("how", [without, cut], ids=["missing", "cut"])
+def test_a_lenient_reading_does_without_calibration(log, gone, how):
+    for name in gone:
+        how(name)(log)
+    with sceneloom.open(log, lenient=True) as scene:
+        assert [len(lidar.frames[0].points.positions) > 0 for lidar in scene.lidars] == [True, True]
+        assert all((lidar.mount is None) is (MOUNTINGS in gone) for lidar in scene.lidars)
+        assert len(scene.cameras) == int(LENSES not in gone)
+        codes = {notice.code for notice in scene.notices}
+        assert codes >= {"mountings-missing" if name == MOUNTINGS else "lenses-missing" for name in gone}

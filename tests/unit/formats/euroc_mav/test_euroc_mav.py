@@ -179,3 +179,18 @@ def test_half_folders_and_writing_are_refused(tmp_path, drive):
     (drive / "mav0" / "cam0" / "sensor.yaml").unlink()
     with pytest.raises(DataError, match="missing"):
         open_scene(drive)
+
+
+@pytest.mark.parametrize("left", [0, 1])
+def test_a_lenient_reading_leaves_out_pictures_that_are_not_there(drive, left):
+    with open_scene(drive) as scene:
+        folders = [drive / "mav0" / str(camera.id) / "data" for camera in scene.cameras]
+        count = len(scene.cameras[0].pictures)
+    for folder in folders:
+        for file in sorted(folder.iterdir())[left:]:
+            file.unlink()
+    with open_scene(drive, lenient=True) as scene:
+        assert [len(camera.pictures) for camera in scene.cameras] == [left] * len(folders)
+        assert all(picture.rgb.shape[2] == 3 for camera in scene.cameras for picture in camera.pictures)
+        (notice,) = (one for one in scene.notices if one.code == "files-missing")
+        assert notice.count == (count - left) * len(folders)

@@ -90,8 +90,24 @@ def test_kernels_count_as_compiled_once_there_is_an_index_not_older_than_their_s
 
 @pytest.mark.parametrize(
     ("warm", "writable", "said"),
-    [(True, False, None), (False, True, "compiled when first used"), (False, False, "NUMBA_CACHE_DIR")],
+    [
+        (True, True, None),
+        (True, False, "NUMBA_CACHE_DIR"),
+        (False, True, "compiled when first used"),
+        (False, False, "NUMBA_CACHE_DIR"),
+    ],
 )
 def test_what_to_do_about_kernels(warm, writable, said):
     remedy = report._kernel_remedy(warm=warm, writable=writable)
     assert remedy is None if said is None else said in remedy
+
+
+@pytest.mark.parametrize("usable", [False, True])
+def test_a_cache_that_cannot_be_written_is_no_good(monkeypatch, tmp_path, usable):
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file" / "cache"))
+    if not usable:
+        monkeypatch.setattr("sceneloom.kernels.cache._can_write", lambda _: False)
+    found = findings("kernels")["compiled kernels"]
+    assert found.status is (Status.MISSING if usable else Status.BROKEN)
+    assert "NUMBA_CACHE_DIR" in found.remedy

@@ -47,12 +47,21 @@ def _not_increasing(subject: Subject) -> Iterator[Hit]:
     def say(row: int) -> str:
         return f"{times[row]} ns after {times[row - 1]} ns; expected later times than those before"
 
-    return table.hits(subject, bad, say, within=".timestamps")
+    yield from table.hits(subject, bad, say, within=".timestamps")
+    for k, attribute in enumerate(subject.scene.attributes):
+        own = attribute.timestamps_ns
+        rows = [] if own is None else np.flatnonzero(own[1:] <= own[:-1]).tolist()
+        if own is not None and rows:
+            row = rows[0] + 1
+            problem = f"{own[row]} ns after {own[row - 1]} ns; expected later times than those before"
+            yield Hit(f"attributes[{k}].timestamps[{row}]", problem, count=len(rows))
 
 
 def _sorted_times(scene: Scene) -> Scene:
     """Sort paths by time and drop repeated rows; a path with two different rows at one time stays as it is."""
-    return mended_annotations(scene, _with_sorted_parts)
+    scene = mended_annotations(scene, _with_sorted_parts)
+    attributes = _ordered(scene.attributes)
+    return scene if attributes is scene.attributes else replace(scene, attributes=attributes)
 
 
 _PARTS = ("path", "paths", "activations", "projections", "attributes")
@@ -263,7 +272,8 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "annotation-times-increasing",
         Severity.ERROR,
-        "The keyframes of a path, and the times of activations, projections and attributes, strictly increase.",
+        "The keyframes of a path, and the times of activations, projections and attributes, those of the scene among "
+        "them, strictly increase.",
         "Sort them by time; of two at one time, decide which is meant.",
         find=_not_increasing,
         fix=_sorted_times,

@@ -10,6 +10,7 @@ from sceneloom.errors import OptionError
 
 RULE_MODULES: tuple[str, ...] = (
     "sceneloom.checks.reading",
+    "sceneloom.checks.fields",
     "sceneloom.checks.recordings.faults",
     "sceneloom.checks.recordings.presence",
     "sceneloom.checks.recordings.times",

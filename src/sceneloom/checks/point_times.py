@@ -1,14 +1,17 @@
 """Rules about the times of the points of a sweep: on the scene's clock, and within the sweep."""
 
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
 
+from sceneloom.checks.reading import as_read
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.sensor_times import period_ns, seconds
 from sceneloom.checks.sightings import note_sighting, sightings_of
 from sceneloom.checks.subject import FrameInHand, Subject
-from sceneloom.formats.sfs.times import UINT32_MAX
+from sceneloom.formats.sfs.container import RawBytes
+from sceneloom.formats.sfs.times import READABLE_TICKS_NS, UINT32_MAX, FileClock, point_times_dtype
 from sceneloom.scene import LidarFrame, LidarSensor, RadarFrame, RadarSensor, Severity
 from sceneloom.scene.point_times import PointTimes, RawTimes, timed_frame
 
@@ -59,6 +62,33 @@ def _not_on_the_clock(subject: Subject, frame: FrameInHand) -> Iterable[Hit]:
     return ()
 
 
+def _widths(subject: Subject) -> Iterator[Hit]:
+    """Point times whose dtype is not the one that the description says for the file's unit."""
+    header = subject.header or {}
+    unit = header.get("time_unit")
+    tick_ns = READABLE_TICKS_NS.get(unit, 1_000) if isinstance(unit, str) else 1_000
+    expected = point_times_dtype(FileClock(tick_ns, 0))
+    sensors = header.get("sensors")
+    for k, sensor in enumerate(sensors if isinstance(sensors, list) else []):
+        frames = sensor.get("frames") if isinstance(sensor, dict) else None
+        odd = [
+            (n, times.dtype)
+            for n, frame in enumerate(frames if isinstance(frames, list) else [])
+            if isinstance(times := _file_times(frame), np.ndarray)
+            and times.dtype.newbyteorder("=") != expected
+        ]
+        if odd:
+            number, dtype = odd[0]
+            problem = f"{dtype.name}; expected {expected.name}, as time_unit is {unit or 'microseconds'}"
+            yield Hit(f"sensors[{k}].frames[{number}].points.timestamps", problem, count=len(odd))
+
+
+def _file_times(frame: Any) -> Any:
+    points = frame.get("points") if isinstance(frame, dict) else None
+    times = points.get("timestamps") if isinstance(points, dict) else None
+    return None if isinstance(times, RawBytes) else times
+
+
 def _wraps(raw: RawTimes, zero_ns: int) -> int:
     """How often microseconds in 32 bits have run over between a frame's stamp and its first point; 0 for not."""
     if not 0 <= raw.first_ns - zero_ns < _WRAP_NS:
@@ -101,6 +131,14 @@ def _outside_the_sweep(subject: Subject, frame: FrameInHand) -> Iterable[Hit]:
 
 
 RULES: tuple[Rule, ...] = (
+    Rule(
+        "point-times-width",
+        Severity.ERROR,
+        "Times of points are uint64 where the unit is the nanosecond, else uint32.",
+        "Write the scene again: programs that follow the description read the bytes by the unit, not by the dtype.",
+        find=_widths,
+        fix=as_read,
+    ),
     Rule(
         "point-times-clock",
         Severity.WARNING,

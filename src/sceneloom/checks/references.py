@@ -1,12 +1,14 @@
 """Rules about ids: each stands for one annotation, and what is named exists and is of the right kind."""
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from sceneloom.checks.annotation_table import SensorMention, sensor_mentions
 from sceneloom.checks.rule import Hit, Rule
+from sceneloom.checks.sensors import nearest
 from sceneloom.checks.subject import Subject
+from sceneloom.formats.sfs.fields import ANNOTATION_RECORDS
 from sceneloom.scene import (
     Activation,
     Annotation,
@@ -14,14 +16,17 @@ from sceneloom.scene import (
     Box2DAnnotation,
     CameraCalibration,
     CameraSensor,
+    CuboidAnnotation,
     GroupAnnotation,
     Identifier,
     LabeledPoints,
     LidarSensor,
     LinkAnnotation,
     ObjectAnnotation,
+    PlainAnnotation,
     PlainSensor,
     PointProjection,
+    PointsAnnotation,
     PointsSensor,
     Projection,
     RadarSensor,
@@ -58,11 +63,22 @@ def _as_integer(text: str) -> int | None:
     return int(text) if text.isascii() and text.isdigit() and len(text) <= 18 else None
 
 
+def _unknown_types(subject: Subject) -> Iterator[Hit]:
+    for path, annotation in subject.annotations():
+        if isinstance(annotation, PlainAnnotation):
+            near = nearest(annotation.type, tuple(ANNOTATION_RECORDS))
+            yield Hit(
+                f"{path}.type", f"{annotation.type!r}{near}; its fields are carried along and not understood"
+            )
+
+
 def _unknown_parents(subject: Subject) -> Iterator[Hit]:
     known = _known_ids(subject)
     for path, annotation in subject.annotations():
-        if annotation.parent_id is not None and _key(annotation.parent_id) not in known:
-            yield Hit(f"{path}.parent_id", _unknown("annotation", annotation.parent_id, known))
+        parent_id = annotation.parent_id
+        if parent_id is None or _key(parent_id) in known or subject.is_left_out("annotations", parent_id):
+            continue
+        yield Hit(f"{path}.parent_id", _unknown("annotation", parent_id, known))
 
 
 def _parent_cycles(subject: Subject) -> Iterator[Hit]:
@@ -86,9 +102,36 @@ def _parent_cycles(subject: Subject) -> Iterator[Hit]:
 
 def _unknown_sensors(subject: Subject) -> Iterator[Hit]:
     known = {_key(sensor.id): sensor for sensor in subject.scene.sensors}
-    for mention in sensor_mentions(subject):
-        if _key(mention.sensor_id) not in known:
-            yield Hit(_place(subject, mention), _unknown("sensor", mention.sensor_id, known))
+    named = [(_place(subject, mention), mention.sensor_id) for mention in sensor_mentions(subject)]
+    for k, attribute in enumerate(subject.scene.attributes):
+        if attribute.sensor_id is not None:
+            named.append((f"attributes[{k}].sensor_id", attribute.sensor_id))
+    for place, sensor_id in named:
+        if _key(sensor_id) not in known and not subject.is_left_out("sensors", sensor_id):
+            yield Hit(place, _unknown("sensor", sensor_id, known))
+
+
+def _several_for_a_sensor(subject: Subject) -> Iterator[Hit]:
+    """Activations, and projections of a cuboid or of one point, of which a sensor has more than one."""
+    for path, annotation in subject.annotations():
+        for place, parts in _parts_of_sensors(path, annotation):
+            first: dict[Key, int] = {}
+            for k, part in enumerate(parts):
+                before = first.setdefault(_key(part.sensor_id), k)
+                if before != k:
+                    problem = (
+                        f"{part.sensor_id!r} has one already, at [{before}]; expected one for each sensor"
+                    )
+                    yield Hit(f"{place}[{k}].sensor_id", problem)
+
+
+def _parts_of_sensors(path: str, annotation: Annotation) -> Iterator[tuple[str, Sequence[Any]]]:
+    if isinstance(annotation, CuboidAnnotation):
+        yield f"{path}.activations", annotation.activations
+        yield f"{path}.projections", annotation.projections
+    elif isinstance(annotation, PointsAnnotation):
+        for k, of_point in enumerate(annotation.projections):
+            yield f"{path}.projections[{k}]", of_point
 
 
 def _place(subject: Subject, mention: SensorMention) -> str:
@@ -136,7 +179,7 @@ def _unknown_link_ends(subject: Subject) -> Iterator[Hit]:
     for path, link in _links(subject):
         for name in ("from_id", "to_id"):
             identifier = getattr(link, name)
-            if _key(identifier) not in known:
+            if _key(identifier) not in known and not subject.is_left_out("annotations", identifier):
                 yield Hit(f"{path}.{name}", _unknown("annotation", identifier, known))
 
 
@@ -205,9 +248,23 @@ RULES: tuple[Rule, ...] = (
         find=_parent_cycles,
     ),
     Rule(
+        "annotation-type-known",
+        Severity.WARNING,
+        "Every annotation is of a type that the format lists.",
+        "Correct the type; an annotation of another type is carried along, and nothing computes with it.",
+        find=_unknown_types,
+    ),
+    Rule(
+        "part-of-sensor-once",
+        Severity.WARNING,
+        "An annotation has one activation and one projection for each sensor.",
+        "Join them: their timestamps, and what belongs to each.",
+        find=_several_for_a_sensor,
+    ),
+    Rule(
         "annotation-sensor-unknown",
         Severity.ERROR,
-        "Every sensor that an annotation names is a sensor of the scene.",
+        "Every sensor that an annotation or an attribute of the scene names is a sensor of the scene.",
         'Name a sensor that exists, with the type of its id (1 is not "1"), or take the part out.',
         find=_unknown_sensors,
     ),

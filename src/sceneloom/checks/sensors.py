@@ -1,6 +1,7 @@
 """Rules about sensors: that they have content, that their parents are there, that their streams are in order."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
 
 import numpy as np
 
@@ -8,6 +9,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.checks.annotation_table import sensor_mentions
 from sceneloom.checks.rule import Hit, Rule, unless_recording
 from sceneloom.checks.subject import Subject
+from sceneloom.formats.sfs.fields import SENSOR_RECORDS
 from sceneloom.scene import (
     CameraSensor,
     DepthCameraSensor,
@@ -56,7 +58,16 @@ def _empty(subject: Subject) -> Iterator[Hit]:
 def _unknown_types(subject: Subject) -> Iterator[Hit]:
     for path, sensor in subject.sensors():
         if isinstance(sensor, PlainSensor):
-            yield Hit(f"{path}.type", f"{sensor.type!r}; its fields are carried along and not understood")
+            near = nearest(str(sensor.type), tuple(SENSOR_RECORDS))
+            yield Hit(
+                f"{path}.type", f"{sensor.type!r}{near}; its fields are carried along and not understood"
+            )
+
+
+def nearest(name: str, known: Sequence[str]) -> str:
+    """Name the known word that is most like another one, as a part of a message; empty where none is."""
+    near = get_close_matches(name.casefold(), known, n=1)
+    return f", which is like {near[0]!r}" if near else ""
 
 
 def _similar_ids(subject: Subject) -> Iterator[Hit]:
@@ -69,9 +80,12 @@ def _similar_ids(subject: Subject) -> Iterator[Hit]:
 
 def _dangling_parents(subject: Subject) -> Iterator[Hit]:
     for path, sensor in subject.sensors():
-        if sensor.parent_id is not None and not subject.has_sensor(sensor.parent_id):
+        parent_id = sensor.parent_id
+        if parent_id is None or subject.is_left_out("sensors", parent_id):
+            continue
+        if not subject.has_sensor(parent_id):
             known = ", ".join(repr(other.id) for other in subject.scene.sensors[:10])
-            yield Hit(f"{path}.parent_id", f"{sensor.parent_id!r} is no sensor of the scene; it has {known}")
+            yield Hit(f"{path}.parent_id", f"{parent_id!r} is no sensor of the scene; it has {known}")
 
 
 def _parent_cycles(subject: Subject) -> Iterator[Hit]:

@@ -23,6 +23,10 @@ LEAST_VERTICES = {
 }
 """How many vertices a shape needs."""
 
+_OUTLINES_IN_SPACE = frozenset({ShapeType.POLYGON, ShapeType.POLYGON_TOPDOWN, ShapeType.POLYLINE})
+_SMOOTHER = 0.5
+"""Triples that are read as pairs go back and forth between x, y and z, and so do pairs that are read as triples."""
+
 _FLAT_SHARE = 0.01
 _FLAT_M = 0.02
 """A polygon is flat if its vertices lie this near to a plane: by its size, and at least the noise of a lidar [m]."""
@@ -161,6 +165,32 @@ def _counts_change(subject: Subject) -> Iterator[Hit]:
             )
 
 
+def _pairs_as_triples(subject: Subject) -> Iterator[Hit]:
+    """Outlines in space whose rows fit pairs as well: smoother lines then, or beside others that are pairs."""
+    others = any(notice.code == "no-height" for notice in subject.remarks)
+    for path, shape in _shapes(subject):
+        if shape.type not in _OUTLINES_IN_SPACE or not shape.path.vertices:
+            continue
+        rows = [vertices.reshape(-1) for vertices in shape.path.vertices]
+        if any(row.size % 6 or not row.size or not np.isfinite(row).all() for row in rows):
+            continue
+        if all((vertices[:, 2] == 0).all() for vertices in shape.path.vertices):
+            continue  # pairs that were read as such
+        as_triples = sum(_bends(row.reshape(-1, 3)) for row in rows)
+        as_pairs = sum(_bends(row.reshape(-1, 2)) for row in rows)
+        if not (others or as_pairs < _SMOOTHER * as_triples):
+            continue
+        count = rows[0].size
+        why = "as in other annotations of the file" if others else "as which they are smoother"
+        read = f"{count} numbers, read as {count // 3} x, y, z triples"
+        yield Hit(f"{path}.path.values", f"{read}; they may be {count // 2} x, y pairs, {why}")
+
+
+def _bends(vertices: Float64Array) -> float:
+    """How much a line bends in all [m]: the sum of its second differences."""
+    return float(np.linalg.norm(np.diff(vertices, n=2, axis=0), axis=1).sum())
+
+
 def _points_of(subject: Subject) -> Iterator[tuple[str, PointsAnnotation]]:
     for path, annotation in subject.annotations():
         if isinstance(annotation, PointsAnnotation):
@@ -227,6 +257,13 @@ RULES: tuple[Rule, ...] = (
         "The edges of a polygon do not cross.",
         "Bring the vertices into order, or make two polygons.",
         find=_crossing,
+    ),
+    Rule(
+        "shape-vertices-pairs",
+        Severity.WARNING,
+        "Vertices of polygons and polylines in space are x, y, z triples.",
+        "Open the file with `--vertices pairs`, and write it again.",
+        find=_pairs_as_triples,
     ),
     Rule(
         "vertex-count-changes",

@@ -135,6 +135,13 @@ class Subject:
         """`sensors[3]`."""
         return self.table("paths of sensors", _paths_of_sensors)[id(sensor)]
 
+    def is_left_out(self, kind: str, identifier: Identifier) -> bool:
+        """Whether the file lists a sensor or annotation (`kind`: "sensors", "annotations") that has not been read.
+
+        Its own fault is told; that others name it is none.
+        """
+        return key_of(identifier) in self.table(f"ids of {kind} in the file", lambda inner: _ids(inner, kind))
+
     def has_sensor(self, sensor_id: Identifier) -> bool:
         """Whether the scene has a sensor of that id, of that very type."""
         return self.sensor(sensor_id) is not None
@@ -142,6 +149,13 @@ class Subject:
     def sensor(self, sensor_id: Identifier) -> Sensor | None:
         """The sensor of that id, of that very type, or None."""
         return self.table("sensors by id", _sensors_by_id).get((type(sensor_id), sensor_id))
+
+
+def _ids(subject: Subject, kind: str) -> frozenset[tuple[type, Identifier]]:
+    listed = (subject.header or {}).get(kind)
+    things = listed if isinstance(listed, list) else []
+    ids = (thing.get("id") for thing in things if isinstance(thing, dict))
+    return frozenset(key_of(identifier) for identifier in ids if isinstance(identifier, str | int))
 
 
 def _paths_of_sensors(subject: Subject) -> dict[int, str]:

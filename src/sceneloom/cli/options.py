@@ -162,6 +162,12 @@ reading = _stacked(
         "them. [default: opencv]",
     ),
     click.option(
+        "--vertices",
+        type=click.Choice(["pairs", "triples"]),
+        help="How polygons and polylines in space are written in a scene file: x, y pairs or x, y, z triples. "
+        "[default: triples where they fit]",
+    ),
+    click.option(
         "--assume-model",
         is_flag=True,
         help="Compute with lenses whose formulas nothing confirms: `ftheta`, `fisheye_radial_custom`.",

@@ -98,7 +98,8 @@ def _values_in(value: Any, name: str) -> Iterator[tuple[str, Any]]:
 
 
 def _has_parts(values: tuple[Any, ...]) -> bool:
-    return isinstance(values[0], tuple) or _is_parted(values[0])
+    """Whether its entries are parts, or lists of parts, of which some may be empty: a point that no camera sees."""
+    return not values or isinstance(values[0], tuple) or _is_parted(values[0])
 
 
 def _is_parted(value: Any) -> bool:

@@ -174,9 +174,16 @@ def read_poses(values: Record, faults: Faults) -> PosePath | None:
 
 
 def vertices_of(
-    rows: Any, dimensions: int, faults: Faults, place: Place
+    rows: Any, dimensions: int, faults: Faults, place: Place, *, are_pairs: bool | None = None
 ) -> tuple[tuple[Float64Array, ...], bool]:
     """Cut rows of numbers into vertices, (V, D) float64 each.
+
+    Args:
+        rows: the numbers of each keyframe.
+        dimensions: 2 or 3.
+        faults: takes what is wrong.
+        place: where the rows are.
+        are_pairs: whether rows that should hold triples hold pairs; None: where they fit pairs only.
 
     Returns:
         vertices: one array per row; nothing where one is at fault.
@@ -187,7 +194,8 @@ def vertices_of(
     found = [array for array in arrays if array is not None]
     if len(found) != len(listed):
         return (), False
-    flat = dimensions == 3 and fits_pairs_only([array.size for array in found])
+    fits = fits_pairs_only([array.size for array in found])
+    flat = dimensions == 3 and (fits if are_pairs is None else are_pairs)
     size = 2 if flat else dimensions
     for index, array in enumerate(found):
         if array.size % size:

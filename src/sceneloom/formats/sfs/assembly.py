@@ -40,6 +40,7 @@ class Contents:
         metadata: free fields.
         ours: fields of our entry of the metadata.
         extras: further root fields.
+        time_unit: how the unit is spelt; None for the usual spelling.
     """
 
     drafts: dict[tuple[type, Identifier], SensorDraft] = field(default_factory=dict)
@@ -48,6 +49,7 @@ class Contents:
     metadata: dict[str, Any] = field(default_factory=dict)
     ours: dict[str, Any] = field(default_factory=dict)
     extras: dict[str, Any] = field(default_factory=dict)
+    time_unit: str | None = None
 
 
 class _Recorder:
@@ -112,7 +114,7 @@ class _Pass:
         clock = self.writer.clock
         header: dict[str, Any] = {
             "version": VERSION,
-            "time_unit": _UNIT_OF[clock.tick_ns],
+            "time_unit": self.contents.time_unit or _UNIT_OF[clock.tick_ns],
             "time_offset": max(clock.offset_ns, 0) // clock.tick_ns,
         }
         header["sensors"], sensors_aside, notes = self._sensors()

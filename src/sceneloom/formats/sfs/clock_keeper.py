@@ -80,7 +80,7 @@ def _moved(stamps: AnyArray, *, later: int, clock: FileClock, place: str) -> Any
 
 
 def stamp_dtype(clock: FileClock) -> type[np.unsignedinteger[Any]]:
-    """The dtype of point times: uint64 where the unit is the nanosecond. Source: "Lidar Sensor" of the description."""
+    """The type of point times, as in `point_times_dtype`."""
     return np.uint64 if clock.tick_ns == 1 else np.uint32
 
 

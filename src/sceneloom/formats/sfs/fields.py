@@ -43,6 +43,7 @@ class Field:
         name: as in the file.
         kind: what it holds.
         required: whether a file without it is at fault.
+        expected: whether the description requires it, though a file without it can be read.
         unit: "m", "px", "file" for the scene's time unit, …; for people.
         record: the record of a RECORD, RECORDS and the like.
         dtype: the dtype of an ARRAY.
@@ -58,6 +59,11 @@ class Field:
     dtype: str = ""
     columns: int = 0
     ours: bool = False
+    expected: bool = False
+
+
+def _expects(field: Field) -> Field:
+    return replace(field, expected=True)
 
 
 def _needs(name: str, kind: Kind, unit: str = "", record: str = "") -> Field:
@@ -96,8 +102,10 @@ _OBJECT_FIELDS = (*_LABELLED_FIELDS, _STATIONARY)
 _SHAPE_FIELDS = (*_OBJECT_FIELDS, _SENSOR, _needs("path", Kind.RECORD, record="path"))
 _FLAT_SHAPE_FIELDS = (*_OBJECT_FIELDS, _OF_SENSOR, _needs("path", Kind.RECORD, record="path"))
 _LABELED_POINTS_FIELDS = (
-    *_LABELLED_FIELDS,
-    Field("is_instance", Kind.FLAG),
+    *_ANNOTATION_FIELDS,
+    _expects(_LABEL),
+    _ATTRIBUTES,
+    _expects(Field("is_instance", Kind.FLAG)),
     _needs("labeled_points", Kind.RECORDS, record="labeled_points_of_frame"),
 )
 
@@ -149,7 +157,7 @@ ANNOTATION_RECORDS: Mapping[str, tuple[Field, ...]] = MappingProxyType(
             _SENSOR,
             Field("labels", Kind.LIST),
             _needs("paths", Kind.RECORD_OR_RECORDS, record="point_path"),
-            Field("projections", Kind.RECORD_LISTS, record="projection"),
+            Field("projections", Kind.RECORD_LISTS, record="point_projection"),
         ),
         "event": (
             *_LABELLED_FIELDS,
@@ -170,9 +178,11 @@ ANNOTATION_RECORDS: Mapping[str, tuple[Field, ...]] = MappingProxyType(
         "object": _LABELLED_FIELDS,
         "attributes": _LABELLED_FIELDS,
         "link": (
-            *_LABELLED_FIELDS,
+            *_ANNOTATION_FIELDS,
+            _expects(_LABEL),
+            _ATTRIBUTES,
             _SENSOR,
-            Field("is_bidirectional", Kind.FLAG),
+            _expects(Field("is_bidirectional", Kind.FLAG)),
             _needs("from_id", Kind.IDENTIFIER),
             _needs("to_id", Kind.IDENTIFIER),
         ),
@@ -190,23 +200,28 @@ _PART_RECORDS: Mapping[str, tuple[Field, ...]] = {
         _SENSOR,
         Field("static", Kind.FLAG),
         Field("point_index", Kind.INTEGER),
-        Field("timestamps", Kind.TIMES, unit="file"),
-        Field("values", Kind.LIST),
+        _expects(Field("timestamps", Kind.TIMES, unit="file")),
+        _expects(Field("values", Kind.LIST)),
     ),
     "activation": (
         _OF_SENSOR,
         _TIMESTAMPS,
-        Field("durations", Kind.DURATIONS, unit="file"),
+        _expects(Field("durations", Kind.DURATIONS, unit="file")),
         _CUBOIDS,
     ),
     "projection": (
         _OF_SENSOR,
         _TIMESTAMPS,
-        Field("boxes", Kind.LIST, unit="px"),
+        _expects(Field("boxes", Kind.LIST, unit="px")),
         Field("confirmed", Kind.LIST),
-        Field("points", Kind.LIST, unit="px"),
-        Field("positions", Kind.LIST, unit="m"),
         _CUBOIDS,
+    ),
+    "point_projection": (
+        _OF_SENSOR,
+        _TIMESTAMPS,
+        _expects(Field("points", Kind.LIST, unit="px")),
+        Field("confirmed", Kind.LIST),
+        Field("positions", Kind.LIST, unit="m"),
     ),
     "labeled_points_of_frame": (
         _OF_SENSOR,
@@ -245,11 +260,11 @@ _PART_RECORDS: Mapping[str, tuple[Field, ...]] = {
         _needs("height", Kind.INTEGER, "px"),
         Field("distortion", Kind.RECORD, record="distortion"),
     ),
-    "distortion": (Field("model", Kind.TEXT), Field("params", Kind.LIST)),
+    "distortion": (_expects(Field("model", Kind.TEXT)), _expects(Field("params", Kind.LIST))),
     "video": (
         _TIMESTAMPS,
         _array("content", "uint8", required=True),
-        Field("fps", Kind.NUMBER, unit="1/s"),
+        _expects(Field("fps", Kind.NUMBER, unit="1/s")),
     ),
     "image": (_needs("timestamp", Kind.TIME, "file"), _array("content", "uint8", required=True)),
     "unknown_frame": (Field("timestamp", Kind.TIME, unit="file"),),

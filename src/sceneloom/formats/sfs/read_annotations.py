@@ -22,7 +22,7 @@ from sceneloom.formats.sfs.read_cameras import further_of_intrinsics, read_lens
 from sceneloom.formats.sfs.read_cuboids import read_cuboid
 from sceneloom.formats.sfs.read_keypoints import read_keypoints
 from sceneloom.formats.sfs.records import Faults, FieldError, Place
-from sceneloom.formats.sfs.source import Source
+from sceneloom.formats.sfs.source import PAIRS, Source
 from sceneloom.formats.sfs.usual_cuboids import read_usual_cuboids
 from sceneloom.scene import (
     Annotation,
@@ -105,12 +105,22 @@ def _box_2d(found: AnnotationRecord) -> Box2DAnnotation | None:
     return Box2DAnnotation(found.id, found.values["sensor_id"], box, **fields)
 
 
+_OUTLINES = frozenset({ShapeType.POLYGON, ShapeType.POLYGON_TOPDOWN, ShapeType.POLYLINE})
+
+
 def _shape(found: AnnotationRecord) -> ShapeAnnotation | None:
     kind, record, faults = ShapeType(found.values["type"]), found.values["path"], found.faults
     closing = ("is_closed",) if kind is ShapeType.POLYLINE else ()
     names = ("sensor_id", *closing, "label", "stationary", "parent_id", "attributes")
     fields = found.fields(*names, taken=("path",))
-    vertices, flat = vertices_of(record["values"], DIMENSIONS[kind], faults, ("path", "values"))
+    asked = found.source.options.vertices
+    vertices, flat = vertices_of(
+        record["values"],
+        DIMENSIONS[kind],
+        faults,
+        ("path", "values"),
+        are_pairs=None if asked is None or kind not in _OUTLINES else asked == PAIRS,
+    )
     if not faults.unmended:
         if flat:
             found.note_flat("path", "values")

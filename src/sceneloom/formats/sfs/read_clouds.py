@@ -40,6 +40,7 @@ _LIDAR_ARRAYS = {
 }
 _RADAR_ARRAYS = {"positions": "positions", "directions": "directions", "lengths": "lengths"}
 _OURS = {"ring": np.dtype(np.uint16), "camera_index": np.dtype(np.uint8)}
+_OTHER_WIDTH = {4: "uint64", 8: "uint32"}
 _TYPICAL_PERIOD_NS = 100_000_000
 
 
@@ -273,7 +274,13 @@ def _check_counts(points: Record, place: Place, faults: Faults) -> None:
     for name in ("colors", "intensities", "timestamps", "directions", "lengths"):
         array = points.get(name)
         if isinstance(array, np.ndarray) and len(array) != count:
-            faults.add((*place, name), f"{len(array)} values for {count} points; expected as many")
+            problem = f"{len(array)} values for {count} points; expected as many"
+            if name == "timestamps" and len(array) in {2 * count, count / 2}:
+                problem += f": the bytes fit {_OTHER_WIDTH.get(array.dtype.itemsize, 'another width')}, not "
+                problem += (
+                    f"{array.dtype.name}; see `time_unit` of the scene, which decides where no dtype says it"
+                )
+            faults.add((*place, name), problem)
 
 
 def _times_are_relative(source: Source, frames: list[Record]) -> bool:

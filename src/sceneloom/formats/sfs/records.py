@@ -10,7 +10,15 @@ from sceneloom.arrays import AnyArray, read_only
 from sceneloom.formats.faults import MALFORMED
 from sceneloom.formats.sfs.container import RawBytes
 from sceneloom.formats.sfs.fields import RECORDS, Field, Kind
-from sceneloom.formats.sfs.times import INT64_MAX, INT64_MIN, FileClock, TimeRangeError, checked_ns, scaled
+from sceneloom.formats.sfs.times import (
+    INT64_MAX,
+    INT64_MIN,
+    FileClock,
+    TimeRangeError,
+    checked_ns,
+    point_times_dtype,
+    scaled,
+)
 from sceneloom.formats.sfs.unfetched import Unfetched
 
 Place = tuple[str | int, ...]
@@ -294,11 +302,14 @@ def _in_columns(array: AnyArray, columns: int) -> AnyArray:
     return array
 
 
-def _read_point_times(_: RecordReader, value: Any, field: Field, faults: Faults) -> AnyArray:
-    """Check the times of points, which become nanoseconds only when their frame is asked for."""
+def _read_point_times(reader: RecordReader, value: Any, field: Field, faults: Faults) -> AnyArray:
+    """Check the times of points, which become nanoseconds only when their frame is asked for.
+
+    Source of the width where no dtype says it: `timestamps` in "Lidar Sensor" of the description.
+    """
     del faults
     if isinstance(value, RawBytes):
-        return _of_raw_bytes(value, np.dtype(np.uint32))
+        return _of_raw_bytes(value, point_times_dtype(reader.clock))
     array = _of_list(value, np.dtype(np.int64)) if isinstance(value, list) else value
     if not isinstance(array, np.ndarray):
         raise FieldError(f"{_found(value)}; expected an array of uint32 or uint64 that an item fills")

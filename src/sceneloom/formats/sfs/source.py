@@ -15,6 +15,8 @@ from sceneloom.scene import Identifier, Notice, NoticeKind, PointsFrame
 
 OPENCV, BROWN = "opencv", "brown"
 TANGENTIALS = (OPENCV, BROWN)
+PAIRS, TRIPLES = "pairs", "triples"
+VERTICES = (PAIRS, TRIPLES)
 """The two meanings that p1 and p2 have among those who write lenses. Source: "Distortion" in docs/CONVENTIONS.md."""
 
 
@@ -28,6 +30,8 @@ class ReadingOptions:
         euler_order: order of the rotations of cuboids; None: as recorded, else xyz.
         tangential: what p1 and p2 of `brown_conrady` mean; None: as recorded, else as in OpenCV. "brown": as in Brown's
             paper, where they stand the other way round; they are exchanged, unless the file records that they were.
+        vertices: how polygons and polylines in space are written: "triples" x, y, z, or "pairs" x, y, as the examples
+            of the description have them, whose z is 0; None: triples where all rows of a path fit them, else pairs.
         assume_model: allow computing with lenses whose formulas nothing confirms.
         lenient: leave out sensors and annotations that are at fault, with a notice each.
         storage_options: what the fsspec back end of a URL is made with, such as credentials.
@@ -40,6 +44,7 @@ class ReadingOptions:
     euler_unit: str | None = None
     euler_order: str | None = None
     tangential: str | None = None
+    vertices: str | None = None
     assume_model: bool = False
     lenient: bool = False
     storage_options: Mapping[str, Any] | None = None
@@ -49,6 +54,7 @@ class ReadingOptions:
             ("euler_unit", tuple(AngleUnit)),
             ("euler_order", ORDERS),
             ("tangential", TANGENTIALS),
+            ("vertices", VERTICES),
         ):
             if getattr(self, name) not in (None, *known):
                 raise OptionError(f"{name} {getattr(self, name)!r}; expected one of {', '.join(known)}")

@@ -194,6 +194,14 @@ class FileClock:
         return duration_ns / self.tick_ns
 
 
+def point_times_dtype(clock: FileClock) -> np.dtype[Any]:
+    """The dtype that the times of points have: uint64 where the unit is the nanosecond, else uint32.
+
+    Source: `timestamps` in "Lidar Sensor" of the description.
+    """
+    return np.dtype(np.uint64 if clock.tick_ns == 1 else np.uint32)
+
+
 def checked_ns(timestamp_ns: int) -> int:
     """Pass a time on if it fits 64 bits.
 

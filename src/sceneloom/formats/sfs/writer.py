@@ -278,6 +278,10 @@ class SceneWriter:
         self._contents.metadata.update({name: value for name, value in fields.items() if name != OURS})
         self._contents.ours.update(ours)
 
+    def spell_time_unit(self, spelling: str) -> None:
+        """Write the unit of time by another of its names, as the file that a scene comes from has it."""
+        self._contents.time_unit = spelling
+
     def add_scene(self, scene: Scene) -> None:
         """Add everything that a scene holds.
 

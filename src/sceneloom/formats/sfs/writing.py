@@ -58,6 +58,9 @@ def write_scene(
     times_ns = list(_known_times(scene))
     unit = time_unit or _own_unit(scene, profile)
     from_sfs = scene.format == "sfs"
+    own_spelling = (
+        scene.extras.get("time_unit") if from_sfs and time_unit is None and profile == "sfs" else None
+    )
     keeps_offset = from_sfs and time_offset_ns is None and _offset_serves(scene, times_ns, unit, profile)
     with SceneWriter(
         path,
@@ -71,6 +74,8 @@ def write_scene(
         verbatim=from_sfs,
     ) as writer:
         writer.add_scene(scene)
+        if isinstance(own_spelling, str) and READABLE_TICKS_NS.get(own_spelling) == TICKS_NS[unit]:
+            writer.spell_time_unit(own_spelling)
     return writer.losses
 
 

@@ -2,8 +2,9 @@
 
 A mutant is a drive with one file changed, and is known by the name of the drive and a number, so that each can be made
 again: `python -m tests.malformed.mutants NAME NUMBER` shows what becomes of one, with its traceback.
-`python -m tests.malformed.mutants NAME --count 2000` tries the first of them. Mutants with negative numbers have a
-named pipe, a device, a folder, a socket or a file of 200 GB without content in the place of a file.
+`python -m tests.malformed.mutants NAME --count 2000` tries the first of them, `--count 2000 120` for two minutes at most. Mutants with negative numbers have a
+named pipe, a device, a folder, a socket or a file of 200 GB without content in the place of a file, or a file that is
+named by a number beyond 64 bits, or has values nested 100,000 deep.
 
 What may become of a mutant is a scene, or a `SceneloomError`. Any other exception, a process that dies, takes more
 memory than `MEMORY`, or longer than `SECONDS`, is a failure.
@@ -381,8 +382,8 @@ def _kinds_of_files(drive: Path) -> list[list[Path]]:
 def _restore(file: Path, content: bytes) -> None:
     if file.is_dir():
         file.rmdir()
-    else:
-        file.unlink()
+    for there in (file, file.with_name(f"{_LARGE}{file.suffix}")):
+        there.unlink(missing_ok=True)
     file.write_bytes(content)
 
 
@@ -397,6 +398,23 @@ def _make_sparse(name: str, content: bytes) -> None:
     os.truncate(name, SPARSE)
 
 
+def _make_number(name: str, content: bytes) -> None:
+    """Name a file by a number that 64 bits with a sign do not hold."""
+    Path(f"{_LARGE}{Path(name).suffix}").write_bytes(content)
+
+
+def _nest(name: str, content: bytes) -> None:
+    """Put lists in lists, or elements in elements, into the place of the first value, or of all that there is."""
+    opened, closed = (b"<a>", b"</a>") if name.endswith(".xml") else (b"[", b"]")
+    if name.endswith((".xml", ".json", ".jsonl", ".toml", ".yaml", ".yml")):
+        first = re.search(rb"(?<=: )[^\s,{}\[\]]+|(?<=\":)[^\s,{}\[\]]+|(?<= = )[^\s,{}\[\]]+", content)
+        start, stop = first.span() if first and opened == b"[" else (0, len(content))
+        content = content[:start] + opened * _DEPTH + closed * _DEPTH + content[stop:]
+    Path(name).write_bytes(content)
+
+
+_LARGE, _DEPTH = "9999999999999999999", 100_000
+
 SPARSE = 200_000_000_000 // 55_200 * 55_200
 """Length of files without content [bytes]: a whole number of points of every kind."""
 
@@ -406,6 +424,8 @@ IMPOSTORS: dict[str, Callable[[str, bytes], None]] = {
     "folder": lambda name, _: Path(name).mkdir(),
     "socket": _make_socket,
     "sparse": _make_sparse,
+    "number": _make_number,
+    "nested": _nest,
 }
 """What stands in the place of a file, and the function that makes it there, given what the file held."""
 
@@ -484,7 +504,8 @@ def _main() -> None:
     elif arguments[1] in {"--count", "--impostors"}:
         begun = time.monotonic()
         numbers = range(int(arguments[2])) if arguments[1] == "--count" else None
-        tried = try_mutants(arguments[0], numbers)
+        seconds = float(arguments[3]) if len(arguments) > 3 else float("inf")
+        tried = try_mutants(arguments[0], numbers, seconds=seconds)
         sys.stdout.write(f"{arguments[0]}: {tried}\n  {time.monotonic() - begun:.0f} s\n")
     else:
         with tempfile.TemporaryDirectory() as folder:

@@ -5,12 +5,17 @@ import sys
 import pytest
 from tests.malformed.mutants import ALL_DRIVES, DRIVES, try_mutants
 
+from sceneloom.detections.detector_files import read_detectors
+from sceneloom.errors import DataError, SceneloomError
+from sceneloom.formats import open_scene
+from sceneloom.fusion.configuration_file import read_configuration_file
+
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux", reason="memory of processes is bounded on Linux only"
 )
 
 FEW, MANY = 24, 2000
-ALWAYS = {"openlabel", "laz", "recording", "kitti-object", "scale-toolkit", "mcap"}
+ALWAYS = {"openlabel", "laz", "recording", "kitti-object", "scale-toolkit", "mcap", "argoverse2"}
 """Drives whose files are replaced in the usual run; the others follow in the long one."""
 
 
@@ -37,3 +42,28 @@ def test_what_is_no_file_and_what_is_endless_in_the_place_of_any_file_is_refused
     tried = try_mutants(name, None)
     assert not tried.failures, str(tried)
     assert tried.outcomes["refused"]
+
+
+LONG = "9" * 5000
+DEEP = "[" * 100_000 + "]" * 100_000
+
+
+@pytest.mark.parametrize("text", [f"a = {LONG}", f"a = {DEEP}", f"[{'a.' * 20_000}a]"])
+def test_texts_of_tables_with_endless_numbers_and_depths_are_faults_of_the_file(tmp_path, text):
+    path = tmp_path / "file.toml"
+    path.write_text(text)
+    readers = (read_detectors, read_configuration_file, lambda path: open_scene(path, format="rig"))
+    for read in readers:
+        with pytest.raises(SceneloomError):
+            read(path)
+
+
+@pytest.mark.parametrize(
+    "text", [f"rosbag2_bagfile_information: {LONG}", "- " * 20_000, f"a: {DEEP[:20_000]}"]
+)
+def test_metadata_of_a_bag_with_endless_numbers_and_depths_are_faults_of_the_file(tmp_path, text):
+    pytest.importorskip("ruamel.yaml", reason="ruamel.yaml is not installed")
+    drive = ALL_DRIVES["ros2"](tmp_path)
+    (drive / "metadata.yaml").write_text(text)
+    with pytest.raises(DataError, match=r"metadata.yaml: cannot be read"):
+        open_scene(drive, format="ros2")

@@ -64,7 +64,7 @@ def read_detectors(path: str | Path) -> Detectors:
     """
     try:
         raw = tomllib.loads(Path(path).read_text("utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise DataError(path, "", f"{error}; expected the TOML of detectors") from None
     try:
         found = _File.read(raw)

@@ -101,7 +101,7 @@ def read_configuration_file(path: Path | str, *, further: tuple[str, ...] = ()) 
 def _tables(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise DataError(path, "", f"no TOML: {error}") from error
 
 

@@ -76,7 +76,7 @@ def _parsed(text: str) -> Any:
     """Give what a text says, as JSON, TOML, or lines of names and numbers."""
     with suppress(msgspec.DecodeError, RecursionError):
         return msgspec.json.decode(text.encode())
-    with suppress(tomllib.TOMLDecodeError, RecursionError):
+    with suppress(ValueError, RecursionError):
         return tomllib.loads(text)
     return _lines(text)
 

@@ -73,7 +73,9 @@ def stamped_files(folder: Path, suffix: str) -> list[tuple[int, Path]]:
     """
     found = []
     for file in folder.glob(f"*{suffix}"):
-        if not (file.stem.isascii() and file.stem.isdigit() and len(file.stem) < 20):
+        if not (
+            file.stem.isascii() and file.stem.isdigit() and len(file.stem) < 20 and int(file.stem) < 1 << 63
+        ):
             problem = f"expected files named after their time in nanoseconds, as 315966265259836000{suffix}"
             raise DataError(file, "", problem)
         found.append((int(file.stem), file))

@@ -134,7 +134,7 @@ def read_labels(path: Path | str) -> KittiLabels:
     path = Path(path)
     lines = read_lines(path)
     tracked = bool(lines) and len(lines[0].words) > 2 and lines[0].words[0].lstrip("-").isdigit()
-    frame = int(path.stem) if path.stem.isascii() and path.stem.isdigit() else 0
+    frame = int(path.stem) if path.stem.isascii() and path.stem.isdigit() and len(path.stem) < 19 else 0
     heads, numbers, scored = [], [], None
     for line in lines:
         head, first = _head(line) if tracked else ((frame, NO_TRACK, _word(line, 0)), 1)

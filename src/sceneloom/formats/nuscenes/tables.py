@@ -234,7 +234,7 @@ def _pieces(path: Path) -> Iterator[bytes]:
 def _rows_of_piece(decoder: "msgspec.json.Decoder[list[Any]]", piece: bytes) -> list[Any] | None:
     try:
         return decoder.decode(piece)
-    except (msgspec.MsgspecError, UnicodeDecodeError):
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
         return None
 
 
@@ -246,5 +246,5 @@ def _decoded(path: Path, decoder: "msgspec.json.Decoder[list[Any]]", content: by
         found = _FIELD.search(place)
         where = "" if found is None else ".".join(filter(None, (f"row {found['row']}", found["field"])))
         raise DataError(path, where, problem) from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise DataError(path, "", f"is no JSON: {error}") from error

@@ -68,7 +68,7 @@ def _metadata(folder: Path, ledger: Ledger) -> Mapping[str, Any]:
         root = YAML(typ="safe").load(read_bytes(path).decode())[ROOT_KEY]
         if not isinstance(root, dict):
             raise TypeError(f"{ROOT_KEY} is no mapping")  # noqa: TRY301 - one place for all that can be wrong
-    except (YAMLError, OSError, UnicodeDecodeError, KeyError, TypeError) as error:
+    except (YAMLError, OSError, ValueError, RecursionError, KeyError, TypeError) as error:
         ledger.fault("metadata-at-fault", DataError(path, "", f"cannot be read: {error}"))
         return {}
     return root

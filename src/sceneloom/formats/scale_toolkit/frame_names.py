@@ -36,7 +36,7 @@ def _order(name: str) -> tuple[int, int, str]:
 
 
 def _is_number(name: str) -> bool:
-    return name.isascii() and name.isdigit() and len(name) < 20
+    return name.isascii() and name.isdigit() and len(name) < 20 and int(name) < 1 << 63
 
 
 def times_of(names: Sequence[str], rate_hz: float | None, place: Path, ledger: Ledger) -> Int64Array:

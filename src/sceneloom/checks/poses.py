@@ -15,12 +15,12 @@ from sceneloom.scene import (
     DepthCameraSensor,
     LidarSensor,
     OdometrySensor,
-    PointsFrame,
     PosePath,
     RadarSensor,
     Sensor,
     Severity,
 )
+from sceneloom.scene.sensor_sources import is_on_ego
 from sceneloom.scene.types import key_of
 
 FASTEST = 150.0
@@ -158,21 +158,30 @@ def _odometry_ids(subject: Subject) -> set[tuple[type, str | int]]:
     return {key_of(s.id) for s in subject.scene.sensors if isinstance(s, OdometrySensor)}
 
 
-def _in_ego_frame(sensor: Sensor) -> bool:
-    if isinstance(sensor, LidarSensor | RadarSensor) and sensor.points_frame is PointsFrame.EGO:
-        return True
-    if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor):
-        return False
-    return sensor.coordinates is Coordinates.EGO and sensor.poses is not None
-
-
 def _ego_unknown(subject: Subject) -> Iterator[Hit]:
     if _odometry_ids(subject) or subject.scene.trajectories:
         return
     for path, sensor in subject.sensors():
-        if _in_ego_frame(sensor):
+        if _has_ego_poses(sensor):
             problem = "'ego', and no odometry sensor tells where the ego was"
             yield Hit(f"{path}.coordinates", problem)
+
+
+def _ego_points_unknown(subject: Subject) -> Iterator[Hit]:
+    if _odometry_ids(subject) or subject.scene.trajectories:
+        return
+    for path, sensor in subject.sensors():
+        if is_on_ego(sensor) and not _has_ego_poses(sensor):
+            yield Hit(path, "its points are in the ego's frame, and nothing says where the ego was")
+
+
+def _has_ego_poses(sensor: Sensor) -> bool:
+    return (
+        isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor)
+        and sensor.coordinates is Coordinates.EGO
+        and sensor.poses is not None
+        and sensor.mount is None
+    )
 
 
 def _ego_ambiguous(subject: Subject) -> Iterator[Hit]:
@@ -180,7 +189,7 @@ def _ego_ambiguous(subject: Subject) -> Iterator[Hit]:
     if len(known) < 2:
         return
     for path, sensor in subject.sensors():
-        if _in_ego_frame(sensor) and (type(sensor.parent_id), sensor.parent_id) not in known:
+        if is_on_ego(sensor) and (type(sensor.parent_id), sensor.parent_id) not in known:
             names = ", ".join(sorted(repr(identifier) for _, identifier in known))
             problem = f"{sensor.parent_id!r} in place of one of {names}; coordinates are 'ego', and there are several"
             yield Hit(f"{path}.parent_id", problem)
@@ -231,10 +240,17 @@ RULES: tuple[Rule, ...] = (
     ),
     Rule(
         "ego-odometry",
-        Severity.WARNING,
-        "Where something is in ego coordinates, an odometry sensor tells where the ego was.",
+        Severity.ERROR,
+        "Where poses are in ego coordinates, an odometry sensor tells where the ego was.",
         "Add an odometry sensor with the poses of the ego, or give poses in the world.",
         find=_ego_unknown,
+    ),
+    Rule(
+        "ego-points-placed",
+        Severity.WARNING,
+        "Where points are in the ego's frame, a trajectory or an odometry sensor tells where the ego was.",
+        "Add the trajectory of the ego, or find it from the sweeps (`sceneloom fuse --trajectory lidar`).",
+        find=_ego_points_unknown,
     ),
     Rule(
         "ego-odometry-unique",

@@ -12,6 +12,7 @@ from sceneloom.motion.trajectories import GNSS, IMU, LIDAR, choose_trajectory
 from sceneloom.scene import Coordinates, LidarSensor, Notice, NoticeKind, PointsFrame, Scene, Trajectory
 from sceneloom.scene.annotations_frame import annotations_frame
 from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.sensor_sources import ego_path
 from sceneloom.scene.types import Progress
 
 if TYPE_CHECKING:
@@ -67,6 +68,8 @@ def ego_motion_as_given(
             f"{scene.source}: an IMU alone tells how the ego turned, but not where it was; it serves "
             "`sceneloom edit deskew --trajectory imu` only"
         )
+    if name is None and not scene.trajectories:
+        _check_odometry(scene)
     match computed_name(scene, name):
         case "gnss":
             return _from_gnss(scene, heading, odometry, progress=progress, lenient=lenient)
@@ -74,6 +77,20 @@ def ego_motion_as_given(
             run = odometry or _followed(scene, progress, lenient=lenient)
             return _from_lidar(scene, run, by_default=name is None)
     return choose_trajectory(scene, name=name, heading=heading)
+
+
+def _check_odometry(scene: Scene) -> None:
+    """Refuse to choose what stands in for the ego that poses lead into.
+
+    Raises:
+        PoseError: poses are in ego coordinates, and nothing recorded says where the ego was.
+    """
+    for sensor in scene.sensors:
+        on_ego = (
+            getattr(sensor, "coordinates", None) is Coordinates.EGO and getattr(sensor, "mount", None) is None
+        )
+        if on_ego and getattr(sensor, "poses", None) is not None:
+            ego_path(scene, sensor, None)  # type: ignore[arg-type]
 
 
 def is_computed(scene: Scene, name: str | None) -> bool:

@@ -11,9 +11,9 @@ from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import PosePath, same_way
 from sceneloom.scene.scene import Scene
-from sceneloom.scene.types import Coordinates, PointsFrame
+from sceneloom.scene.types import Coordinates, Key, PointsFrame, key_of
 
 Posed = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
 """Sensors that are somewhere."""
@@ -130,17 +130,72 @@ def _source_on_ego(scene: Scene, sensor: Posed, ego: EgoMotion | None, reach_ns:
 def ego_path(scene: Scene, sensor: Posed, ego: EgoMotion | None) -> PosePath:
     """The ego that a sensor in ego coordinates refers to: its parent odometry, the chosen way, or the only odometry.
 
+    Raises:
+        PoseError: there are several odometry sensors, and the parent is none of them; or there is neither any nor a
+            chosen way.
+
     Source: READING of "GPSSensor" in docs/CONVENTIONS.md.
     """
-    odometries = [other for other in scene.sensors if isinstance(other, OdometrySensor)]
-    parents = [odometry for odometry in odometries if odometry.id == sensor.parent_id]
-    if parents:
-        return parents[0].poses
-    if ego is not None:
-        return ego.path
-    if len(odometries) != 1:
+    named = named_odometry(scene, sensor)
+    if named is not None and (ego is None or key_of(named.id) == _parent_key(sensor)):
+        return named.poses
+    if ego is None:
         raise PoseError(
-            f"{scene.source}: sensor {sensor.id!r} is in ego coordinates and {len(odometries)} odometry sensors "
-            "stand for the ego; name one as its parent_id"
+            f"{scene.source}: sensor {sensor.id!r} is in ego coordinates, and no odometry sensor says where the ego "
+            "was; add one, or choose what stands in for it with `--trajectory`: lidar (found from the sweeps), "
+            "identity (stationary)"
         )
-    return odometries[0].poses
+    return ego.path
+
+
+def named_odometry(scene: Scene, sensor: Posed) -> OdometrySensor | None:
+    """The odometry sensor that a sensor in ego coordinates refers to; None where the scene has none at all.
+
+    Raises:
+        PoseError: there are several, and the parent is none of them.
+    """
+    odometries = [other for other in scene.sensors if isinstance(other, OdometrySensor)]
+    for odometry in odometries:
+        if key_of(odometry.id) == _parent_key(sensor):
+            return odometry
+    if len(odometries) > 1:
+        names = ", ".join(repr(odometry.id) for odometry in odometries)
+        raise PoseError(
+            f"{scene.source}: sensor {sensor.id!r} is in ego coordinates with parent_id {sensor.parent_id!r}, and "
+            f"there are {len(odometries)} odometry sensors; expected one of {names} as its parent_id (or leave out "
+            "all but one with `sceneloom edit crop --without ID`)"
+        )
+    return odometries[0] if odometries else None
+
+
+def _parent_key(sensor: Posed) -> Key | None:
+    return None if sensor.parent_id is None else key_of(sensor.parent_id)
+
+
+def is_on_ego(sensor: object) -> bool:
+    """Whether a sensor stands in ego coordinates, by its poses or by its points."""
+    if isinstance(sensor, LidarSensor | RadarSensor) and sensor.points_frame is PointsFrame.EGO:
+        return True
+    return isinstance(sensor, Posed) and sensor.coordinates is Coordinates.EGO and sensor.poses is not None
+
+
+def check_one_ego(scene: Scene, way: PosePath | None) -> None:
+    """Refuse a scene whose sensors in ego coordinates refer to another way of the ego than the one that is written.
+
+    Args:
+        scene: to be written in a format that knows one ego.
+        way: `world_from_ego` that is written, or None.
+
+    Raises:
+        PoseError: a sensor refers to another odometry sensor, or it is not known to which.
+    """
+    for sensor in scene.sensors:
+        if not isinstance(sensor, Posed) or not is_on_ego(sensor):
+            continue
+        named = named_odometry(scene, sensor)
+        if named is not None and way is not None and not same_way(named.poses, way):
+            raise PoseError(
+                f"{scene.source}: sensor {sensor.id!r} is in the ego coordinates of odometry sensor {named.id!r}, and "
+                "the target has one ego, which follows another trajectory; leave that odometry sensor out "
+                "(`sceneloom edit crop --without ID`), or bring the drive into world coordinates (`sceneloom fuse`)"
+            )

@@ -20,6 +20,7 @@ RULES = (
     "trajectory-times-increasing",
     "ego-odometry",
     "ego-odometry-unique",
+    "ego-points-placed",
 )
 MOUNT = RigidTransform(np.eye(3), np.zeros(3))
 
@@ -119,6 +120,9 @@ def test_a_trajectory_that_goes_back_in_time_is_found(sound, found):
 def test_ego_coordinates_need_an_odometry_sensor(sound, found):
     on_ego = sound.lidar(coordinates=Coordinates.EGO, points_frame=PointsFrame.EGO)
     assert [path for path, _ in found(sound.scene(on_ego), "ego-odometry")] == ["sensors[0].coordinates"]
+    riding = replace(on_ego, coordinates=Coordinates.WORLD)
+    assert [path for path, _ in found(sound.scene(riding), "ego-points-placed")] == ["sensors[0]"]
+    assert found(sound.scene(riding, sound.odometry()), "ego-points-placed") == []
     assert found(sound.scene(on_ego, sound.odometry()), "ego-odometry") == []
 
 

@@ -1,5 +1,7 @@
 """Where a sensor was: by its mounting, by its own poses, or relative to an odometry sensor."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -45,9 +47,16 @@ def test_poses_in_ego_coordinates_ride_on_the_only_odometry_sensor(moving: bool)
 def test_ego_coordinates_without_or_with_several_odometry_sensors_are_refused() -> None:
     lidar = LidarSensor("lidar", NO_FRAMES, poses=relative_path(moving=False), coordinates=Coordinates.EGO)
     two = (OdometrySensor("a", EGO), OdometrySensor("b", EGO))
-    for others in ((), two):
-        with pytest.raises(PoseError, match=f"{len(others)} odometry sensors"):
-            sensor_source(Scene((lidar, *others)), lidar, None, reach_ns=0)
+    with pytest.raises(PoseError, match="no odometry sensor says where the ego was"):
+        sensor_source(Scene((lidar,)), lidar, None, reach_ns=0)
+    for chosen in (None, EgoMotion("a", EGO)):
+        for parent_id in (None, "lidar"):
+            unclear = replace(lidar, parent_id=parent_id)
+            with pytest.raises(PoseError, match="expected one of 'a', 'b' as its parent_id"):
+                sensor_source(Scene((unclear, *two)), unclear, chosen, reach_ns=0)
+            points = replace(unclear, poses=None, points_frame=PointsFrame.EGO)
+            with pytest.raises(PoseError, match="expected one of 'a', 'b' as its parent_id"):
+                points_source(Scene((points, *two)), points, chosen, reach_ns=0)
 
 
 def test_the_parent_decides_between_several_odometry_sensors() -> None:

@@ -22,9 +22,9 @@ from sceneloom.formats.field_losses import field_losses
 from sceneloom.formats.file_names import file_stems
 from sceneloom.formats.loss import Fate, Loss, LossReport
 from sceneloom.formats.output import FolderKind, replacing
-from sceneloom.scene import Coordinates, LidarSensor, OdometrySensor, PointsFrame, PosePath, Scene
+from sceneloom.scene import Coordinates, LidarSensor, PointsFrame, PosePath, Scene
 from sceneloom.scene.ego import EgoMotion
-from sceneloom.scene.sensor_sources import sensor_source
+from sceneloom.scene.sensor_sources import is_on_ego, named_odometry, sensor_source
 from sceneloom.scene.span import scene_period_ns
 
 _MOVES: Mapping[PointsFrame, Callable[[Scene], Scene]] = MappingProxyType(
@@ -243,13 +243,15 @@ def _write_poses(scene: Scene, lidar: LidarSensor, times: Int64Array, folder: Pa
 
 def _path(scene: Scene, lidar: LidarSensor) -> PosePath | None:
     """Where the frame of the points was over time; None where nothing says it."""
-    odometries = [sensor for sensor in scene.sensors if isinstance(sensor, OdometrySensor)]
     way = next((way for way in scene.trajectories.values() if way.quaternions_xyzw is not None), None)
     if lidar.points_frame is PointsFrame.EGO:
-        return odometries[0].poses if odometries else None if way is None else way.poses
+        odometry = named_odometry(scene, lidar)
+        return odometry.poses if odometry is not None else None if way is None else way.poses
     if lidar.poses is not None and lidar.coordinates is Coordinates.WORLD:
         return lidar.poses
     ego = None if way is None else EgoMotion.of(way)
+    if is_on_ego(lidar):
+        named_odometry(scene, lidar)
     try:
         source = sensor_source(scene, lidar, ego, reach_ns=0)
     except PoseError:

@@ -22,6 +22,7 @@ from sceneloom.formats.recording.written_mounts import mounting
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraSensor, LidarSensor, PosePath, RadarSensor, Scene
 from sceneloom.scene.contents import KINDS
+from sceneloom.scene.sensor_sources import check_one_ego
 from sceneloom.scene.types import key_of
 
 VERSION = "v1.0-sceneloom"
@@ -91,6 +92,7 @@ class WritingPlan:
         losses += further_fields(scene)
         scene = _with_pinholes(scene, losses)
         way = ego_way(scene)
+        check_one_ego(scene, way)
         if way is None:
             what = "not known: the ego is taken to stand at the world's origin"
             losses.append(Loss(field="trajectories.positions", what=what, fate=Fate.APPROXIMATED))

@@ -25,6 +25,7 @@ from sceneloom.scene import (
     Scene,
     Sensor,
 )
+from sceneloom.scene.sensor_sources import check_one_ego
 from sceneloom.scene.shooting import mounts_of_shots
 from sceneloom.scene.span import frame_times
 
@@ -57,7 +58,13 @@ class Streams:
 
     @classmethod
     def of(cls, scene: Scene) -> "Streams":
-        """Name the sensors of a scene; those of types that streams do not have are left out."""
+        """Name the sensors of a scene; those of types that streams do not have are left out.
+
+        Raises:
+            PoseError: sensors in ego coordinates refer to another trajectory than the one that is written.
+        """
+        way = way_of(scene)
+        check_one_ego(scene, way)
         names: dict[Identifier, str] = {}
         sensors: dict[str, Sensor] = {}
         for sensor in scene.sensors:
@@ -73,7 +80,7 @@ class Streams:
             for one in scene.cameras
             if mounts_of_shots(one) is not None and one.coordinates is Coordinates.WORLD
         )
-        return cls(names, sensors, way_of(scene), moving)
+        return cls(names, sensors, way, moving)
 
     def _parent_and_pose(self, sensor: Any) -> tuple[str, RigidTransform | None] | None:
         """The system that a sensor is placed in, its pose there, None where it moves; None where nothing is known."""

@@ -20,6 +20,7 @@ from sceneloom.formats.recording.written_shots import shooting_sensors
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Coordinates, ImuSensor, LidarSensor, OdometrySensor, PosePath, Scene, Trajectory
 from sceneloom.scene.poses import same_way
+from sceneloom.scene.sensor_sources import check_one_ego
 from sceneloom.scene.shooting import ShootingSensor, shots_of
 
 
@@ -88,6 +89,7 @@ class WritingPlan:
         cameras = [camera for camera in found if len(shots_of(camera))] or found
         trajectories = _trajectories(scene, notes)
         ego_path = _ego_path(scene)
+        check_one_ego(scene, ego_path)
         losses: list[Loss] = []
         if ego_path is None and not trajectories:
             ego_path = _ride_along([*scene.lidars, *cameras], trajectories, losses)

@@ -24,6 +24,7 @@ from sceneloom.scene import (
 )
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.contents import KINDS
+from sceneloom.scene.sensor_sources import check_one_ego
 from sceneloom.scene.span import frame_times
 
 CUBOIDS_TOPIC = "/cuboids"
@@ -60,6 +61,7 @@ class SceneStreams:
         plain = len(scene.sensors) - len(held)
         self.losses.dropped("sensors.plain", "sensors of a type that there are no messages for", count=plain)
         self.way = way_of(scene)
+        check_one_ego(scene, self.way)
         start_ns = min((int(times[0]) for times in self._known_times()), default=0)
         sensors = SensorStreams(dialect, self.way, self.losses, start_ns, pictures)
         sensor_notes = [sensors.add(sensor, part) for sensor, part in held]

@@ -15,6 +15,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import angle_between
 from sceneloom.scene import CameraSensor, Coordinates, LidarSensor, OdometrySensor, PosePath, Scene
 from sceneloom.scene.contents import KINDS
+from sceneloom.scene.sensor_sources import check_one_ego
 
 PARALLEL_WITHIN = 1e-6
 """How far a camera may be turned against the first one and be of the same rectified frame [rad]."""
@@ -62,6 +63,7 @@ def choose(
     """
     losses: list[Loss] = []
     path = ego_way(scene)
+    check_one_ego(scene, path)
     lidar, ego_from_lidar = _lidar(scene, path, losses)
     named = _numbered(scene, slots, losses)
     mounts: dict[int, RigidTransform] = {}

@@ -90,7 +90,7 @@ def validate(
     progress: Progress | None = None,
     **reading: Any,
 ) -> ValidationReport:
-    """Check a scene, a recording or a rig by the rules of a profile, and mend what can be mended without a choice.
+    """Check a scene, a recording or a rig by the rules of a profile, and mend what can be mended safely.
 
     Args:
         source: a file or folder, the URL of a scene file, or a scene that is open.

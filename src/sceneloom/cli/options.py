@@ -178,6 +178,12 @@ reading = _stacked(
         help="What a recording's altitudes are above: the ellipsoid or mean sea level. [default: wgs84]",
     ),
     click.option(
+        "--image-index",
+        type=click.Choice(["auto", "number", "first", "line"]),
+        help="Which image of a video a recording's `frames` line means: its `number`, that less the first number, or "
+        "each line the next. [default: auto: by the counts, if they agree]",
+    ),
+    click.option(
         "--camera-shift",
         type=click.Choice(["ignore", "apply", "subtract"]),
         help="What becomes of a recording's `imuToCameraShiftSeconds`: `apply` adds it to the times of the camera's "

@@ -60,7 +60,8 @@ def validate(
     """Check a scene, recording or rig, and say what is wrong, where, and what to do; exit 1 where it does not pass.
 
     Every finding names the rule, its place in the file, the value and what was expected. `--fix OUT` writes what
-    can be mended without a choice, checks that, and tells what is left.
+    can be mended safely, checks that, and tells what is left. Where it is open which image a line means, it says
+    which way it took; `--image-index` takes another.
     """
     if list_rules:
         _print_rules(as_json=as_json)

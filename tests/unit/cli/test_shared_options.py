@@ -47,6 +47,7 @@ MEANINGS = {
     "--client-key": (PLACE, "PEM file: its key"),
     "--euler-order": (TEXT, "Order of the boxes' rotations"),
     "--euler-unit": (CHOICE, "Unit of the boxes' angles"),
+    "--image-index": (CHOICE, "Which image of a video a recording's `frames` line means"),
     "--heading": (CHOICE, "Derive orientations"),
     "--json": (FLAG, "Print "),
     "--label": (TEXT, ""),

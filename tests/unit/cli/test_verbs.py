@@ -143,7 +143,7 @@ def test_demo_looks_at_all_its_outputs_before_it_makes_one(call: Call, tmp_path:
         (
             "a.sfs",
             ("--from-rate", "10"),
-            "opening a recording takes --lenient, --altitude, --camera-shift",
+            "opening a recording takes --lenient, --altitude, --camera-shift, --image-index",
         ),
     ],
 )

@@ -111,7 +111,8 @@ FAULT_RULES: tuple[Rule, ...] = (
     _error(
         "unmatched-pictures",
         "A video has as many pictures as its `frames` lines say.",
-        "Find out which pictures were lost, and number the lines by the pictures that are there.",
+        "Find out which pictures were lost; `--image-index` says which one a line means, the message "
+        "which way it took.",
     ),
     _error(
         "unusable-lidar-files",

@@ -62,6 +62,7 @@ class CameraSources:
         ledger: takes notices and faults.
         open_files: takes the pictures of the cameras that are built.
         camera_shift: what becomes of `imuToCameraShiftSeconds`, a key of `CAMERA_SHIFTS`.
+        image_index: which picture a `frames` line means, a key of `ALIGNMENTS`.
     """
 
     folder: Path
@@ -73,6 +74,7 @@ class CameraSources:
     ledger: Ledger
     open_files: OpenPictures
     camera_shift: str = "ignore"
+    image_index: str = "auto"
 
 
 def build_cameras(sources: CameraSources) -> list[CameraSensor | DepthCameraSensor]:
@@ -186,11 +188,12 @@ def _match_pictures(
         sources.open_files.add(files)
         check_kind(files, _first_fields(sources, index, columns))
         numbers = np.asarray(sources.frames.numbers, np.int64)
-        choice = choose_pictures(numbers, files.count)
+        choice = choose_pictures(numbers, files.count, alignment=sources.image_index)
         if choice.problem is not None and ledger.lenient and maybe_cut_off(files, len(numbers)):
             files = open_video(path, cut_off=True)
             sources.open_files.add(files)
-            choice = replace(choose_pictures(numbers, files.count), problem=choice.problem)
+            left = choose_pictures(numbers, files.count, alignment=sources.image_index)
+            choice = replace(left, problem=choice.problem)
     except DataError as error:
         ledger.fault("unreadable-videos", error)
         return None, none

@@ -27,7 +27,7 @@ class RecordingExamination:
 
 
 def examine_recording(
-    path: Path, *, altitude: str = "wgs84", camera_shift: str = "ignore"
+    path: Path, *, altitude: str = "wgs84", camera_shift: str = "ignore", image_index: str = "auto"
 ) -> RecordingExamination:
     """Read a recording as far as it is sound, and give every fault of it with its place; nothing is raised for them.
 
@@ -35,18 +35,21 @@ def examine_recording(
         path: the folder, the `data.jsonl` in it, or a zip archive.
         altitude: what the altitudes of `gps` lines are above: "wgs84" or "msl".
         camera_shift: what becomes of `imuToCameraShiftSeconds`, as for `open_recording`.
+        image_index: which picture a `frames` line means, as for `open_recording`.
 
     Raises:
         OptionError: a value is unknown.
     """
-    check_values(altitude, camera_shift)
+    check_values(altitude, camera_shift, image_index)
     try:
         place = find_place(path)
     except SceneloomError as error:
         return RecordingExamination(None, (placed(error, "unreadable", str(path)),))
     ledger = FaultLedger(place.folder)
     try:
-        scene, contents = read_recording(place, altitude, ledger, camera_shift=camera_shift)
+        scene, contents = read_recording(
+            place, altitude, ledger, camera_shift=camera_shift, image_index=image_index
+        )
     except SceneloomError as error:
         return RecordingExamination(None, (*ledger.faults, placed(error, "unreadable", str(place.folder))))
     return RecordingExamination(scene, ledger.faults, contents)

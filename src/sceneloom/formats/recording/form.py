@@ -13,7 +13,7 @@ from sceneloom.formats.recording.writer import check_outside_recordings, write_r
 from sceneloom.formats.recording.zipped import holds_recording
 from sceneloom.scene import Scene
 
-_READING_OPTIONS = ("lenient", "altitude", "camera_shift")
+_READING_OPTIONS = ("lenient", "altitude", "camera_shift", "image_index")
 _WRITING_OPTIONS = ("pictures",)
 
 

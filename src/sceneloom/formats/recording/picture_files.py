@@ -1,9 +1,10 @@
 """Where a recording keeps the pictures of each camera, and which of them each `frames` line means."""
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -124,6 +125,17 @@ def _what_is_left(path: Path, error: DataError, ledger: Ledger) -> VideoReader:
     return video
 
 
+ALIGNMENTS: Mapping[str, str] = MappingProxyType(
+    {
+        "auto": "as many pictures as numbers or as lines decide",
+        "number": "`number` is the picture's index, from 0",
+        "first": "the picture's index is `number` less the first `number`",
+        "line": "each frames line means the next picture",
+    }
+)
+"""Ways to tell which picture of a video a `frames` line means."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureChoice:
     """Which picture each `frames` line means.
@@ -139,7 +151,7 @@ class PictureChoice:
     by_line: bool = False
 
 
-def choose_pictures(numbers: Int64Array, picture_count: int) -> PictureChoice:
+def choose_pictures(numbers: Int64Array, picture_count: int, *, alignment: str = "auto") -> PictureChoice:
     """Match `frames` lines with pictures.
 
     A line's picture is `number` minus the first number where the pictures are as many as the numbers span; else
@@ -150,11 +162,14 @@ def choose_pictures(numbers: Int64Array, picture_count: int) -> PictureChoice:
     Args:
         numbers: (N,) int64, `number` of all frames lines, in the order of the file.
         picture_count: how many pictures there are.
+        alignment: a key of `ALIGNMENTS`; any but "auto" decides, whatever the counts say.
     """
     count = len(numbers)
     if count == 0:
         problem = f"{picture_count} pictures, but data.jsonl has no frames line" if picture_count else None
         return PictureChoice(numbers, problem)
+    if alignment != "auto":
+        return _aligned(numbers, picture_count, alignment)
     ranks = np.argsort(np.argsort(numbers, kind="stable"))
     first, last = int(numbers.min()), int(numbers.max())
     distinct = len(np.unique(numbers)) == count
@@ -164,9 +179,38 @@ def choose_pictures(numbers: Int64Array, picture_count: int) -> PictureChoice:
         return PictureChoice(ranks if distinct else np.arange(count), by_line=True)
     if picture_count == last - first + 1:
         return PictureChoice(numbers - first)
+    used = "first" if distinct else "line"
     indices = numbers - first if distinct else np.arange(count)
+    others = " or ".join(
+        f"--image-index {name} ({meaning})"
+        for name, meaning in ALIGNMENTS.items()
+        if name not in {"auto", used} and not (name == "number" and first == 0 and distinct)
+    )
     problem = (
         f"{picture_count} pictures, but data.jsonl has {count} frames lines with numbers from {first} to {last}; "
         f"expected {count} pictures" + (f" or {last - first + 1}" if last - first + 1 != count else "")
     )
+    problem += (
+        f". Which picture a line means is open: a lenient reading takes --image-index {used} ({ALIGNMENTS[used]}); "
+        f"there is {others}"
+    )
     return PictureChoice(np.where(indices < picture_count, indices, -1), problem)
+
+
+def _aligned(numbers: Int64Array, picture_count: int, alignment: str) -> PictureChoice:
+    """The pictures that lines mean by a given rule; lines that mean none are a problem."""
+    by_rule = {
+        "number": numbers,
+        "first": numbers - numbers.min(),
+        "line": np.arange(len(numbers), dtype=np.int64),
+    }
+    indices = by_rule[alignment]
+    outside = (indices < 0) | (indices >= picture_count)
+    problem = None
+    if outside.any():
+        worst = int(indices[outside][0])
+        problem = (
+            f"{int(outside.sum())} of {len(numbers)} frames lines mean pictures that are not there, by --image-index "
+            f"{alignment} ({ALIGNMENTS[alignment]}): the first picture {worst}, while there are {picture_count}"
+        )
+    return PictureChoice(np.where(outside, -1, indices), problem)

@@ -14,6 +14,7 @@ from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.frame_notes import FrameNotes
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 from sceneloom.formats.recording.old_forms import has_old_frame, with_frames
+from sceneloom.formats.recording.picture_files import choose_pictures
 from sceneloom.formats.recording.written_shots import field_of
 from sceneloom.scene.shooting import ShootingSensor, Shot, shots_of
 
@@ -35,7 +36,8 @@ class PictureRows:
         pictures: (L, C) int64, index of the picture, -1 for none; lines in the order of time.
         seconds: (L,) float64 [s], times of the lines; None: those of their first pictures.
         lines: by row, what a line said that lacks pictures.
-        first: `number` of the first line.
+        first: `number` of the first line, from which numbers grow by one.
+        numbers: `number` of each line, where they are kept as they were read; None: counted from `first` on.
         losses: what of the lines as they were read is not written.
     """
 
@@ -43,6 +45,7 @@ class PictureRows:
     seconds: Sequence[float] | None = None
     lines: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
     first: int = 0
+    numbers: Sequence[int] | None = None
     losses: Sequence[Loss] = ()
 
 
@@ -62,14 +65,31 @@ def picture_rows(sensors: Sequence[ShootingSensor], notes: FrameNotes | None) ->
         return found
     untouched = len(found.pictures) == notes.count
     first = notes.first if untouched and notes.first is not None else 0
-    losses = _losses(found, notes, untouched=untouched)
-    return PictureRows(found.pictures, found.seconds, found.lines, first, losses)
+    numbers = _numbers_as_read(sensors, found) if untouched and notes.first is None else None
+    losses = _losses(found, notes, counted_anew=untouched and notes.first is None and numbers is None)
+    return PictureRows(found.pictures, found.seconds, found.lines, first, numbers, losses)
 
 
-def _losses(rows: PictureRows, notes: FrameNotes, *, untouched: bool) -> list[Loss]:
+def _numbers_as_read(sensors: Sequence[ShootingSensor], rows: PictureRows) -> list[int] | None:
+    """Numbers of lines that do not grow by one; None where one is not known, or they would mean other pictures.
+
+    The video that is written has one picture for each line.
+    """
+    numbers = []
+    for row, pictures in enumerate(rows.pictures.tolist()):
+        shots = [shots_of(sensor)[k] for sensor, k in zip(sensors, pictures, strict=True) if k >= 0]
+        known = [shot.extras.get("number") for shot in shots] or [rows.lines.get(row, {}).get("number")]
+        if type(known[0]) is not int or known.count(known[0]) < len(known):
+            return None
+        numbers.append(known[0])
+    found = choose_pictures(np.array(numbers, np.int64), len(numbers)).indices
+    return numbers if np.array_equal(found, np.arange(len(numbers))) else None
+
+
+def _losses(rows: PictureRows, notes: FrameNotes, *, counted_anew: bool) -> list[Loss]:
     losses, count = list[Loss](), len(rows.pictures)
-    if untouched and notes.first is None:
-        what = "counted from 0: the vendor's software counts pictures by them, and they did not grow by one each time"
+    if counted_anew:
+        what = "counted from 0: they did not grow from line to line, and would mean other pictures"
         losses.append(Loss(field="frames[].number", what=what, count=count, fate=Fate.KEPT))
     if notes.own and rows.seconds is None:
         what = "put together anew by the times of their pictures, which are not those that were read"

@@ -15,7 +15,7 @@ from sceneloom.formats.recording.further_contents import RecordingContents, furt
 from sceneloom.formats.recording.lidar_building import build_lidars
 from sceneloom.formats.recording.lines import read_lines
 from sceneloom.formats.recording.number_sensors import build_number_sensors
-from sceneloom.formats.recording.picture_files import OpenPictures
+from sceneloom.formats.recording.picture_files import ALIGNMENTS, OpenPictures
 from sceneloom.formats.recording.place import DATA_FILE, Closing, RecordingPlace, find_place
 from sceneloom.formats.recording.trajectories import build_trajectories
 from sceneloom.scene import (
@@ -26,7 +26,12 @@ ALTITUDES = ("wgs84", "msl")
 
 
 def open_recording(
-    path: Path, *, lenient: bool = False, altitude: str = "wgs84", camera_shift: str = "ignore"
+    path: Path,
+    *,
+    lenient: bool = False,
+    altitude: str = "wgs84",
+    camera_shift: str = "ignore",
+    image_index: str = "auto",
 ) -> Scene:
     """Open a recording; pictures and points are read when asked for.
 
@@ -37,17 +42,23 @@ def open_recording(
         altitude: what the altitudes of `gps` lines are above: "wgs84", the ellipsoid, or "msl", mean sea level.
         camera_shift: what becomes of `imuToCameraShiftSeconds` of the calibration: "ignore"; "apply" adds it to the
             times of the camera's pictures, which are then on the IMU's clock; "subtract" takes it off them.
+        image_index: which picture of a video a `frames` line means: "number": `number` is its index; "first": `number`
+            less the first one; "line": each line the next picture; "auto": "first" where there are as many pictures as
+            the numbers span, "line" where as many as lines, else that is open: an error.
 
     Raises:
         DataError: files are missing or wrong.
         CalibrationError: a lens or a mounting is unusable.
         OptionError: a value is unknown.
     """
-    check_values(altitude, camera_shift)
-    return read_recording(find_place(path), altitude, Ledger(lenient=lenient), camera_shift=camera_shift)[0]
+    check_values(altitude, camera_shift, image_index)
+    ledger = Ledger(lenient=lenient)
+    return read_recording(
+        find_place(path), altitude, ledger, camera_shift=camera_shift, image_index=image_index
+    )[0]
 
 
-def check_values(altitude: str, camera_shift: str) -> None:
+def check_values(altitude: str, camera_shift: str, image_index: str = "auto") -> None:
     """Refuse reading options that have no such value.
 
     Raises:
@@ -56,13 +67,19 @@ def check_values(altitude: str, camera_shift: str) -> None:
     for name, value, known in (
         ("altitude", altitude, ALTITUDES),
         ("camera_shift", camera_shift, tuple(CAMERA_SHIFTS)),
+        ("image_index", image_index, tuple(ALIGNMENTS)),
     ):
         if value not in known:
             raise OptionError(f"{name} {value!r}; expected one of: {', '.join(known)}")
 
 
 def read_recording(
-    place: RecordingPlace, altitude: str, ledger: Ledger, *, camera_shift: str = "ignore"
+    place: RecordingPlace,
+    altitude: str,
+    ledger: Ledger,
+    *,
+    camera_shift: str = "ignore",
+    image_index: str = "auto",
 ) -> tuple[Scene, RecordingContents]:
     """Read a recording with a ledger that decides what becomes of its faults; as `open_recording` else.
 
@@ -71,7 +88,7 @@ def read_recording(
     """
     try:
         with ledger.telling():
-            return _read(place, altitude, camera_shift, ledger)
+            return _read(place, altitude, camera_shift, image_index, ledger)
     except OSError as error:
         place.remove()
         raise DataError(place.source, "", f"cannot be read: {error}") from error
@@ -81,7 +98,7 @@ def read_recording(
 
 
 def _read(
-    place: RecordingPlace, altitude: str, camera_shift: str, ledger: Ledger
+    place: RecordingPlace, altitude: str, camera_shift: str, image_index: str, ledger: Ledger
 ) -> tuple[Scene, RecordingContents]:
     folder, data_path = place.folder, place.data_path
     if not folder.is_dir():
@@ -100,7 +117,16 @@ def _read(
     with ExitStack() as stack:
         stack.callback(opened.close)
         sources = CameraSources(
-            folder, data_path, data_file, calibration, columns.frames, ego_path, ledger, opened, camera_shift
+            folder,
+            data_path,
+            data_file,
+            calibration,
+            columns.frames,
+            ego_path,
+            ledger,
+            opened,
+            camera_shift,
+            image_index,
         )
         lidars = build_lidars(folder, data_path, columns.lidars, calibration, ego_path, ledger)
         cameras = [] if alone else build_cameras(sources)

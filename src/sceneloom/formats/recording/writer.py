@@ -57,7 +57,7 @@ def write_recording(
         overwrite: replace the folder if it is a recording, or empty, but for a README; nobody else's folder is ever
             replaced.
         pictures: "copy" copies a camera's own video packet by packet, cut to the pictures that are left, where that can
-            be done, and encodes H.264 else; "lossless" encodes FFV1 then;
+            be done, and encodes H.264 else, or FFV1 where that video has lost nothing; "lossless" encodes FFV1 then;
             "h264" copies only what is H.264 already; "ffv1" (video) and "png" (files) lose nothing.
 
     Returns:

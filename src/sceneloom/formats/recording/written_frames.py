@@ -85,7 +85,7 @@ class FrameLines:
         return OneByOne(stamps.min(axis=1, initial=np.iinfo(np.int64).max), self._lines(), FRAMES)
 
     def _lines(self) -> Iterator[WrittenLine]:
-        seconds = self._rows.seconds
+        seconds, numbers = self._rows.seconds, self._rows.numbers
         for place, row in enumerate(self._rows.pictures.tolist()):
             pairs = zip(self._sensors, row, strict=True)
             shots: list[Shot | None] = [shots_of(sensor)[k] if k >= 0 else None for sensor, k in pairs]
@@ -101,7 +101,7 @@ class FrameLines:
             fields = {
                 **self._beside(first, kept),
                 "frames": [entry for entry in entries if entry is not None],
-                "number": self._rows.first + place,
+                "number": self._rows.first + place if numbers is None else numbers[place],
             }
             yield make_line(fields, stamp, self._times, told)
 

@@ -14,6 +14,7 @@ from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.written_depth import DepthImages, DepthScales
 from sceneloom.formats.recording.written_shots import frame_rate
 from sceneloom.formats.video import VideoReader, VideoWriter, copy_to_matroska
+from sceneloom.formats.video.codecs import is_lossless
 from sceneloom.formats.video.png_folder import picture_name
 from sceneloom.scene import CameraSensor, DepthCameraSensor, Picture, VideoContent
 from sceneloom.scene.shooting import ShootingSensor, Shot, shots_of
@@ -209,7 +210,8 @@ def open_sink(
         folder: the recording that is being written.
         index: `cameraInd`.
         rows: (N,) int64, which of its pictures each line has, -1 for none.
-        pictures: "copy": the camera's own video where it can be copied, else H.264; "lossless": the same, else FFV1;
+        pictures: "copy": the camera's own video where it can be copied, else H.264, or FFV1 where that video has lost
+            nothing; "lossless": the same, else FFV1;
             "h264" and "ffv1": the own video only if it is that already; "png": PNG pictures. Depth is kept as its own
             video, or as FFV1, in any case.
     """
@@ -222,6 +224,8 @@ def open_sink(
     if _copied(sensor, path, rows, codecs=None if pictures in _ENCODED_AS else (pictures,)):
         return CopiedVideo(sensor)
     codec = _ENCODED_AS.get(pictures, pictures)
+    if pictures == "copy" and sensor.video is not None and is_lossless(sensor.video.codec):
+        codec = "ffv1"
     encoded = EncodedVideo(ColorImages(sensor, codec), path, frame_rate(sensor))
     if sensor.video is not None and pictures in {*_ENCODED_AS, sensor.video.codec}:
         what = f"encoded anew as {_SPELT[codec]}: the video could not be copied for these pictures alone"

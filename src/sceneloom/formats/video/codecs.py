@@ -21,6 +21,22 @@ NEEDED_CODECS = ("H.264, read", "H.264, written", "FFV1, read", "FFV1, written")
 """Without these, recordings cannot be read or written."""
 
 
+_LOSSY, _LOSSLESS = 1 << 1, 1 << 2
+"""Source: AV_CODEC_PROP_LOSSY and AV_CODEC_PROP_LOSSLESS of libavcodec/codec_desc.h."""
+
+
+def is_lossless(codec: str) -> bool:
+    """Whether videos of a codec, as FFmpeg calls it, never lose anything."""
+    from av.codec import Codec
+    from av.codec.codec import UnknownCodecError
+
+    try:
+        properties = int(Codec(codec, "r").properties)
+    except (UnknownCodecError, ValueError):
+        return False
+    return bool(properties & _LOSSLESS) and not properties & _LOSSY
+
+
 def available_codecs() -> dict[str, bool]:
     """Say of each codec that drives come in whether it is there."""
     from av.codec import Codec

@@ -2,6 +2,8 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
+from io import BytesIO
 from itertools import chain
 from typing import BinaryIO
 
@@ -13,7 +15,7 @@ from sceneloom.formats.video.index import VideoIndex
 from sceneloom.formats.video.packet_copy import PacketTimes, check_count, copy_packets
 from sceneloom.formats.video.reader import VideoReader
 from sceneloom.formats.video.source import VideoSource, source_name
-from sceneloom.formats.video.writer import VideoTarget, VideoWriter, target_name
+from sceneloom.formats.video.writer import VideoTarget, VideoWriter, open_container, target_name
 
 _MP4_CODECS = frozenset({"h264", "hevc"})
 """What is copied into mp4; others either do not belong there or play nowhere."""
@@ -102,8 +104,8 @@ def copy_to_matroska(
 
     Returns:
         What was written; None, and nothing written, where the packets cannot be copied: their times are unknown,
-        some are not to be shown, they are not as many as they must be, or pictures that are taken cannot be decoded
-        without others that are not.
+        some are not to be shown, they are not as many as they must be, pictures that are taken cannot be decoded
+        without others that are not, or Matroska does not hold their codec.
 
     Raises:
         DataError: the source is damaged.
@@ -116,13 +118,20 @@ def copy_to_matroska(
             return None
         codec, index = reader.codec, reader.index
     taken = np.arange(len(index)) if frame_indices is None else np.asarray(frame_indices, np.int64)
-    if not can_be_cut(index, taken):
+    if not can_be_cut(index, taken) or codec not in _codecs_of_matroska():
         return None
     times = PacketTimes.of(index.part(taken), None)
     is_taken = np.zeros(len(index), np.bool_)
     is_taken[index.positions[taken]] = True
     copy_packets(source, target, "matroska", times, called, taken=is_taken)
     return RemuxResult(len(taken), codec, copied=True)
+
+
+@cache
+def _codecs_of_matroska() -> frozenset[str]:
+    """Names of the codecs that can be put into Matroska."""
+    with open_container(BytesIO(), "matroska") as container:
+        return frozenset(container.supported_codecs)
 
 
 def can_be_cut(index: VideoIndex, taken: Int64Array) -> bool:

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sceneloom.errors import CalibrationError, DataError
+import sceneloom
+from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.formats.recording import FORMAT
 from sceneloom.formats.recording.picture_files import choose_pictures
 from sceneloom.scene import CameraSensor, NoticeKind, Scene
@@ -354,3 +355,50 @@ def test_a_closed_scene_gives_no_pictures(recording, pinhole):
     scene.close()
     with pytest.raises(DataError, match="closed"):
         _ = picture.rgb
+
+
+@pytest.mark.parametrize(
+    ("alignment", "greys"), [("number", [20, 30, 50]), ("first", [0, 10, 30]), ("line", [0, 10, 20])]
+)
+def test_where_counts_do_not_agree_the_way_that_was_taken_is_named_and_others_can_be(
+    recording, pinhole, alignment, greys
+):
+    numbers = [2, 3, 5]
+    recording.video("data.mkv", 7).calibration([pinhole]).lines(
+        {"frames": [{"cameraInd": 0}], "number": number, "time": 0.1 * number} for number in numbers
+    )
+    with pytest.raises(DataError, match=r"7 pictures.*3 frames lines with numbers from 2 to 5") as caught:
+        FORMAT.open(recording.path)
+    for words in (
+        "a lenient reading takes --image-index first",
+        "--image-index number (`number` is the picture's index, from 0)",
+        "--image-index line",
+    ):
+        assert words in caught.value.problem
+    with FORMAT.open(recording.path, lenient=True) as scene:
+        assert "takes --image-index first" in scene.notices[0].message
+    with FORMAT.open(recording.path, image_index=alignment) as scene:
+        assert [int(np.median(picture.rgb)) for picture in scene.cameras[0].pictures] == greys
+        assert scene.notices == ()
+    report = sceneloom.validate(recording.path, image_index=alignment, rules=["unmatched-pictures"])
+    assert report.passed
+    fixed = sceneloom.validate(recording.path, fix=recording.path.parent / "fixed")
+    (left,) = [finding for finding in fixed.left_out if finding.rule == "unmatched-pictures"]
+    assert "--image-index first" in left.message
+
+
+def test_lines_that_mean_no_picture_by_the_way_that_is_asked_for_are_a_fault(recording, pinhole):
+    recording.video("data.mkv", 4).calibration([pinhole]).lines(
+        {"frames": [{"cameraInd": 0}], "number": number, "time": 0.1 * number} for number in (2, 3, 4)
+    )
+    with pytest.raises(
+        DataError, match=r"1 of 3 frames lines mean pictures that are not there.*picture 4, while"
+    ):
+        FORMAT.open(recording.path, image_index="number")
+    with FORMAT.open(recording.path, image_index="number", lenient=True) as scene:
+        assert len(scene.cameras[0].pictures) == 2
+        assert scene.notices[0].count == 1
+    with pytest.raises(
+        OptionError, match="image_index 'nearest'; expected one of: auto, number, first, line"
+    ):
+        FORMAT.open(recording.path, image_index="nearest")

@@ -1,5 +1,6 @@
 """Recordings of which some pictures are left: which pictures those are then, and what is told of their video."""
 
+import av
 import numpy as np
 import pytest
 
@@ -69,3 +70,50 @@ def test_lossless_pictures_of_a_part_are_those_of_the_video(drive, tmp_path):
     assert greys == whole[::3]
     assert list(told) == ["sensors[camera0].video"]
     assert "FFV1, which loses nothing" in told["sensors[camera0].video"]
+
+
+LOSSLESS = {
+    "ffv1": ("data.mkv", "ffv1", "bgr0", {"g": "1"}),
+    "ffv1 in groups": ("data.mkv", "ffv1", "bgr0", {"g": "4"}),
+    "mjpeg": ("data.avi", "mjpeg", "yuvj444p", {}),
+    "png": ("data.mov", "png", "rgb24", {}),
+    "h264 of key pictures": ("data.mp4", "libx264", "yuv420p", {"g": "1"}),
+}
+
+
+@pytest.mark.parametrize("kind", LOSSLESS)
+def test_gaps_in_numbers_cost_no_picture_anything_and_stay(recording, pinhole, tmp_path, kind):
+    name, codec, pixels, options = LOSSLESS[kind]
+    generator = np.random.default_rng(1)
+    with av.open(str(recording.path / name), "w") as container:
+        stream = container.add_stream(codec, rate=10, options={"threads": "1", **options})
+        stream.width, stream.height, stream.pix_fmt = 32, 16, pixels
+        for _ in range(9):
+            rgb = generator.integers(0, 255, (16, 32, 3)).astype(np.uint8)
+            container.mux(
+                stream.encode(av.VideoFrame.from_ndarray(rgb, format="rgb24").reformat(format=pixels))
+            )
+        container.mux(stream.encode())
+    numbers = [3, 4, 6, 7, 11]
+    recording.calibration([pinhole]).lines(
+        {"frames": [{"cameraInd": 0}], "number": number, "time": 0.1 * number} for number in numbers
+    )
+    with FORMAT.open(recording.path) as scene:
+        before = [picture.rgb for picture in scene.cameras[0].pictures]
+        report = FORMAT.write(scene, tmp_path / "again")
+    with FORMAT.open(tmp_path / "again") as scene:
+        assert [picture.extras["number"] for picture in scene.cameras[0].pictures] == numbers
+        np.testing.assert_array_equal([picture.rgb for picture in scene.cameras[0].pictures], before)
+    told = {loss.field: loss.what for loss in report if loss.field != "replay"}
+    encoded = kind in {"ffv1 in groups", "png"}
+    assert list(told) == (["sensors[camera0].video"] if encoded else [])
+    assert not encoded or "FFV1, which loses nothing" in told["sensors[camera0].video"]
+    if not encoded:
+        assert packets(tmp_path / "again" / "data.mkv") == [
+            packets(recording.path / name)[k - 3] for k in numbers
+        ]
+
+
+def packets(path):
+    with av.open(str(path)) as container:
+        return [bytes(packet) for packet in container.demux(video=0) if packet.size]

@@ -1,6 +1,7 @@
-"""Addresses and messages without the secrets that addresses can carry: passwords, signatures and keys."""
+"""Addresses and messages without what is nobody else's business: secrets in addresses, folders of one's machine."""
 
 import re
+from pathlib import Path
 
 HIDDEN = "***"
 
@@ -35,3 +36,21 @@ def redacted(text: object) -> str:
         return plain
     found = _USER.sub(rf"\g<scheme>{HIDDEN}@", plain)
     return _HEADER.sub(rf"\g<name>{HIDDEN}", _SECRET.sub(rf"\g<name>{HIDDEN}", found))
+
+
+def without_folders(text: str, source: str) -> str:
+    """Give text about a drive without the folders above it, as it goes into files that are handed on.
+
+    Args:
+        text: a message, a location in the drive, or a whole document.
+        source: the path of the drive as it was given; several are joined by " + ".
+    """
+    plain = text
+    for each in source.split(" + "):
+        if "://" in each or not ("/" in each or "\\" in each):
+            continue
+        path = Path(each)
+        for parent in {str(path.parent), str(path.absolute().parent)}:
+            if parent not in {"/", ".", ""}:
+                plain = plain.replace(f"{parent}/", "").replace(f"{parent}\\", "")
+    return plain

@@ -10,6 +10,7 @@ import msgspec
 
 from sceneloom.errors import OptionError
 from sceneloom.formats.output import check_output, replacing
+from sceneloom.redaction import without_folders
 from sceneloom.report.collecting import collect
 from sceneloom.report.numbers.drive import DriveReport
 from sceneloom.report.page.rendering import check_extra, render_page
@@ -80,9 +81,11 @@ def write_report(
 
 
 def numbers_as_json(report: DriveReport) -> bytes:
-    """The numbers of a report as JSON, for people to read, too."""
+    """The numbers of a report as JSON, for people to read, too; without the folders above the drive."""
+    source = report.summary.source
     try:
-        return msgspec.json.format(msgspec.json.encode(report), indent=1) + b"\n"
+        text = msgspec.json.format(msgspec.json.encode(report), indent=1).decode()
     except UnicodeEncodeError:
         # ids may hold halves of characters, which this encoder escapes
-        return json.dumps(msgspec.to_builtins(report), indent=1).encode() + b"\n"
+        text = json.dumps(msgspec.to_builtins(report), indent=1)
+    return without_folders(text, source).encode() + b"\n"

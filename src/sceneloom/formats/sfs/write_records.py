@@ -5,6 +5,7 @@ from typing import Any
 
 from sceneloom.formats.sfs.drafts import with_further
 from sceneloom.formats.sfs.poses import mount_rows
+from sceneloom.redaction import without_folders
 from sceneloom.scene import (
     GnssSensor,
     ImuSensor,
@@ -60,12 +61,12 @@ def _tells(sensor: OdometrySensor, way: Trajectory) -> bool:
     return way.file_seconds is None and same_way(sensor.poses, way)
 
 
-def notice_record(notice: Notice) -> dict[str, Any]:
-    """Make the record of a notice."""
+def notice_record(notice: Notice, source: str) -> dict[str, Any]:
+    """Make the record of a notice on a scene, without the folders above its source."""
     return {
         "kind": notice.kind.value,
         "code": notice.code,
-        "place": notice.place,
-        "message": notice.message,
+        "place": without_folders(notice.place, source),
+        "message": without_folders(notice.message, source),
         "count": notice.count,
     }

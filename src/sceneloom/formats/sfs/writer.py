@@ -34,6 +34,7 @@ from sceneloom.scene import (
     Identifier,
     LidarFrame,
     LidarSensor,
+    NoticeKind,
     OdometrySensor,
     Picture,
     PosePath,
@@ -292,8 +293,14 @@ class SceneWriter:
         self.set_metadata(scene.metadata)
         self._contents.extras.update({name: v for name, v in scene.extras.items() if name not in _ROOT})
         self._contents.attributes.extend(map(attribute_record, scene.attributes))
-        if scene.notices:
-            self._contents.ours["notices"] = [notice_record(notice) for notice in scene.notices]
+        # what was repaired of the source is in order in the file; a correction that was applied stays one
+        told = [
+            notice
+            for notice in scene.notices
+            if self._verbatim or notice.kind != NoticeKind.REPAIRED or notice.code == "correction-applied"
+        ]
+        if told:
+            self._contents.ours["notices"] = [notice_record(notice, scene.source) for notice in told]
         for annotation in scene.annotations:
             self._add_read(annotation, scene)
         self._add_trajectories(scene)

@@ -9,6 +9,7 @@ from sceneloom.errors import OptionError
 from sceneloom.formats.loss import Fate, LossReport
 from sceneloom.formats.output import replacing
 from sceneloom.pipeline.converting.fates import FieldFate, lost
+from sceneloom.redaction import without_folders
 from sceneloom.scene import Notice
 
 
@@ -66,12 +67,15 @@ def write_report(report: ConversionReport, path: Path, *, overwrite: bool = Fals
         OutputError: the file exists, or cannot be written.
     """
     check_report_name(path)
+    both = f"{report.source} + {report.target}"
     with replacing(path, overwrite=overwrite) as draft:
         if path.suffix.lower() == ".json":
-            draft.write_bytes(msgspec.json.format(msgspec.json.encode(report), indent=2) + b"\n")
+            text = msgspec.json.format(msgspec.json.encode(report), indent=2).decode()
+            draft.write_text(without_folders(text, both) + "\n", encoding="utf-8", newline="\n")
         else:
             lines = _markdown(report) if path.suffix.lower() == ".md" else _text(report)
-            draft.write_text("\n".join([*lines, ""]), encoding="utf-8", newline="\n")
+            text = without_folders("\n".join([*lines, ""]), both)
+            draft.write_text(text, encoding="utf-8", newline="\n")
 
 
 def headline(report: ConversionReport) -> str:

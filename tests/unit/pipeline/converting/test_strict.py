@@ -123,7 +123,7 @@ def test_a_report_for_people_names_every_field(with_event, tmp_path, suffix):
     text = (tmp_path / f"loss{suffix}").read_text()
     assert report.fields
     assert all(field.field in text for field in report.fields)
-    assert f"{with_event} (sfs) → {tmp_path / 'drive'} (recording)" in text
+    assert f"{with_event.name} (sfs) → drive (recording)" in text
 
 
 def test_a_report_whose_name_says_no_form_is_refused_before_anything_is_done(scene_file, tmp_path):

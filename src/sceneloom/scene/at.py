@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
-from sceneloom.geometry.rotations import slerp
+from sceneloom.geometry.rotations import conjugate_quaternion, multiply_quaternions, slerp
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations import (
     AttributePath,
@@ -20,6 +20,8 @@ from sceneloom.scene.annotations import (
     PointsAnnotation,
     ShapeAnnotation,
 )
+from sceneloom.scene.annotations.cuboids import Activation
+from sceneloom.scene.types import Identifier, key_of
 
 STANDARD_ANGLES = CuboidAngles()
 
@@ -93,22 +95,133 @@ def turned(
     return slerp(angles.quaternions(before_rpy), angles.quaternions(after_rpy), share)
 
 
-@np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
+def activation_for(annotation: CuboidAnnotation, sensor_id: Identifier | None) -> Activation | None:
+    """Give when a sensor sees a cuboid; None where nothing is said of it, or of no sensor."""
+    if sensor_id is None or not annotation.activations:
+        return None
+    key = key_of(sensor_id)
+    return next((found for found in annotation.activations if key_of(found.sensor_id) == key), None)
+
+
+def active_at(
+    annotation: CuboidAnnotation,
+    sensor_id: Identifier | None,
+    times_ns: ArrayLike,
+    *,
+    since_ns: ArrayLike | None = None,
+) -> BoolArray:
+    """Say whether a cuboid is active for a sensor at times (M,) [ns].
+
+    A sensor that the activations do not name sees it at all times. One that they name sees it from each timestamp, for
+    the duration, whose end no longer counts; a duration of 0 is that very moment. Without durations each activation
+    lasts until the next one, the last one without end.
+
+    Args:
+        annotation: the cuboid.
+        sensor_id: the sensor; None for the object itself, which is always active.
+        times_ns: when.
+        since_ns: (M,) [ns], when what is asked for began, such as a sweep: active at any time since then counts.
+
+    Source: "activations" of "Cuboid Annotation" in the SFS description; READING of them in docs/CONVENTIONS.md.
+    """
+    times = np.asarray(times_ns, np.int64).reshape(-1)
+    activation = activation_for(annotation, sensor_id)
+    if activation is None:
+        return np.ones(len(times), np.bool_)
+    first = times if since_ns is None else np.minimum(np.asarray(since_ns, np.int64).reshape(-1), times)
+    starts = activation.timestamps_ns.astype(np.float64)
+    if activation.durations_ns is None:
+        stops = np.append(starts[1:], np.inf)
+    else:
+        stops = starts + np.asarray(activation.durations_ns, np.float64)
+    inside = (starts <= times[:, None]) & ((first[:, None] < stops) | (first[:, None] == starts))
+    active: BoolArray = (inside | ((starts >= first[:, None]) & (starts <= times[:, None]))).any(axis=1)
+    return active
+
+
 def cuboid_poses(
-    annotation: CuboidAnnotation, times_ns: ArrayLike, *, angles: CuboidAngles = STANDARD_ANGLES
+    annotation: CuboidAnnotation,
+    times_ns: ArrayLike,
+    *,
+    angles: CuboidAngles = STANDARD_ANGLES,
+    sensor_id: Identifier | None = None,
 ) -> CuboidPoses:
     """Give a cuboid at times (M,) [ns]: centre and size go straight, the rotation turns the shorter way.
 
-    It is there from its first stamp to its last, a stationary one always.
+    It is there from its first stamp to its last, a stationary one always. As a sensor sees it, it is there only while
+    it is active, and where the activation has a cuboid of its own that holds: see `activated`.
 
     Args:
         annotation: the cuboid.
         times_ns: when.
         angles: how its angles are meant; `CuboidAngles.of(scene)`.
+        sensor_id: the sensor by which it is asked for; None for the object itself.
 
     Raises:
         OptionError: unit or order of the angles is none of those known.
     """
+    poses = _path_poses(annotation, times_ns, angles)
+    if activation_for(annotation, sensor_id) is None:
+        return poses
+    times = np.asarray(times_ns, np.int64).reshape(-1)
+    active = active_at(annotation, sensor_id, times)
+    seen = activated(annotation, sensor_id, times, poses, angles=angles)
+    there = seen.there & active
+    parts = [part.copy() for part in (seen.centers_world, seen.sizes_lwh, seen.quaternions_xyzw)]
+    for part in parts:
+        part[~there] = np.nan
+    return CuboidPoses(parts[0], parts[1], parts[2], there)
+
+
+@np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
+def activated(
+    annotation: CuboidAnnotation,
+    sensor_id: Identifier | None,
+    times_ns: Int64Array,
+    poses: CuboidPoses,
+    *,
+    angles: CuboidAngles = STANDARD_ANGLES,
+) -> CuboidPoses:
+    """Give a cuboid with the own cuboids of a sensor's activations in place of its path.
+
+    At the timestamp of an activation that is its own cuboid, number by number. Afterwards it has the size of that, and
+    moves as the path does from there on; where the path says nothing, it stays. Activations without a cuboid, or with
+    null, leave the path as it is.
+
+    Args:
+        annotation: the cuboid.
+        sensor_id: the sensor.
+        times_ns: (M,) [ns]; the last activation that began counts, before the first the first.
+        poses: by the path, at these times.
+        angles: how its angles are meant.
+    """
+    activation = activation_for(annotation, sensor_id)
+    if activation is None or activation.cuboids is None or not len(activation.timestamps_ns):
+        return poses
+    starts = activation.timestamps_ns
+    rows = np.clip(np.searchsorted(starts, times_ns, side="right") - 1, 0, len(starts) - 1)
+    own = activation.cuboids[rows]
+    told: BoolArray = np.isfinite(own.sum(axis=1))
+    if not told.any():
+        return poses
+    begun = _path_poses(annotation, starts[rows], angles)
+    turns = angles.quaternions(np.where(told[:, None], own[:, 6:], 0.0))
+    moves: BoolArray = np.logical_and(np.logical_and(told, begun.there), poses.there)
+    centers, sizes = np.array(poses.centers_world), np.array(poses.sizes_lwh)
+    rotations = np.array(poses.quaternions_xyzw)
+    centers[told], sizes[told], rotations[told] = own[told, 3:6], own[told, :3], turns[told]
+    # the object moved as its path did since the activation began, turning about its own centre
+    onward = multiply_quaternions(
+        poses.quaternions_xyzw[moves], conjugate_quaternion(begun.quaternions_xyzw[moves])
+    )
+    later: BoolArray = np.logical_and(moves, times_ns != starts[rows])
+    centers[later] += poses.centers_world[later] - begun.centers_world[later]
+    rotations[later] = multiply_quaternions(onward[later[moves]], turns[later])
+    return CuboidPoses(centers, sizes, rotations, poses.there | told)
+
+
+@np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
+def _path_poses(annotation: CuboidAnnotation, times_ns: ArrayLike, angles: CuboidAngles) -> CuboidPoses:
     path = annotation.path
     found = Bracket.of(path.timestamps_ns, times_ns, stationary=bool(annotation.stationary))
     if len(path.timestamps_ns) == 0:
@@ -122,7 +235,11 @@ def cuboid_poses(
 
 @np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
 def cuboid_at(
-    annotation: CuboidAnnotation, times_ns: ArrayLike, *, angles: CuboidAngles = STANDARD_ANGLES
+    annotation: CuboidAnnotation,
+    times_ns: ArrayLike,
+    *,
+    angles: CuboidAngles = STANDARD_ANGLES,
+    sensor_id: Identifier | None = None,
 ) -> tuple[Float64Array, BoolArray]:
     """Give the rows of a cuboid at times (M,) [ns], as a `CuboidPath` stores them.
 
@@ -133,6 +250,7 @@ def cuboid_at(
         annotation: the cuboid.
         times_ns: when.
         angles: how its angles are meant, and given; `CuboidAngles.of(scene)`.
+        sensor_id: the sensor by which it is asked for, as of `cuboid_poses`.
 
     Returns:
         rows: (M, 9) float64; NaN where it is not there.
@@ -156,7 +274,22 @@ def cuboid_at(
         differs = (start[:, 6:] != stop[:, 6:]).any(axis=1)
         rows[moving[differs], 6:] = angles.from_quaternions(turns[differs], near=start[differs, 6:])
     rows[~found.there] = np.nan
-    return rows, found.there
+    activation = activation_for(annotation, sensor_id)
+    if activation is None:
+        return rows, found.there
+    times = np.asarray(times_ns, np.int64).reshape(-1)
+    seen = cuboid_poses(annotation, times, angles=angles, sensor_id=sensor_id)
+    if activation.cuboids is not None and seen.there.any():
+        own = activation.cuboids[
+            np.clip(np.searchsorted(activation.timestamps_ns, times, side="right") - 1, 0, None)
+        ]
+        told = np.flatnonzero(seen.there & np.isfinite(own).all(axis=1))
+        rows[told, :3], rows[told, 3:6] = seen.sizes_lwh[told], seen.centers_world[told]
+        rows[told, 6:] = angles.from_quaternions(seen.quaternions_xyzw[told], near=own[told, 6:])
+        begins = told[np.isin(times[told], activation.timestamps_ns)]
+        rows[begins] = own[begins]
+    rows[~seen.there] = np.nan
+    return rows, seen.there
 
 
 def box_2d_at(annotation: Box2DAnnotation, times_ns: ArrayLike) -> tuple[Float64Array, BoolArray]:

@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.errors import DataError
+from sceneloom.errors import DataError, OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import Picture
 from sceneloom.scene.clouds import LidarFrame, RadarFrame
@@ -70,7 +70,7 @@ class Sample:
         times_ns: time of each frame that is there, by id [ns]; of sweeps their reference time.
         missing: why a frame is not there, by id.
         find_poses: works out where the sensors were.
-        find_boxes: works out the boxes.
+        find_boxes: works out the boxes as a sensor sees them at the time of its frame, by id.
     """
 
     index: int
@@ -85,7 +85,7 @@ class Sample:
     times_ns: Mapping[Identifier, int]
     missing: Mapping[Identifier, str]
     find_poses: Callable[[], SamplePoses]
-    find_boxes: Callable[[], Boxes]
+    find_boxes: Mapping[Identifier, Callable[[], Boxes]]
 
     @property
     def sweep(self) -> LidarFrame | None:
@@ -94,12 +94,25 @@ class Sample:
 
     @property
     def boxes(self) -> Boxes:
-        """The scene's boxes at the sample's moment, interpolated when first asked for.
+        """The scene's boxes at the sample's moment as the reference sensor sees them, interpolated when asked for.
+
+        A box whose activations name that sensor is there only while it is active for it, by its own computed cuboids.
 
         Raises:
             OptionError: unit or order of their angles is none of those known.
         """
-        return self.find_boxes()
+        return self.boxes_for(self.reference_id)
+
+    def boxes_for(self, sensor_id: Identifier) -> Boxes:
+        """Give the boxes as another sensor of the sample sees them, at the time of its own frame.
+
+        Raises:
+            OptionError: the sensor has no frame in this sample, or as of `boxes`.
+        """
+        if sensor_id not in self.find_boxes:
+            known = ", ".join(map(repr, self.find_boxes))
+            raise OptionError(f"sensor {sensor_id!r} has no frame in this sample; it has frames of {known}")
+        return self.find_boxes[sensor_id]()
 
     @property
     def poses(self) -> SamplePoses:

@@ -1,6 +1,7 @@
 """The boxes of a scene at a moment."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,9 +12,9 @@ from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations import CuboidAnnotation
 from sceneloom.scene.annotations_frame import annotations_frame, not_in_world
-from sceneloom.scene.at import turned
+from sceneloom.scene.at import CuboidPoses, activated, active_at, cuboid_poses, turned
 from sceneloom.scene.scene import Scene
-from sceneloom.scene.types import Coordinates, Identifier
+from sceneloom.scene.types import Coordinates, Identifier, Key, key_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,31 +94,91 @@ class BoxTable:
         stamps = np.concatenate([path.timestamps_ns for path in paths])
         return stamps, np.concatenate([path.values for path in paths]), stops - lengths, stops
 
-    def at(self, time_ns: int) -> Boxes:
+    def at(
+        self, time_ns: int, *, sensor_id: Identifier | None = None, window_ns: tuple[int, int] | None = None
+    ) -> Boxes:
         """Give the boxes that are there at a time [ns], as `find` does."""
-        return self.find(time_ns)[1]
+        return self.find(time_ns, sensor_id=sensor_id, window_ns=window_ns)[1]
 
-    def find(self, time_ns: int) -> tuple[Int64Array, Boxes]:
+    def find(
+        self, time_ns: int, *, sensor_id: Identifier | None = None, window_ns: tuple[int, int] | None = None
+    ) -> tuple[Int64Array, Boxes]:
         """Give the boxes that are there at a time [ns], and whose they are: rows (B,) of `annotations`.
 
         A box is there from its first stamp to its last, a stationary one always. Between two stamps centre and size
-        go straight and the rotation turns the shorter way.
+        go straight and the rotation turns the shorter way. As a sensor sees them, boxes are there while they are active
+        for it, by its own computed cuboids (`scene.at.cuboid_poses`).
+
+        Args:
+            time_ns: when.
+            sensor_id: the sensor by which is asked; None for the objects themselves.
+            window_ns: first and last time of the sensor's frame: boxes count that are active at any time of it.
 
         Raises:
             OptionError: unit or order of the angles is none of those known, or the annotations are not in the world.
 
         Source: READING of "paths" in docs/CONVENTIONS.md.
         """
-        there = np.flatnonzero(self._there(time_ns))
-        return there, self.placed(there, time_ns)
+        there = self._there(time_ns)
+        for row, annotation in self._activated(sensor_id):
+            first, last = (time_ns, time_ns) if window_ns is None else sorted(window_ns)
+            if active_at(annotation, sensor_id, [last], since_ns=[first])[0]:
+                there[row] = self._seen(annotation, sensor_id, time_ns).there[0]
+            else:
+                there[row] = False
+        rows = np.flatnonzero(there)
+        return rows, self.placed(rows, time_ns, sensor_id=sensor_id)
 
-    @np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
-    def placed(self, rows: Int64Array, time_ns: int) -> Boxes:
+    def _activated(self, sensor_id: Identifier | None) -> Sequence[tuple[int, CuboidAnnotation]]:
+        """The cuboids of whose activations some are for a sensor, by row."""
+        return () if sensor_id is None else self._by_sensor.get(key_of(sensor_id), ())
+
+    def _seen(self, annotation: CuboidAnnotation, sensor_id: Identifier | None, time_ns: int) -> CuboidPoses:
+        """A cuboid with the own cuboids of activations, whether it is active or not."""
+        path = cuboid_poses(annotation, [time_ns], angles=self.angles)
+        return activated(annotation, sensor_id, np.array([time_ns], np.int64), path, angles=self.angles)
+
+    @cached_property
+    def _by_sensor(self) -> Mapping[Key, Sequence[tuple[int, CuboidAnnotation]]]:
+        found: dict[Key, list[tuple[int, CuboidAnnotation]]] = {}
+        for row, annotation in enumerate(self.annotations):
+            for key in dict.fromkeys(key_of(activation.sensor_id) for activation in annotation.activations):
+                found.setdefault(key, []).append((row, annotation))
+        return found
+
+    def placed(self, rows: Int64Array, time_ns: int, *, sensor_id: Identifier | None = None) -> Boxes:
         """Give some boxes at a time [ns], by rows of `annotations`; each holds beyond its first and last stamp.
+
+        Args:
+            rows: which.
+            time_ns: when.
+            sensor_id: the sensor whose own computed cuboids count.
 
         Raises:
             OptionError: unit or order of the angles is none of those known.
         """
+        boxes = self._placed(rows, time_ns)
+        computed = [
+            (k, annotation)
+            for row, annotation in self._activated(sensor_id)
+            for k in np.flatnonzero(rows == row).tolist()
+        ]
+        if not computed:
+            return boxes
+        parts = [part.copy() for part in (boxes.centers_world, boxes.sizes_lwh, boxes.quaternions_xyzw)]
+        for k, annotation in computed:
+            seen = self._seen(annotation, sensor_id, time_ns)
+            if not seen.there[0]:
+                continue  # it holds beyond the ends of its path
+            for part, own in zip(
+                parts, (seen.centers_world, seen.sizes_lwh, seen.quaternions_xyzw), strict=True
+            ):
+                part[k] = own[0]
+        return replace(boxes, centers_world=parts[0], sizes_lwh=parts[1], quaternions_xyzw=parts[2])
+
+    @np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
+    def _placed(self, rows: Int64Array, time_ns: int) -> Boxes:
+        """The same by their paths."""
         if len(rows) == 0:
             nowhere = np.zeros((0, 3))
             return Boxes((), (), nowhere, nowhere, np.zeros((0, 4)), np.zeros(0, np.int64))

@@ -9,7 +9,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.nearest import FramesByStamp, SweepsByReference
 from sceneloom.scene.sample import Once, Sample
-from sceneloom.scene.sample_boxes import BoxTable
+from sceneloom.scene.sample_boxes import Boxes, BoxTable
 from sceneloom.scene.sample_places import (
     Place,
     Pose,
@@ -110,8 +110,15 @@ class SampleMaker:
             times_ns=found.times_ns,
             missing=found.missing,
             find_poses=Once(partial(self._poses, frames, found.times_ns)),
-            find_boxes=Once(partial(self._boxes.at, moment_ns)),
+            find_boxes={
+                sensor_id: Once(partial(self._boxes_of, sensor_id, time_ns, found.frames[sensor_id]))
+                for sensor_id, time_ns in found.times_ns.items()
+            },
         )
+
+    def _boxes_of(self, sensor_id: Identifier, time_ns: int, frame: Any) -> Boxes:
+        """The boxes as a sensor sees them at the time of its frame."""
+        return self._boxes.at(time_ns, sensor_id=sensor_id, window_ns=(int(frame.timestamp_ns), time_ns))
 
     def _places_for(self, frames: Mapping[Identifier, Any]) -> dict[Identifier, Place]:
         """The sensors' places, of cameras those of images that have a mounting of their own."""

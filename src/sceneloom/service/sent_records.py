@@ -151,7 +151,7 @@ class _Maker:
         if pose.coverage[0] == 2:
             return None
         world_from_points = RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
-        rows, found = self._boxes.find(time_ns)
+        rows, found = self._boxes.find(time_ns, sensor_id=lidar_id)
         points_from_world = world_from_points.inverse()
         headings = points_from_world.rotate(found.rotations_world[:, :, 0])
         boxes = Boxes3D(

@@ -45,6 +45,9 @@ _LANE_AHEAD = 25.0
 _SLIGHT_TURN_XYZW = (0.0, 0.0, 0.0087265, 0.9999619)
 """One degree about the upright axis."""
 
+_UNTIL_AFTER_NS = 1_000_000
+"""Activations last until just after the last frame: their ends no longer count."""
+
 
 def annotate(drive: SimulatedDrive) -> SimulatedDrive:
     """Give a drive one annotation of each type of the format beside the boxes that it has, from its exact truth.
@@ -145,8 +148,8 @@ def _box(
             AttributePath("pixels", tuple(int(m.sum()) for m in view.masks(seen)), times, sensor_id=CAMERA),
         ),
         activations=(
-            Activation(LIDAR, sweep_ns[:1], (int(np.ptp(sweep_ns)),)),
-            Activation(CAMERA, times[there][:1], (int(np.ptp(times[there])),)),
+            Activation(LIDAR, sweep_ns[:1], (int(np.ptp(sweep_ns)) + _UNTIL_AFTER_NS,)),
+            Activation(CAMERA, times[there][:1], (int(np.ptp(times[there])) + _UNTIL_AFTER_NS,)),
         ),
         projections=(Projection(CAMERA, times, boxes, (True, *(False,) * (len(times) - 1)), values),),
     )

@@ -85,6 +85,7 @@ def count_points(
     trajectory: str | EgoMotion | None = None,
     listed: bool = False,
     margin: float = 0.0,
+    activations: bool = True,
     progress: Progress | None = None,
 ) -> PointCounts:
     """Count the points of each lidar frame in each cuboid; a point on a face counts, and in every cuboid it is in.
@@ -98,6 +99,8 @@ def count_points(
         trajectory: name of the ego's way, as for `Scene.samples`.
         listed: also list the points.
         margin: how far outside its faces a cuboid still has points [m].
+        activations: count cuboids whose activations name a lidar only while they are active for it, by its own
+            computed cuboids; False: by their paths alone, as to find activations anew.
         progress: told after each frame how many are done, and of how many.
 
     Raises:
@@ -117,7 +120,9 @@ def count_points(
     found: list[FrameCounts] = []
     total, done, unplaced = sum(len(lidar.frames) for lidar in chosen), 0, 0
     for lidar in chosen:
-        counter = _Counter(table, lidar, points_place(scene, lidar, ego), Moment(moment), margin, listed)
+        counter = _Counter(
+            table, lidar, points_place(scene, lidar, ego), Moment(moment), margin, listed, activations
+        )
         rows: list[_Row | None] = []
         for frame in lidar.frames:
             rows.append(counter.count(frame))
@@ -199,6 +204,18 @@ class _Counter:
     moment: Moment
     margin: float
     listed: bool
+    activations: bool
+
+    @property
+    def _asking(self) -> Identifier | None:
+        """The sensor by whose activations boxes are there; None for none."""
+        return self.lidar.id if self.activations else None
+
+    def _find(self, frame: LidarFrame, time_ns: int) -> tuple[Int64Array, Boxes]:
+        """The boxes at a time that are active at any time of a frame."""
+        times = frame.points.timestamps_ns
+        last_ns = frame.timestamp_ns if times is None or not len(times) else int(times.max())
+        return self.table.find(time_ns, sensor_id=self._asking, window_ns=(frame.timestamp_ns, last_ns))
 
     def count(self, frame: LidarFrame) -> _Row | None:
         """Count in one frame; None where it is not known where its points are."""
@@ -210,7 +227,7 @@ class _Counter:
 
     def _at_frame(self, frame: LidarFrame) -> _Row | None:
         """Take the boxes into the frame of the points: there are fewer of them."""
-        there, boxes = self.table.find(frame.timestamp_ns)
+        there, boxes = self._find(frame, frame.timestamp_ns)
         pose = self.place.at(np.array([frame.timestamp_ns], np.int64))
         position, turn = pose.positions[0], pose.quaternions_xyzw[0]
         if not np.isfinite(position).all():
@@ -234,8 +251,8 @@ class _Counter:
         first, last = int(measured.min()), int(measured.max())
         count = min(max(-(-(last - first) // _KNOT_NS) + 1, 2), _MOST_KNOTS)
         knots = np.rint(np.linspace(first, last, count)).astype(np.int64)
-        there, _ = self.table.find(int(np.median(measured)))
-        boxes = [self.table.placed(there, int(knot)) for knot in knots]
+        there, _ = self._find(frame, int(np.median(measured)))
+        boxes = [self.table.placed(there, int(knot), sensor_id=self._asking) for knot in knots]
         places = (measured - first) * ((count - 1) / max(last - first, 1))
         return self._row(there, _Moving.of(boxes, places, self.margin), positions)
 

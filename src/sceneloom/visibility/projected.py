@@ -95,7 +95,8 @@ def project_cuboids(
         see_through: labels of what fills little of its box and shall hide nothing, such as trees.
         lidar: id of a lidar whose points are asked, too: an attribute `occlusion_by_points` tells which share of its
             points before and on a cuboid, as the camera sees it, lie before. They know of walls and trees without one.
-        activations: also tell when each camera sees it.
+        activations: find anew when each camera sees it, by the paths; else only what is active for a camera is seen
+            by it, by its own computed cuboids.
         progress: told after each picture how many are done, and of how many.
 
     Raises:
@@ -120,7 +121,7 @@ def project_cuboids(
     if lost and (not placed or cameras != ALL):
         raise PoseError(places[lost[0].id].problem)
     table, views, done = BoxTable(scene), [], 0
-    look = _Look(table, frozenset(see_through), min_pixels, swept)
+    look = _Look(table, frozenset(see_through), min_pixels, swept, anew=activations)
     total = sum(len(camera.pictures) for camera, _ in placed)
     for camera, source in placed:
         view = _View(camera.id, camera.pictures.timestamps_ns, {}, _unplaced(camera, source))
@@ -150,6 +151,11 @@ class _Look:
     see_through: Collection[str | None]
     min_pixels: float
     swept: SweptPoints | None
+    anew: bool
+
+    def asking(self, camera: CameraSensor) -> Identifier | None:
+        """The sensor by whose activations cuboids are there; None where activations are found anew."""
+        return None if self.anew else camera.id
 
     def through(
         self, camera: CameraSensor, source: PoseSource
@@ -160,7 +166,7 @@ class _Look:
             picture = camera.pictures[k]
             place = source.mounted(picture.mount)
             pose = place.at(np.array([time_ns], np.int64))
-            rows, boxes = self.table.find(time_ns)
+            rows, boxes = self.table.find(time_ns, sensor_id=self.asking(camera))
             if not np.isfinite(pose.positions).all():
                 yield k, None, rows
                 continue
@@ -171,15 +177,19 @@ class _Look:
                 hides=np.array([label not in self.see_through for label in boxes.labels], np.bool_),
                 min_pixels=self.min_pixels,
                 points_world=None if self.swept is None else self.swept.at(time_ns),
-                rolling=self._rolling(shutter, time_ns, place, rows),
+                rolling=self._rolling(shutter, time_ns, place, rows, self.asking(camera)),
             )
             yield k, sights, rows
 
-    def _rolling(self, shutter: Shutter, time_ns: int, place: PoseSource, rows: Int64Array) -> Rolling | None:
+    def _rolling(
+        self, shutter: Shutter, time_ns: int, place: PoseSource, rows: Int64Array, asking: Identifier | None
+    ) -> Rolling | None:
         """What moved while a picture was taken; None where nothing did, or all lines were taken at once."""
         if shutter.seconds == 0.0 or len(rows) == 0:
             return None
-        first, last = (self.table.placed(rows, end) for end in shutter.knots_ns(time_ns, 2).tolist())
+        first, last = (
+            self.table.placed(rows, end, sensor_id=asking) for end in shutter.knots_ns(time_ns, 2).tolist()
+        )
         drifts = last.corners_world - first.corners_world
         way = ShutterWay.of(shutter, time_ns, place)
         if way is None and not (np.abs(drifts) > _STANDS).any():
@@ -215,7 +225,15 @@ class _Writer:
         seeing = [view for view in self.views if row in view.sightings]
         ids = [view.camera_id for view in self.views]
         keys = {key_of(camera_id) for camera_id in ids}
-        rows = [cuboid_at(annotation, view.timestamps_ns, angles=self.table.angles) for view in seeing]
+        rows = [
+            cuboid_at(
+                annotation,
+                view.timestamps_ns,
+                angles=self.table.angles,
+                sensor_id=None if self.activations else view.camera_id,
+            )
+            for view in seeing
+        ]
         projections = [
             self._projection(annotation, row, view, *placed)
             for view, placed in zip(seeing, rows, strict=True)

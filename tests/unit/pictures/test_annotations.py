@@ -20,6 +20,7 @@ from sceneloom.pictures.annotations.figures import colour_of
 from sceneloom.scene import (
     AttributePath,
     CameraCalibration,
+    Corrections,
     EventAnnotation,
     LazyFrames,
     LocalizationAdjustment,
@@ -52,7 +53,7 @@ def scene(drive):
 
 @pytest.fixture(scope="module")
 def sample(scene):
-    return scene.samples()[1]
+    return replace(scene, corrections=Corrections.IGNORE).samples()[1]  # pictures are drawn of it as it is
 
 
 def only(scene, annotation_type):

@@ -62,6 +62,7 @@ def count(
             trajectory=chosen_way(scene, trajectory, heading),
             listed=labeled_points,
             margin=margin,
+            activations=not activations,
         )
         details.update(_told(counts))
         counted = with_counts(scene, counts)

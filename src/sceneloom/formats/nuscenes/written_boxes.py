@@ -46,7 +46,9 @@ class Boxes:
         cuboids = tuple(a for a in scene.annotations if isinstance(a, CuboidAnnotation))
         angles = CuboidAngles.of(scene)
         times = samples.timestamps_ns
-        poses = tuple(cuboid_poses(cuboid, times, angles=angles) for cuboid in cuboids)
+        # a box there is one of the sample's sweep: as the lidar sees it
+        lidar_id = scene.lidars[0].id if scene.lidars else None
+        poses = tuple(cuboid_poses(cuboid, times, angles=angles, sensor_id=lidar_id) for cuboid in cuboids)
         shape = (len(cuboids), len(times))
         return cls(cuboids, poses, {name: np.zeros(shape, np.int64) for name in _COUNTS})
 
@@ -175,6 +177,7 @@ def _tell_losses(
     cuboid: CuboidAnnotation, samples: Samples, there: Sequence[int], losses: FrameLosses
 ) -> None:
     place = "annotations.cuboid"
+    losses.add(f"{place}.activations", "when each sensor sees a cuboid is left out", len(cuboid.activations))
     if not there:
         losses.add(place, "cuboids that are at no sample are left out", 1)
         return

@@ -81,7 +81,7 @@ def _draw_over(scene: Scene, sample: Sample, plot: Canvas, layout: MapLayout) ->
         draw_marks(plot, layout.pixels(positions), colour, _MARK_PX)
     for figure in relations_in_world(scene, sample.timestamp_ns):
         names += draw_figure(plot, on_map(figure, layout), thickness=1)
-    for _, figure in figures_in_world(scene, sample.timestamp_ns):
+    for _, figure in figures_in_world(scene, sample.timestamp_ns, sensor_id=sample.reference_id):
         names += draw_figure(plot, on_map(figure, layout), thickness=2)
     write_names(plot, names)
 

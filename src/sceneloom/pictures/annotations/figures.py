@@ -22,7 +22,7 @@ from sceneloom.scene import (
     ShapeType,
 )
 from sceneloom.scene.angles import CuboidAngles
-from sceneloom.scene.at import attribute_at, box_2d_at, cuboid_poses, points_at, shape_at
+from sceneloom.scene.at import active_at, attribute_at, box_2d_at, cuboid_poses, points_at, shape_at
 
 PALETTE: tuple[Colour, ...] = (
     (255, 122, 69), (82, 196, 255), (138, 226, 52), (255, 206, 84), (214, 137, 255), (64, 224, 190),
@@ -72,12 +72,17 @@ def name_of(annotation: Annotation, timestamp_ns: int) -> str:
     return " · ".join([str(getattr(annotation, "label", None) or annotation.id), *said[:2]])
 
 
-def figures_in_world(scene: Scene, timestamp_ns: int) -> Iterator[tuple[Annotation, Figure]]:
-    """Give what has a place in the world at a time [ns]."""
+def figures_in_world(
+    scene: Scene, timestamp_ns: int, *, sensor_id: Identifier | None = None
+) -> Iterator[tuple[Annotation, Figure]]:
+    """Give what has a place in the world at a time [ns]; cuboids as a sensor sees them, where one is named."""
     angles = CuboidAngles.of(scene)
     for annotation in scene.annotations:
         draw = _IN_WORLD.get(_key(annotation))
-        figure = None if draw is None else draw(annotation, timestamp_ns, angles)
+        if isinstance(annotation, CuboidAnnotation):
+            figure = _cuboid(annotation, timestamp_ns, angles, sensor_id)
+        else:
+            figure = None if draw is None else draw(annotation, timestamp_ns, angles)
         if figure is not None:
             yield annotation, figure
 
@@ -103,8 +108,13 @@ def _value_text(value: Any) -> str:
     return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 
-def _cuboid(annotation: CuboidAnnotation, timestamp_ns: int, angles: CuboidAngles) -> Figure | None:
-    poses = cuboid_poses(annotation, [timestamp_ns], angles=angles)
+def _cuboid(
+    annotation: CuboidAnnotation,
+    timestamp_ns: int,
+    angles: CuboidAngles,
+    sensor_id: Identifier | None = None,
+) -> Figure | None:
+    poses = cuboid_poses(annotation, [timestamp_ns], angles=angles, sensor_id=sensor_id)
     if not poses.there[0]:
         return None
     corners = box_corners(poses.centers_world[0], poses.sizes_lwh[0], poses.quaternions_xyzw[0])
@@ -163,6 +173,8 @@ def _box_in_picture(annotation: Box2DAnnotation, sensor_id: Identifier, timestam
 def _projected_cuboid(
     annotation: CuboidAnnotation, sensor_id: Identifier, timestamp_ns: int
 ) -> Figure | None:
+    if not active_at(annotation, sensor_id, [timestamp_ns])[0]:
+        return None
     for projection in annotation.projections:
         row = _nearest_row(projection.timestamps_ns, timestamp_ns)
         if same_id(projection.sensor_id, sensor_id) and row is not None and projection.boxes is not None:

@@ -50,7 +50,7 @@ def draw_annotations_in_picture(
         camera_from_world = world_from_camera.inverse()
         for positions, colour in labelled_places(scene, sample):
             labelled += draw_marks(canvas, _pixels(camera, camera_from_world, positions), colour, 1.5) > 0
-        for _, figure in figures_in_world(scene, timestamp_ns):
+        for _, figure in figures_in_world(scene, timestamp_ns, sensor_id=camera_id):
             names += draw_figure(canvas, through_lens(figure, camera, camera_from_world), thickness=2)
     for _, figure in figures_in_picture(scene, camera_id, timestamp_ns):
         names += draw_figure(canvas, figure, thickness=1)

@@ -1,6 +1,7 @@
 """All pictures of a scene's annotations, as files in a folder."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from sceneloom.pictures.annotations.by_type import Drawing, drawings_by_type
 from sceneloom.pictures.annotations.in_picture import draw_annotations_in_picture
 from sceneloom.pictures.annotations.timeline import draw_timeline
 from sceneloom.pictures.sheets import save_picture
-from sceneloom.scene import Scene
+from sceneloom.scene import Corrections, Scene
 from sceneloom.scene.sample import Sample
 from sceneloom.scene.span import frame_times, time_span
 
@@ -40,9 +41,14 @@ def save_annotation_pictures(
         OutputError: the folder has something in it and `overwrite` is not said, or it cannot be written.
         DataError: a sweep or picture cannot be read.
     """
-    scene = scene.corrected()
+    corrected, pending = scene.corrected(), scene.pending_corrections
+    given = replace(scene, annotations=pending, corrections=Corrections.IGNORE)
     with filling(folder, overwrite=overwrite) as drafts:
-        drawings = list(_drawings(scene, at))
+        drawings = list(_drawings(corrected, at))
+        if len(corrected.pending_corrections) < len(
+            pending
+        ):  # what they change is seen before they are applied
+            drawings += [drawing for drawing in _drawings(given, at) if drawing[0].startswith("type_")]
         for name, draw in drawings:
             save_picture(draw(), drafts / f"{name}.png")
     return [folder / f"{name}.png" for name, _ in drawings]

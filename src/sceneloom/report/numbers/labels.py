@@ -175,7 +175,7 @@ def _has_sweeps(scene: Scene) -> bool:
 
 
 def _add(looks: _Looks, table: BoxTable, sample: Sample) -> None:
-    there, boxes = table.find(sample.timestamp_ns)
+    there, boxes = table.find(sample.timestamp_ns, sensor_id=sample.reference_id)
     looks.moments += 1
     if len(there) == 0:
         return
@@ -187,9 +187,10 @@ def _add(looks: _Looks, table: BoxTable, sample: Sample) -> None:
     for camera_id, world_from_camera in sample.world_from_camera.items():
         if world_from_camera is None or sample.pictures.get(camera_id) is None:
             continue
-        found = sight(sample.cameras[camera_id], world_from_camera, boxes, min_pixels=4.0)
-        seen[found.rows] = True
-        looks.hidden_rows += there[found.rows].tolist()
+        rows, shown = table.find(sample.times_ns[camera_id], sensor_id=camera_id)
+        found = sight(sample.cameras[camera_id], world_from_camera, shown, min_pixels=4.0)
+        seen[np.isin(there, rows[found.rows])] = True
+        looks.hidden_rows += rows[found.rows].tolist()
         looks.hidden += found.occlusions.tolist()
     looks.rows += there.tolist()
     looks.ranges += ranges.tolist()

@@ -191,7 +191,7 @@ def _seen_by_sensors(
             )
     if settings.points and scene.lidars:
         try:
-            counts = count_points(scene, moment="points", trajectory=ego)
+            counts = count_points(scene, moment="points", trajectory=ego, activations=False)
             scene = with_activations(with_counts(scene, counts), counts)
         except PoseError as error:
             notices.append(skipped("labels-not-counted", "annotations", f"points were not counted: {error}"))

@@ -1,7 +1,7 @@
 """All annotations of a scene as layers, each logged at the moments that it is about."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,12 +15,14 @@ from sceneloom.scene import (
     LinkAnnotation,
     PointPath,
     PointsAnnotation,
+    Projection,
     Scene,
     ShapeAnnotation,
     VertexPath,
 )
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations_frame import annotations_frame
+from sceneloom.scene.at import active_at
 from sceneloom.scene.types import Coordinates, key_of
 from sceneloom.view.annotations.cuboids import CuboidLayer, show_standing, stands
 from sceneloom.view.annotations.in_pictures import (
@@ -201,7 +203,7 @@ class _Maker:
         for label in dict.fromkeys(label_of(one) for one, _ in pairs):
             alike = [(one, entry) for one, entry in pairs if label_of(one) == label]
             group = self._group(f"{base}/projections", label, [one for one, _ in alike])
-            yield ProjectionLayer(group, tuple(entry for _, entry in alike))
+            yield ProjectionLayer(group, tuple(_active(one, entry) for one, entry in alike))
         named = [
             (one, k, entry)
             for one in self._scene.annotations
@@ -224,3 +226,11 @@ def _part(label: str) -> str:
     from sceneloom.view.stream import escaped
 
     return escaped(label)
+
+
+def _active(annotation: CuboidAnnotation, entry: Projection) -> Projection:
+    """Of a projection only what is active for its camera."""
+    if entry.boxes is None:
+        return entry
+    there = active_at(annotation, entry.sensor_id, entry.timestamps_ns)
+    return entry if there.all() else replace(entry, boxes=np.where(there[:, None], entry.boxes, np.nan))

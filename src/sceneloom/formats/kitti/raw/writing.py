@@ -227,7 +227,10 @@ def _write_tracklets(choice: Choice, times: Int64Array, folder: Path) -> list[Lo
     if not any(isinstance(annotation, CuboidAnnotation) for annotation in choice.scene.annotations):
         return []
     tracklets, losses = tracklets_of(
-        choice.scene, times, lambda stamps: [ego @ choice.ego_from_lidar for ego in egos_at(choice, stamps)]
+        choice.scene,
+        times,
+        None if choice.lidar is None else choice.lidar.id,
+        lambda stamps: [ego @ choice.ego_from_lidar for ego in egos_at(choice, stamps)],
     )
     (folder / TRACKLETS).write_text(format_tracklets(tracklets), "utf-8", newline="\n")
     return losses

@@ -12,9 +12,9 @@ from sceneloom.formats.loss import Fate, Loss
 from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import matrix_from_quaternion
-from sceneloom.scene import CuboidAnnotation, Scene
+from sceneloom.scene import CuboidAnnotation, Identifier, Scene
 from sceneloom.scene.angles import CuboidAngles
-from sceneloom.scene.at import attribute_at, cuboid_poses
+from sceneloom.scene.at import activated, active_at, attribute_at, cuboid_poses
 
 _LABELLED = 2.0
 """The state of a pose that somebody labelled. Source: the development kit's tracklets.h."""
@@ -23,6 +23,7 @@ _LABELLED = 2.0
 def tracklets_of(
     scene: Scene,
     timestamps_ns: Int64Array,
+    lidar_id: Identifier | None,
     world_from_lidar_at: Callable[[Int64Array], Sequence[RigidTransform]],
 ) -> tuple[list[Tracklet], list[Loss]]:
     """Give the boxes of a scene by frame.
@@ -30,6 +31,7 @@ def tracklets_of(
     Args:
         scene: whose cuboids are taken.
         timestamps_ns: of the frames, (F,) int64 [ns].
+        lidar_id: by whose activations boxes are there, and by whose own computed cuboids.
         world_from_lidar_at: gives where the lidar was at some times.
 
     Returns:
@@ -42,6 +44,12 @@ def tracklets_of(
     boxes = [a for a in scene.annotations if isinstance(a, CuboidAnnotation)]
     for annotation in boxes:
         frames, times = _frames(annotation, timestamps_ns)
+        active = active_at(annotation, lidar_id, timestamps_ns[frames])
+        if not active.all():
+            what = "left out in frames in which it is not active for the lidar"
+            lost = int((~active).sum())
+            losses.append(Loss(field="annotations.cuboid.path.values", what=what, count=lost))
+            frames, times = frames[active], times[active]
         cuts = np.flatnonzero(np.diff(frames) > 1) + 1
         runs = list(zip(np.split(frames, cuts), np.split(times, cuts), strict=True)) if len(frames) else []
         if not runs:
@@ -54,7 +62,9 @@ def tracklets_of(
             losses.append(Loss(field="annotations.cuboid.id", what=what, fate=Fate.DROPPED))
         losses += _losses_of(annotation)
         for run, run_times in runs:
-            tracklet, error = _tracklet(annotation, run, run_times, world_from_lidar_at(run_times), angles)
+            tracklet, error = _tracklet(
+                annotation, run, run_times, world_from_lidar_at(run_times), angles, lidar_id
+            )
             found.append(tracklet)
             if error > 0:
                 what = "a tracklet has one size: that of its middle frame [m]"
@@ -95,9 +105,12 @@ def _tracklet(
     times: Int64Array,
     world_from_lidar: Sequence[RigidTransform],
     angles: CuboidAngles,
+    lidar_id: Identifier | None,
 ) -> tuple[Tracklet, float]:
     """A run of frames as a tracklet, and how far sizes are from the one that it has [m]."""
-    poses = cuboid_poses(annotation, times, angles=angles)
+    poses = activated(
+        annotation, lidar_id, times, cuboid_poses(annotation, times, angles=angles), angles=angles
+    )
     length, width, height = poses.sizes_lwh[len(frames) // 2].tolist()
     error = float(np.abs(poses.sizes_lwh - np.array([length, width, height])).max())
     rows = np.full((len(frames), len(POSE_FIELDS) + len(FURTHER_FIELDS)), -1.0)

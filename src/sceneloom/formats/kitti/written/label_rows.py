@@ -26,7 +26,7 @@ from sceneloom.scene import (
     Projection,
 )
 from sceneloom.scene.angles import CuboidAngles
-from sceneloom.scene.at import attribute_at, box_2d_at, cuboid_poses
+from sceneloom.scene.at import activated, active_at, attribute_at, box_2d_at, cuboid_poses
 from sceneloom.scene.types import key_of
 
 _NEAR = 0.1
@@ -137,8 +137,17 @@ class LabelRows:
             what = "left out: in no frame's picture"
             self.losses.append(Loss(field="annotations.cuboid", what=what))
             return
+        seeing = self._seeing
+        stamps = self._timeline.timestamps_ns if self._camera is None else self._stamps_ns
+        active = active_at(annotation, seeing, stamps[frames])
+        if not active.all():
+            what = "left out in frames in which it is not active for the sensor of the labels"
+            lost = int((~active).sum())
+            self.losses.append(Loss(field="annotations.cuboid.path.values", what=what, count=lost))
+            frames, told_boxes = frames[active], told_boxes[active]
         times = self._times_within(annotation, frames)
-        poses = cuboid_poses(annotation, times, angles=self._angles)
+        by_path = cuboid_poses(annotation, times, angles=self._angles)
+        poses = activated(annotation, seeing, times, by_path, angles=self._angles)
         attributes = {attribute.name: attribute for attribute in annotation.attributes}
         self._lose_rest(annotation, seen)
         before = len(self._rows.frames)
@@ -157,6 +166,13 @@ class LabelRows:
             space = self._space(center, poses.sizes_lwh[k], turn)
             self._add_row(annotation, frame, corners, attributes, space)
         self._tell_unseen(len(frames), len(self._rows.frames) - before)
+
+    @property
+    def _seeing(self) -> Identifier | None:
+        """The sensor by whose activations boxes are there: the camera of the labels, else the first lidar."""
+        if self._camera is not None:
+            return self._camera.id
+        return self._scene.lidars[0].id if self._scene.lidars else None
 
     def _tell_unseen(self, frames: int, rows: int) -> None:
         """Tell of frames that a box is in, but whose pictures do not show it: labels are of what is seen."""

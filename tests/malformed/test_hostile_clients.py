@@ -339,7 +339,7 @@ def is_a_fault(counter):
 
 def _options(rig, *, waits):
     # a mutant may ask to wait for ever
-    return {"timeout": 2 if waits else DEADLINE_S, "metadata": rig.metadata}
+    return {"timeout": 0.25 if waits else DEADLINE_S, "metadata": rig.metadata}
 
 
 class _Cancelled:

@@ -329,3 +329,31 @@ def test_a_scene_held_against_kittis_text_says_how_to_go_on(call, recording, tmp
     (tmp_path / "0000.txt").write_text("0 1 Car 0 0 0 10 10 50 50 1.5 1.6 4 1 1 10 0\n")
     outcome = call("eval", "tracking", tmp_path / "drive.sfs", tmp_path / "0000.txt")
     assert (outcome.code, "sceneloom convert SCENE OUT --to kitti-tracking" in outcome.err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("fuse", "{0}", "-o", "{1}", "--boxes3d", "{2}"),
+        ("track", "{0}", "-o", "{1}", "--boxes3d", "{2}"),
+        ("track", "{0}", "-o", "{1}", "--boxes2d", "{2}"),
+        ("colour", "{0}", "-o", "{1}", "--labels", "{2}"),
+        ("convert", "{0}", "{1}", "--from-times", "{2}"),
+        ("report", "{0}", "--quick", "-o", "{1}.html", "--losses", "{2}"),
+        ("report", "{0}", "--quick", "-o", "{1}.html", "--truth", "{2}"),
+        ("edit", "blur", "{0}", "-o", "{1}", "--boxes", "{2}"),
+        ("eval", "trajectory", "{0}", "{0}", "--est-times", "{2}"),
+        ("eval", "trajectory", "{0}", "{0}", "--ref-times", "{2}"),
+        ("calibrate", "{0}", "--boxes2d", "{2}"),
+        ("view", "{0}", "--save", "{1}.rrd", "--detections", "{2}"),
+        ("formats", "--template", "{1}.toml", "--from", "{2}"),
+    ],
+    ids=" ".join,
+)
+def test_an_input_that_is_named_has_to_be_there_and_is_used(call, recording, tmp_path, words):
+    outcome = call(
+        *(word.format(recording, tmp_path / "out.sfs", tmp_path / "nothere.tum") for word in words)
+    )
+    assert outcome.code in {1, 2}, outcome.out
+    assert "nothere" in outcome.err or words[-2] in outcome.err
+    assert list(tmp_path.iterdir()) == []

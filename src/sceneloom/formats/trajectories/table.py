@@ -82,6 +82,10 @@ def read_trajectory_file(
     chosen = _form_named(form) if form is not None else find_form(where)
     if form is None and chosen is jsonl.FORM and is_scene_name(reading.name):
         chosen = None
+    if times is not None and (chosen is None or chosen.name != "kitti"):
+        raise OptionError(
+            f"{where}: has its own times; those of {times} would not be used, and are for KITTI's poses"
+        )
     if chosen is None:
         scene_form, place = format_and_place(where, format=form)
         options = {**options, **({"lenient": True} if lenient else {})}

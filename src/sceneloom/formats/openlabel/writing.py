@@ -227,6 +227,14 @@ class _Writer:
         if held is not None and not len(held.timestamps_ns):
             what = "it has no place at any time: read back as an object without one"
             self.losses.append(Loss(field=f"annotations[{annotation.id}]", what=what))
+        if isinstance(annotation, CuboidAnnotation) and len(annotation.path.timestamps_ns) > 1:
+            times = annotation.path.timestamps_ns
+            inside = (self.draft.times >= times.min()) & (self.draft.times <= times.max())
+            between = int(inside.sum()) - int(np.isin(self.draft.times, times).sum())
+            if between:
+                what = "written at key frames: frames between them have no box of the object"
+                field = f"annotations[{annotation.id}].path.values"
+                self.losses.append(Loss(field=field, what=what, count=between, fate=Fate.APPROXIMATED))
         for name in _SEEN:
             count = len(getattr(annotation, name, ()))
             if count:

@@ -125,8 +125,8 @@ def cut_poses(path: PosePath, part: Interval, margin_ns: int) -> PosePath:
 
 def _cut_attribute(attribute: AttributePath, part: Interval) -> AttributePath | None:
     times = attribute.timestamps_ns
-    if times is None or not attribute.is_timed or not _increase(times):
-        return attribute
+    if times is None or not len(times) or not attribute.is_timed or not _increase(times):
+        return attribute  # without times it holds at all of them, or is at fault: a part keeps it
     inner = rows_between(times, part)
     rows = slice(max(int(np.searchsorted(times, part[0], "right")) - 1, 0), inner.stop)
     if rows.start >= rows.stop:

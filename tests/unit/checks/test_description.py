@@ -204,3 +204,22 @@ def test_one_bad_sensor_is_told_once_and_not_by_all_that_name_it(file):
     said = [message for _, message in found(path)]
     assert not [message for message in said if "is no sensor" in message or "is no annotation" in message]
     assert "sensors[1].intrinsics.fx" in [place for place, _ in found(path, "fields-valid")]
+
+
+def test_a_part_keeps_attributes_without_times_and_points_that_no_camera_sees(tmp_path, file):
+    empty = {"name": "colour", "timestamps": [], "values": []}
+    point = {"sensor_id": "top", "timestamps": [0], "points": [[1, 2]]}
+    keypoints = {
+        "id": "k",
+        "type": "points",
+        "stationary": True,
+        "attributes": [empty],
+        "paths": [{"timestamps": [0], "values": [[1, 2, 3]]}] * 2,
+        "projections": [[], [point]],
+    }
+    path = file(scene(keypoints, attributes=[empty]))
+    sceneloom.convert(path, tmp_path / "whole.sfs")
+    with sceneloom.open(path) as opened:
+        part = sceneloom.crop_scene(opened, stop=0.5)
+        assert [attribute.name for attribute in part.attributes] == ["colour"]
+        assert [attribute.name for attribute in part.annotations[0].attributes] == ["colour"]

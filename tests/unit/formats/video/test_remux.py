@@ -75,7 +75,7 @@ def test_a_copy_is_decodable_in_time_and_starts_at_zero(videos, kind):
 
 def test_real_recordings_with_b_frames_and_missing_decoding_times_are_copied(data_dir, videos, tmp_path):
     paths = sorted((data_dir / "recordings").glob("*/data*.mkv"))
-    assert len(paths) == 4
+    assert len(paths) >= 4
     for path in paths:
         target = io.BytesIO()
         assert remux_to_mp4(lambda path=path: path.open("rb"), target).copied

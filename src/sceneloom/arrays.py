@@ -105,7 +105,7 @@ def as_array(name: str, value: Any, shape: Sequence[int | None], dtype: DTypeLik
     if isinstance(value, np.ndarray) and value.dtype == dtype:
         return value
     wanted, expected = np.dtype(dtype), _expected(shape, dtype)
-    if not isinstance(value, np.ndarray | list | tuple):
+    if not isinstance(value, np.ndarray | list | tuple | range):
         raise ArrayError(f"{name}: a {type(value).__name__}; {expected}")
     try:
         found = np.asarray(value)

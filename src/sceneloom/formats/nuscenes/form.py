@@ -25,7 +25,7 @@ FORMAT = FolderFormat(
     drives=scene_names,
     reading_options=("lenient", "sequence", "keyframes"),
     writer=write_nuscenes,
-    writing_options=("version", "keyframe_rate_hz", "pictures"),
+    writing_options=("version", "keyframe_rate_hz", "pictures", "channel"),
     holds=HOLDS,
 )
 """The nuScenes schema as one of the formats."""

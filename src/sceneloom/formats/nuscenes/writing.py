@@ -18,6 +18,7 @@ from sceneloom.formats.nuscenes.tables import TABLES
 from sceneloom.formats.nuscenes.writing_plan import (
     Channel,
     WritingPlan,
+    channels_of,
     differences_us,
     is_version,
     sensor_key,
@@ -62,6 +63,7 @@ def write_nuscenes(
     version: str | None = None,
     keyframe_rate_hz: float | str | None = None,
     pictures: str = "copy",
+    channel: str | None = None,
 ) -> LossReport:
     """Write a scene as a data set; frames are read, written and let go one by one.
 
@@ -72,6 +74,7 @@ def write_nuscenes(
         version: name of the folder of tables; None: that which the scene was read from, else `v1.0-sceneloom`.
         keyframe_rate_hz: samples a second; None: those that the scene was read with, else two a second.
         pictures: "copy" copies JPEG and PNG files, and writes others as JPEG; "png" writes them as PNG.
+        channel: channels of sensors whose id is not to be it, as `lidar=LIDAR_TOP,camera0=CAM_FRONT`.
 
     Returns:
         What the tables could not hold.
@@ -87,7 +90,7 @@ def write_nuscenes(
     if version is not None and not is_version(version):
         raise OptionError(f"version {version!r}; expected a name such as v1.0-mini")
     rate_hz = None if keyframe_rate_hz is None else as_positive("keyframe_rate_hz", keyframe_rate_hz)
-    plan = WritingPlan.of(scene, path, version, rate_hz)
+    plan = WritingPlan.of(scene, path, version, rate_hz, channels_of(scene, channel))
     with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
         losses = _Writer(plan, draft, pictures).write()
     return LossReport.of([*plan.losses, *losses])

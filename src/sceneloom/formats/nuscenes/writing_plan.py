@@ -9,6 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.editing.undistortion import undistort_scene
+from sceneloom.errors import OptionError
 from sceneloom.formats.field_losses import field_losses
 from sceneloom.formats.file_names import file_stems
 from sceneloom.formats.kitti.written.choice import ego_way
@@ -81,7 +82,14 @@ class WritingPlan:
     losses: list[Loss] = field(default_factory=list)
 
     @classmethod
-    def of(cls, scene: Scene, path: Path, version: str | None, rate_hz: float | None) -> "WritingPlan":
+    def of(
+        cls,
+        scene: Scene,
+        path: Path,
+        version: str | None,
+        rate_hz: float | None,
+        channels: Mapping[str, str],
+    ) -> "WritingPlan":
         """Look through a scene.
 
         Raises:
@@ -99,7 +107,7 @@ class WritingPlan:
         if len(scene.trajectories) > 1:
             what = "left out: the tables hold one way of the ego"
             losses.append(Loss(field="trajectories", what=what, count=len(scene.trajectories) - 1))
-        channels = _channels(scene, way, losses)
+        channels = _channels(scene, way, losses, channels)
         losses += _lost_poses(scene, channels)
         about = _about(scene, path)
         samples = choose_samples(
@@ -158,7 +166,28 @@ def _with_pinholes(scene: Scene, losses: list[Loss]) -> Scene:
     return undistort_scene(scene, cameras=[camera.id for camera in bent])
 
 
-def _channels(scene: Scene, way: PosePath | None, losses: list[Loss]) -> tuple[Channel, ...]:
+def channels_of(scene: Scene, said: str | None) -> Mapping[str, str]:
+    """Read what channels sensors are to have, as `lidar=LIDAR_TOP,camera0=CAM_FRONT`.
+
+    Raises:
+        OptionError: it is not of that form, or the scene has no such sensor.
+    """
+    found: dict[str, str] = {}
+    known = [str(sensor.id) for sensor in scene.sensors if isinstance(sensor, tuple(_MODALITIES))]
+    for pair in said.split(",") if said else ():
+        sensor, _, name = (part.strip() for part in pair.partition("="))
+        if not name or sensor not in known:
+            raise OptionError(
+                f"channel {pair!r}; expected SENSOR=CHANNEL, such as lidar=LIDAR_TOP, with a sensor out of "
+                f"{', '.join(known) or 'none'}"
+            )
+        found[sensor] = name
+    return found
+
+
+def _channels(
+    scene: Scene, way: PosePath | None, losses: list[Loss], channels: Mapping[str, str]
+) -> tuple[Channel, ...]:
     kinds: tuple[type[Any], ...] = tuple(_MODALITIES)
     found: list[Any] = [sensor for kind in kinds for sensor in scene.sensors if isinstance(sensor, kind)]
     losses += [
@@ -167,7 +196,12 @@ def _channels(scene: Scene, way: PosePath | None, losses: list[Loss]) -> tuple[C
         if not len(stamps_of(sensor))
     ]
     framed = [sensor for sensor in found if len(stamps_of(sensor))]
-    names = _unique([str(sensor.id) for sensor in framed])
+    names = _unique([channels.get(str(sensor.id), str(sensor.id)) for sensor in framed])
+    losses += [
+        Loss(field=f"{KINDS[type(one)]}.id", what=f"{one.id!r} becomes channel {name!r}", fate=Fate.CONVERTED)
+        for one, name in zip(framed, names, strict=True)
+        if str(one.id) in channels
+    ]
     folders = file_stems(names)
     return tuple(
         Channel(name, folder, sensor, _mount(sensor, way, losses))

@@ -88,7 +88,7 @@ class WritingPlan:
         path: Path,
         version: str | None,
         rate_hz: float | None,
-        channels: Mapping[str, str],
+        names: Mapping[str, str],
     ) -> "WritingPlan":
         """Look through a scene.
 
@@ -107,7 +107,7 @@ class WritingPlan:
         if len(scene.trajectories) > 1:
             what = "left out: the tables hold one way of the ego"
             losses.append(Loss(field="trajectories", what=what, count=len(scene.trajectories) - 1))
-        channels = _channels(scene, way, losses, channels)
+        channels = _channels(scene, way, losses, names)
         losses += _lost_poses(scene, channels)
         about = _about(scene, path)
         samples = choose_samples(

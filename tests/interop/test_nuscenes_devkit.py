@@ -20,11 +20,14 @@ from sceneloom.scene.at import cuboid_poses
 
 PROGRAM = """
 import json, sys
+import matplotlib
+matplotlib.use("Agg")
 import numpy as np
 from nuscenes.nuscenes import NuScenes
 from nuscenes.utils.data_classes import LidarPointCloud, RadarPointCloud
 root, version = sys.argv[1:]
 kit = NuScenes(version=version, dataroot=root, verbose=False)
+kit.colormap = {row["name"]: (0, 0, 230) for row in kit.category}
 told = []
 for sample in kit.sample:
     frames = {}
@@ -47,6 +50,8 @@ for sample in kit.sample:
         else:
             frame["points"] = RadarPointCloud.from_file(path).points.T[:, :4].tolist()
         frames[channel] = frame
+        kit.render_sample_data(token, verbose=False, out_path=root + "/drawn.png")
+    kit.render_sample(sample["token"], verbose=False, out_path=root + "/drawn.png")
     told.append(frames)
 classes = {}
 if hasattr(kit, "lidarseg"):
@@ -136,5 +141,5 @@ def test_the_kit_reads_drives_that_have_nothing_of_nuscenes(nuscenes_python, dat
     scene = sceneloom.open(data_dir / "real" / "argoverse2", one_lidar=True)
     sceneloom.write(scene, tmp_path / "b", format="nuscenes", version="v1.0-test")
     (frames,) = told_by_kit(nuscenes_python, tmp_path / "b", "v1.0-test")["samples"]
-    assert len(frames["lidar"]["points"]) == len(scene.lidars[0].frames[0].points)
-    assert len(frames["lidar"]["world"]) == 81
+    assert len(frames["LIDAR_TOP"]["points"]) == len(scene.lidars[0].frames[0].points)
+    assert len(frames["LIDAR_TOP"]["world"]) == 81

@@ -280,7 +280,7 @@ def samples(columns, offset):
     return VectorSamples(TIMES.copy(), values, SECONDS.copy())
 
 
-def motion_sensors():
+def motion_sensors(odd):
     streams = {
         "accelerometer": samples(3, 9.0),
         "gyroscope": samples(3, 0.1),
@@ -302,7 +302,7 @@ def motion_sensors():
         {"receiver": "u-blox"},
     )
     return (
-        OdometrySensor("odometer", path(1.0), "imu_box", {"wheel": "rear"}),
+        OdometrySensor("odometer", path(0.0 if odd else 1.0), "imu_box", {"wheel": "rear"}),
         ImuSensor("imu_box", streams, "top", {"temperature_drift": 0.1}),
         gnss,
     )
@@ -428,7 +428,7 @@ def planted_scene(*, odd, corrections=True):
                 "map", RANDOM_POINTS[0], np.full((POINTS, 3), 9, np.uint8), "odometer", {"tile": "A7"}
             ),
             depth_camera(odd),
-            *motion_sensors(),
+            *motion_sensors(odd),
             PlainSensor("thermometer", "temperature", {"unit": "K", "readings": [290, 291]}),
         ),
         annotations=tuple(

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -104,9 +103,11 @@ def same(one, other) -> bool:
 
 
 def written(name: str, odd: bool, folder: Path) -> tuple[Path, LossReport, Counting, Scene]:
-    """Write the drive: to a folder where a file cannot hold it, without corrections where they have to be applied."""
+    """Write the drive: to a folder where a file cannot hold it, with corrections where they have a place."""
     form, suffix = format_named(name), next(iter(format_named(name).suffixes), "")
-    for place, corrections in product((folder / f"drive{suffix}", folder / "drive"), (True, False)):
+    # what is written in other formats is corrected before, as `write_in` does
+    corrections = getattr(form, "holds_corrections", False)
+    for place in (folder / f"drive{suffix}", folder / "drive"):
         drive = scene(odd, corrections)
         counting = Counting(drive)
         try:

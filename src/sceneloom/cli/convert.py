@@ -58,6 +58,13 @@ _OWN = ("source", "target", "to", "trajectory", "strict", "loss", "overwrite", "
     metavar="NAME=VALUE",
     help="An option of TARGET's format, such as `frame=world` of clouds; each format's page lists its own.",
 )
+@click.option(
+    "--channel",
+    multiple=True,
+    metavar="SENSOR=CHANNEL",
+    help="The channel of a sensor in nuScenes, such as `lidar=LIDAR_TOP`; repeatable. [default: those that its "
+    "development kit knows, else the sensors' ids]",
+)
 @click.option("--to-optical", is_flag=True, help="Write poses as a camera's: z forward, y down.")
 @click.option(
     "--origin",
@@ -82,6 +89,7 @@ def convert(
     strict: bool,
     loss: Path | None,
     settings: tuple[str, ...],
+    channel: tuple[str, ...],
     to_optical: bool,
     origin_lla: tuple[float, float, float] | None,
     as_json: bool,
@@ -99,7 +107,12 @@ def convert(
     from sceneloom.stages import timed
 
     chosen = options.said(
-        profile=profile, time_unit=time_unit, pictures=pictures, optical=to_optical, origin_lla=origin_lla
+        profile=profile,
+        time_unit=time_unit,
+        pictures=pictures,
+        channel=channel or None,
+        optical=to_optical,
+        origin_lla=origin_lla,
     )
     further = options.settings("--set", settings)
     for name in sorted({*_OWN, *chosen} & further.keys()):

@@ -47,7 +47,7 @@ def build_labelled_points(tables: SceneTables, ledger: Ledger) -> tuple[LabeledP
             except DataError as error:
                 ledger.fault("labels", error)
             else:
-                _add(found, labels, data.sensor.channel, k)
+                _add(found, labels, data.sensor.id, k)
     return tuple(
         LabeledPointsAnnotation(
             id=f"{ID_PREFIX}{categories[index].name}",
@@ -85,7 +85,7 @@ def _points_in(cloud: Path) -> int:
         raise DataError(cloud, "", f"cannot be read: {error.strerror or error}") from error
 
 
-def _add(found: dict[int, list[LabeledPoints]], labels: UInt8Array, sensor_id: str, k: int) -> None:
+def _add(found: dict[int, list[LabeledPoints]], labels: UInt8Array, sensor_id: str | int, k: int) -> None:
     """Cut the points of one sweep into those of each class."""
     order = np.argsort(labels, kind="stable").astype(np.uint32)
     classes, starts = np.unique(labels[order], return_index=True)

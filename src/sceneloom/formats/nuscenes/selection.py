@@ -18,6 +18,7 @@ from sceneloom.formats.nuscenes.tables import (
     SensorRow,
     iter_rows,
 )
+from sceneloom.scene.types import key_of
 
 _MOST_NAMES = 20
 
@@ -166,6 +167,9 @@ def _sensors(
         sensor = _followed(place, row, poses, calibrations, sensors, ledger)
         if sensor is not None and _is_there(place, row, ledger):
             by_channel.setdefault(sensor.token, []).append(row)
+    if len({key_of(sensors[token].id) for token in by_channel}) < len(by_channel):
+        for sensor in sensors.values():
+            sensor.sensor_id = None
     return tuple(
         SensorData(
             sensors[token],
@@ -230,4 +234,4 @@ _KINDS = ("lidar", "radar", "camera")
 
 def _order(sensor: SensorRow) -> tuple[int, str]:
     """Lidars first, then radars, then cameras; of other kinds there is nothing to read."""
-    return (_KINDS.index(sensor.modality) if sensor.modality in _KINDS else len(_KINDS)), sensor.channel
+    return (_KINDS.index(sensor.modality) if sensor.modality in _KINDS else len(_KINDS)), str(sensor.id)

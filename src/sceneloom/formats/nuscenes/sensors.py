@@ -151,7 +151,7 @@ def _poses(tables: SceneTables, data: SensorData, mounts: Mapping[str, RigidTran
 def _build_lidar(tables: SceneTables, data: SensorData) -> Sensor:
     mounts, files = _mounts(tables, data), _files(tables, data)
     return LidarSensor(
-        id=data.sensor.channel,
+        id=data.sensor.id,
         frames=LazyFrames(files.timestamps_ns, SweepFiles(files)),
         poses=_poses(tables, data, mounts),
         mount=mounts[data.calibrations[0].token],
@@ -162,7 +162,7 @@ def _build_lidar(tables: SceneTables, data: SensorData) -> Sensor:
 def _build_radar(tables: SceneTables, data: SensorData) -> Sensor:
     mounts, files = _mounts(tables, data), _files(tables, data)
     return RadarSensor(
-        id=data.sensor.channel,
+        id=data.sensor.id,
         frames=LazyFrames(files.timestamps_ns, CycleFiles(files)),
         poses=_poses(tables, data, mounts),
         mount=mounts[data.calibrations[0].token],
@@ -177,7 +177,7 @@ def _build_camera(tables: SceneTables, data: SensorData) -> Sensor:
     own = [mounts[row.token] for row in data.calibrations]
     reader = PictureFiles(files, lenses, tuple(None if mount is common else mount for mount in own))
     return CameraSensor(
-        id=data.sensor.channel,
+        id=data.sensor.id,
         camera=lenses[0],
         pictures=LazyFrames(files.timestamps_ns, reader),
         poses=_poses(tables, data, mounts),

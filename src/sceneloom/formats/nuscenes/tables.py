@@ -81,11 +81,17 @@ class CalibratedSensorRow(msgspec.Struct, kw_only=True):
 
 
 class SensorRow(msgspec.Struct, kw_only=True):
-    """A sensor by its name."""
+    """A sensor by its name; `sensor_id` is ours, beside channels that are not the sensor's own id."""
 
     token: str
     channel: str
     modality: str
+    sensor_id: str | int | None = None
+
+    @property
+    def id(self) -> str | int:
+        """What the sensor is called in a scene."""
+        return self.channel if self.sensor_id is None else self.sensor_id
 
 
 class LogRow(msgspec.Struct, kw_only=True):

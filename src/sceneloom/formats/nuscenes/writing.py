@@ -1,6 +1,6 @@
 """A scene as a data set in the nuScenes schema."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,7 @@ from sceneloom.formats.nuscenes.written_frames import (
     write_sweep,
 )
 from sceneloom.formats.nuscenes.written_labels import PointClasses, category_rows
-from sceneloom.formats.nuscenes.written_tables import TableWriter, placed, token_of, write_table
+from sceneloom.formats.nuscenes.written_tables import Row, TableWriter, placed, token_of, write_table
 from sceneloom.formats.option_values import as_positive
 from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.geometry.rigid import RigidTransform
@@ -63,7 +63,7 @@ def write_nuscenes(
     version: str | None = None,
     keyframe_rate_hz: float | str | None = None,
     pictures: str = "copy",
-    channel: str | None = None,
+    channel: str | Iterable[str] | None = None,
 ) -> LossReport:
     """Write a scene as a data set; frames are read, written and let go one by one.
 
@@ -74,7 +74,8 @@ def write_nuscenes(
         version: name of the folder of tables; None: that which the scene was read from, else `v1.0-sceneloom`.
         keyframe_rate_hz: samples a second; None: those that the scene was read with, else two a second.
         pictures: "copy" copies JPEG and PNG files, and writes others as JPEG; "png" writes them as PNG.
-        channel: channels of sensors whose id is not to be it, as `lidar=LIDAR_TOP,camera0=CAM_FRONT`.
+        channel: channels of sensors, as `lidar=LIDAR_TOP,camera0=CAM_FRONT` or one text for each; others get the name
+            that nuScenes has for the lidar or for the only camera that looks their way, else their id.
 
     Returns:
         What the tables could not hold.
@@ -219,8 +220,9 @@ class _Writer:
         self.losses.add("trajectories.positions", what, beyond, Fate.APPROXIMATED)
 
     def _write_sensors(self) -> None:
-        sensors = (
+        sensors: Iterable[Row] = (
             {"token": channel.token, "channel": channel.name, "modality": channel.modality}
+            | ({} if channel.name == channel.sensor.id else {"sensor_id": channel.sensor.id})
             for channel in self.plan.channels
         )
         write_table(self.tables, "sensor", sensors)

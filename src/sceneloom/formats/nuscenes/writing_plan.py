@@ -1,13 +1,15 @@
 """What of a scene goes into the tables, found out before anything is written."""
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import atan2, degrees, remainder
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Int64Array
+from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.editing.undistortion import undistort_scene
 from sceneloom.errors import OptionError
 from sceneloom.formats.field_losses import field_losses
@@ -23,6 +25,7 @@ from sceneloom.formats.recording.written_mounts import mounting
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraSensor, LidarSensor, PosePath, RadarSensor, Scene
 from sceneloom.scene.contents import KINDS
+from sceneloom.scene.ego import EgoAxes, ego_axes
 from sceneloom.scene.sensor_sources import check_one_ego
 from sceneloom.scene.types import key_of
 
@@ -30,6 +33,25 @@ VERSION = "v1.0-sceneloom"
 """The name of the folder of tables, where the scene was not read from one."""
 
 _MODALITIES: Mapping[type[Any], str] = {LidarSensor: "lidar", RadarSensor: "radar", CameraSensor: "camera"}
+
+LIDAR_TOP = "LIDAR_TOP"
+"""The channel of the lidar that the renderers of the development kit ask for."""
+
+_LOOKING: Mapping[float, str] = {
+    0.0: "CAM_FRONT",
+    55.0: "CAM_FRONT_LEFT",
+    -55.0: "CAM_FRONT_RIGHT",
+    110.0: "CAM_BACK_LEFT",
+    -110.0: "CAM_BACK_RIGHT",
+    180.0: "CAM_BACK",
+}
+"""The cameras of nuScenes by the directions in which they look, counter-clockwise from ahead [deg]."""
+
+_NEAR_DEG = 25.0
+"""How far a camera may look beside such a direction and have its name."""
+
+_STEEP = np.sin(np.pi / 4)
+"""A camera that looks further up or down than 45 degrees looks in none of these directions."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,7 +188,7 @@ def _with_pinholes(scene: Scene, losses: list[Loss]) -> Scene:
     return undistort_scene(scene, cameras=[camera.id for camera in bent])
 
 
-def channels_of(scene: Scene, said: str | None) -> Mapping[str, str]:
+def channels_of(scene: Scene, said: str | Iterable[str] | None) -> Mapping[str, str]:
     """Read what channels sensors are to have, as `lidar=LIDAR_TOP,camera0=CAM_FRONT`.
 
     Raises:
@@ -174,8 +196,9 @@ def channels_of(scene: Scene, said: str | None) -> Mapping[str, str]:
     """
     found: dict[str, str] = {}
     known = [str(sensor.id) for sensor in scene.sensors if isinstance(sensor, tuple(_MODALITIES))]
-    for pair in said.split(",") if said else ():
-        sensor, _, name = (part.strip() for part in pair.partition("="))
+    pairs = (said or "").split(",") if isinstance(said, str | None) else said
+    for pair in filter(None, pairs):
+        sensor, _, name = (part.strip() for part in pair.rpartition("="))
         if not name or sensor not in known:
             raise OptionError(
                 f"channel {pair!r}; expected SENSOR=CHANNEL, such as lidar=LIDAR_TOP, with a sensor out of "
@@ -186,7 +209,7 @@ def channels_of(scene: Scene, said: str | None) -> Mapping[str, str]:
 
 
 def _channels(
-    scene: Scene, way: PosePath | None, losses: list[Loss], channels: Mapping[str, str]
+    scene: Scene, way: PosePath | None, losses: list[Loss], asked: Mapping[str, str]
 ) -> tuple[Channel, ...]:
     kinds: tuple[type[Any], ...] = tuple(_MODALITIES)
     found: list[Any] = [sensor for kind in kinds for sensor in scene.sensors if isinstance(sensor, kind)]
@@ -196,31 +219,70 @@ def _channels(
         if not len(stamps_of(sensor))
     ]
     framed = [sensor for sensor in found if len(stamps_of(sensor))]
-    names = _unique([channels.get(str(sensor.id), str(sensor.id)) for sensor in framed])
+    mounts = [_mount(sensor, way, losses) for sensor in framed]
+    usual = _usual_names(framed, mounts, ego_axes(scene), asked)
+    names = _unique([usual.get(k, str(sensor.id)) for k, sensor in enumerate(framed)])
     losses += [
         Loss(field=f"{KINDS[type(one)]}.id", what=f"{one.id!r} becomes channel {name!r}", fate=Fate.CONVERTED)
         for one, name in zip(framed, names, strict=True)
-        if str(one.id) in channels
+        if str(one.id) != name
     ]
     folders = file_stems(names)
     return tuple(
-        Channel(name, folder, sensor, _mount(sensor, way, losses))
-        for name, folder, sensor in zip(names, folders, framed, strict=True)
+        Channel(name, folder, sensor, RigidTransform.identity() if mount is None else mount)
+        for name, folder, sensor, mount in zip(names, folders, framed, mounts, strict=True)
     )
+
+
+def _usual_names(
+    sensors: Sequence[Any], mounts: Sequence[RigidTransform | None], axes: EgoAxes, asked: Mapping[str, str]
+) -> dict[int, str]:
+    """Channels other than the ids, by the number of the sensor: those asked for, else those that nuScenes has.
+
+    A lidar becomes LIDAR_TOP, as all renderers of the development kit ask for it; a camera has the name of the
+    direction that it alone looks in. Names that a sensor has already are given to no other.
+    """
+    names = {k: asked[str(one.id)] for k, one in enumerate(sensors) if str(one.id) in asked}
+    taken = {*names.values(), *(str(one.id) for one in sensors)}
+    free = [k for k in range(len(sensors)) if k not in names and not _has_usual_name(sensors[k])]
+    lidars = [k for k in free if isinstance(sensors[k], LidarSensor)]
+    lidars.sort(key=lambda k: "top" not in str(sensors[k].id).lower())
+    wanted = dict.fromkeys(lidars[:1], LIDAR_TOP)
+    for k in free:
+        mount = mounts[k]
+        if isinstance(sensors[k], CameraSensor) and mount is not None and axes.known:
+            name = _looking(axes.body_from_ego @ mount.rotation[:, 2])
+            wanted |= {} if name is None else {k: name}
+    counts = Counter(wanted.values())
+    return names | {k: name for k, name in wanted.items() if counts[name] == 1 and name not in taken}
+
+
+def _has_usual_name(sensor: Any) -> bool:
+    name = str(sensor.id)
+    return name == LIDAR_TOP if isinstance(sensor, LidarSensor) else name in _LOOKING.values()
+
+
+def _looking(axis: Float64Array) -> str | None:
+    """The channel of a camera by its optical axis on the vehicle (forward, left, up)."""
+    if abs(axis[2]) > _STEEP:
+        return None
+    angle = degrees(atan2(axis[1], axis[0]))
+    return next((name for at, name in _LOOKING.items() if abs(remainder(angle - at, 360)) <= _NEAR_DEG), None)
 
 
 def _unique(names: Sequence[str]) -> list[str]:
     return [name if names.index(name) == k else f"{name}~{k}" for k, name in enumerate(names)]
 
 
-def _mount(sensor: Any, way: PosePath | None, losses: list[Loss]) -> RigidTransform:
+def _mount(sensor: Any, way: PosePath | None, losses: list[Loss]) -> RigidTransform | None:
+    """`ego_from_sensor`; None where it is not known, with a line."""
     mount, lost = mounting(sensor, way, each=True)
     losses += lost
     if mount is not None:
         return mount
     what = f"{sensor.id!r}: not known; written as if it were where the ego is"
     losses.append(Loss(field=f"{KINDS[type(sensor)]}.mount", what=what, fate=Fate.APPROXIMATED))
-    return RigidTransform.identity()
+    return None
 
 
 def _kept(scene: Scene, name: str) -> Mapping[str, Any]:

@@ -27,6 +27,8 @@ from sceneloom.scene import (
     LidarPoints,
     LidarSensor,
     LinkAnnotation,
+    ObjectAnnotation,
+    Projection,
     Scene,
     ShapeAnnotation,
     ShapeType,
@@ -34,6 +36,7 @@ from sceneloom.scene import (
     VertexPath,
 )
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.at import cuboid_poses
 
 HERE = Path(__file__).parent
 GOLDEN = HERE / "golden" / "openlabel_vcd.json"
@@ -131,7 +134,20 @@ def drive():
     event = EventAnnotation("stop", int(stamps[0]), 100_000_000, "Stop")
     link = LinkAnnotation("l", "car", "stop", "does")
     lidar = LidarSensor("top", LazyFrames.of(frames, stamps), mount=mount)
-    return Scene((lidar,), (box, flat, lane, event, link), {"pose": way}), mount
+    van = (
+        ObjectAnnotation("van", "Van"),
+        CuboidAnnotation(
+            "box of the van",
+            CuboidPath(stamps[[0, 2]], values[[0, 2]]),
+            "Van",
+            parent_id="van",
+            projections=(Projection("top", stamps[:1], np.array([[1.0, 2, 3, 4]]), (True,)),),
+        ),
+        Box2DAnnotation(
+            "flat", "top", BoxPath(stamps[:1], np.array([[1.0, 2, 3, 4]])), "Van", parent_id="van"
+        ),
+    )
+    return Scene((lidar,), (box, flat, lane, event, link, *van), {"pose": way}), mount
 
 
 def test_our_files_pass_the_schema_and_vcd_puts_boxes_and_sensors_where_we_do(tmp_path, peer):
@@ -141,6 +157,16 @@ def test_our_files_pass_the_schema_and_vcd_puts_boxes_and_sensors_where_we_do(tm
     assert told["errors"] == []
     for number, found in enumerate(corners_of(scene, scene.annotations[0])):
         same_corners(found, told["corners"][f"car {number}"])
+    # one object of three annotations; VCD finds its cuboid in the frame between two key frames, too
+    assert told["objects"] == ["car", "car 2", "lane", "van"]
+    van = next(one for one in scene.annotations if one.id == "box of the van")
+    poses = cuboid_poses(van, scene.annotations[0].path.timestamps_ns, angles=CuboidAngles.of(scene))
+    for number in range(3):
+        found = box_corners(
+            poses.centers_world[number], poses.sizes_lwh[number], poses.quaternions_xyzw[number]
+        )
+        same_corners(found, told["corners"][f"van {number}"])
+    assert told["loaded"] == {"bbox": 2, "cuboid": 1}
     way = scene.trajectories["pose"]
     for k, found in enumerate(told["lidar_to_world"]):
         ego = RigidTransform.from_quaternion(way.positions[k], way.quaternions_xyzw[k])

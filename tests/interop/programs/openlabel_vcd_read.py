@@ -24,4 +24,14 @@ for uid, entry in content["openlabel"]["objects"].items():
 lidar_to_world = [
     scene.get_transform("top", "world", frame_num=int(n))[0].tolist() for n in content["openlabel"]["frames"]
 ]
-sys.stdout.write(json.dumps({"errors": errors, "corners": corners, "lidar_to_world": lidar_to_world}))
+names = [entry["name"] for entry in content["openlabel"]["objects"].values()]
+last = list(content["openlabel"]["objects"])[-1]
+data = label.get_frame(0)["objects"][last]["object_data"]
+told = {
+    "errors": errors,
+    "corners": corners,
+    "lidar_to_world": lidar_to_world,
+    "objects": names,
+    "loaded": {kind: len(data[kind]) for kind in sorted(data)},
+}
+sys.stdout.write(json.dumps(told))

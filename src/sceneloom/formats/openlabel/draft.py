@@ -43,12 +43,29 @@ class Draft:
         heads: entries of the root, by "object" or "event" and key.
         frames: what is said in each frame, by its number, then as `heads`: the data by type.
         ours: what only we understand of them.
+        names: of the data of each object, by its key.
     """
 
     times: Int64Array
     heads: dict[str, dict[str, dict[str, Any]]] = field(default_factory=lambda: {"object": {}, "event": {}})
     frames: dict[int, dict[str, dict[str, dict[str, list[dict[str, Any]]]]]] = field(default_factory=dict)
     ours: dict[str, dict[str, Any]] = field(default_factory=dict)
+    names: dict[str, set[str]] = field(default_factory=dict)
+
+    def renamed(self, uid: str, data: Iterable[Datum], identifier: Identifier) -> list[Datum]:
+        """Give elements of data names that nothing else of the object has, made of an id where they are taken."""
+        taken, given, found = self.names.setdefault(uid, set()), dict[str, str](), list[Datum]()
+        for time_ns, kind, element in data:
+            name = element["name"]
+            if name not in given:
+                attempt, free = 1, name
+                while free in taken or free in given.values():
+                    free = f"{name}:{identifier}" if attempt == 1 else f"{name}:{identifier}:{attempt}"
+                    attempt += 1
+                given[name] = free
+            found.append((time_ns, kind, {**element, "name": given[name]}))
+        taken.update(given.values())
+        return found
 
     def number(self, time_ns: int) -> int:
         """The number of the frame of a time."""

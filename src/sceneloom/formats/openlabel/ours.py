@@ -5,14 +5,19 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, TypeVar
 
+import msgspec
 import numpy as np
 
+from sceneloom.arrays import Float64Array
 from sceneloom.errors import SceneloomError
 from sceneloom.formats.openlabel.document import Part
 from sceneloom.formats.openlabel.words import OURS
 from sceneloom.scene import (
+    Activation,
     Annotation,
     AttributePath,
+    Box2DAnnotation,
+    CuboidAnnotation,
     EventAnnotation,
     GroupAnnotation,
     LabeledPoints,
@@ -20,7 +25,9 @@ from sceneloom.scene import (
     LinkAnnotation,
     ObjectAnnotation,
     PointPath,
+    PointProjection,
     PointsAnnotation,
+    Projection,
     ShapeAnnotation,
     ShapeType,
 )
@@ -43,6 +50,9 @@ REPLACED: Mapping[str, tuple[type, ...]] = MappingProxyType(
     }
 )
 """Fields that are put back as they were, and the types that they have."""
+
+SeenBoxes = Mapping[int, tuple[tuple[float, ...], bool | None]]
+"""Boxes `x y width height` [px], and whether a person confirmed them, by their times [ns]."""
 
 _FAULTS = (SceneloomError, TypeError, ValueError, KeyError, OverflowError, AttributeError)
 
@@ -76,23 +86,57 @@ class Ours:
         Raises:
             DataError: they do not fit.
         """
+        part = self.fields_of(kind, uid)
+        if part is None:
+            return annotation
+        return restored_from(part, annotation)
+
+    def fields_of(self, kind: str, uid: str) -> Part | None:
+        """What we wrote of an element besides, or None."""
         by_uid = None if self.part is None else self.part.get(kind)
         part = by_uid.get(uid) if by_uid is not None and isinstance(by_uid.value, dict) else None
-        if part is None or not isinstance(part.value, dict):
-            return annotation
-        try:
-            return _restored(annotation, part.value)
-        except _FAULTS as error:
-            raise part.fault(f"the fields of an annotation: {error}") from error
+        return part if part is not None and isinstance(part.value, dict) else None
 
 
-def _restored(annotation: Annotation, fields: Mapping[str, Any]) -> Annotation:
+def restored_from(
+    part: Part, annotation: Annotation, boxes: Mapping[str, SeenBoxes] = NO_FIELDS
+) -> Annotation:
+    """The annotation with the fields put back that a part of our own says.
+
+    Args:
+        part: the fields.
+        annotation: as the data tell it.
+        boxes: in pictures, by the names of the data that are projections of it.
+
+    Raises:
+        DataError: they do not fit.
+    """
+    try:
+        return _restored(annotation, part.members(), boxes)
+    except _FAULTS as error:
+        raise part.fault(f"the fields of an annotation: {error}") from error
+
+
+def _restored(
+    annotation: Annotation, fields: Mapping[str, Any], boxes: Mapping[str, SeenBoxes]
+) -> Annotation:
     made = _made(annotation, fields)
     known = type(made).__dataclass_fields__
     values = {name: fields[name] for name in REPLACED if name in fields and name in known}
     for name, value in values.items():
         if not isinstance(value, REPLACED[name]):
             raise TypeError(f"{name}: {value!r}")
+    for name in ("from_id", "to_id"):
+        if name in fields and name in known and isinstance(fields[name], _ID):
+            values[name] = fields[name]
+    if fields.get("unlabelled") is True and "label" in known:
+        values["label"] = None
+    if isinstance(made, CuboidAnnotation):
+        values["activations"] = tuple(_activation(one) for one in fields.get("activations") or ())
+        values["projections"] = tuple(_projection(one, boxes) for one in fields.get("projections") or ())
+    if "path_extras" in fields and isinstance(made, CuboidAnnotation | Box2DAnnotation | ShapeAnnotation):
+        further = MappingProxyType({**made.path.extras, **fields["path_extras"]})
+        values["path"] = replace(made.path, extras=further)
     if "extras" in fields:
         values["extras"] = MappingProxyType(dict(fields["extras"]))
     if isinstance(made, ShapeAnnotation) and "shape" in fields:
@@ -117,7 +161,10 @@ def _made(annotation: Annotation, fields: Mapping[str, Any]) -> Any:
     if kind == "points":
         paths = tuple(_path(one) for one in fields["paths"])
         labels = None if fields.get("labels") is None else tuple(fields["labels"])
-        return PointsAnnotation(paths=paths, labels=labels, **common)
+        seen = tuple(
+            tuple(_point_projection(one) for one in point) for point in fields.get("projections") or ()
+        )
+        return PointsAnnotation(paths=paths, labels=labels, projections=seen, **common)
     common["label"] = annotation.label
     if kind == "group":
         return GroupAnnotation(**common)
@@ -129,12 +176,106 @@ def _made(annotation: Annotation, fields: Mapping[str, Any]) -> Any:
 
 def _labeled(said: Mapping[str, Any]) -> LabeledPoints:
     ids = np.array(said["point_ids"], np.int64).astype(np.uint32)
-    return LabeledPoints(said["sensor_id"], ids, said.get("sensor_frame"))
+    return LabeledPoints(
+        said["sensor_id"], ids, said.get("sensor_frame"), MappingProxyType(dict(said.get("extras") or {}))
+    )
 
 
 def _path(said: Mapping[str, Any]) -> PointPath:
     times, values = np.array(said["timestamps_ns"], np.int64), np.array(said["values"], np.float64)
-    return PointPath(times, values.reshape(len(times), -1), said.get("id"))
+    further = MappingProxyType(dict(said.get("extras") or {}))
+    return PointPath(times, values.reshape(len(times), -1), said.get("id"), further)
+
+
+def _seen_fields(seen: Activation | Projection | PointProjection) -> dict[str, Any]:
+    return {
+        "sensor_id": seen.sensor_id,
+        "timestamps_ns": seen.timestamps_ns.tolist(),
+        **({"extras": dict(seen.extras)} if seen.extras else {}),
+    }
+
+
+def _rows(values: Float64Array | None) -> list[list[float]] | None:
+    return None if values is None else values.tolist()
+
+
+def activation_fields(seen: Activation) -> dict[str, Any]:
+    """Say when a sensor sees a cuboid."""
+    durations = None if seen.durations_ns is None else list(seen.durations_ns)
+    return {**_seen_fields(seen), "durations_ns": durations, "cuboids": _rows(seen.cuboids)}
+
+
+def projection_fields(seen: Projection) -> dict[str, Any]:
+    """Say where a camera sees a cuboid, and what was confirmed of that."""
+    confirmed = None if seen.confirmed is None else list(seen.confirmed)
+    said = {"boxes": _rows(seen.boxes), "confirmed": confirmed, "cuboids": _rows(seen.cuboids)}
+    return {**_seen_fields(seen), **said}
+
+
+def point_projection_fields(seen: PointProjection) -> dict[str, Any]:
+    """Say where a camera sees a named point, and what was confirmed of that."""
+    confirmed = None if seen.confirmed is None else list(seen.confirmed)
+    said = {"points": _rows(seen.points), "confirmed": confirmed, "positions": _rows(seen.positions)}
+    return {**_seen_fields(seen), **said}
+
+
+def _seen(said: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields that all have that tell when a sensor sees something."""
+    if not isinstance(said["sensor_id"], _ID):
+        raise TypeError(f"sensor_id: {said['sensor_id']!r}")
+    return {
+        "sensor_id": said["sensor_id"],
+        "timestamps_ns": np.array(said["timestamps_ns"], np.int64).reshape(-1),
+        "extras": MappingProxyType(dict(said.get("extras") or {})),
+    }
+
+
+def _table(rows: Any, width: int) -> Float64Array | None:
+    """Rows of numbers, null for NaN, as JSON says them."""
+    return None if rows is None else np.array(rows, np.float64).reshape(-1, width)
+
+
+def _flags(said: Any) -> tuple[bool | None, ...] | None:
+    if said is None:
+        return None
+    if not all(one is None or isinstance(one, bool) for one in said):
+        raise TypeError(f"confirmed: {said!r}")
+    return tuple(said)
+
+
+def _activation(said: Mapping[str, Any]) -> Activation:
+    durations = said.get("durations_ns")
+    if durations is not None and not all(type(one) in _NUMBER for one in durations):
+        raise TypeError(f"durations_ns: {durations!r}")
+    held = None if durations is None else tuple(durations)
+    return Activation(**_seen(said), durations_ns=held, cuboids=_table(said.get("cuboids"), 9))
+
+
+def _projection(said: Mapping[str, Any], drawn: Mapping[str, SeenBoxes]) -> Projection:
+    fields, boxes, confirmed = _seen(said), _table(said.get("boxes"), 4), _flags(said.get("confirmed"))
+    if said.get("data") is not None:
+        found = drawn.get(said["data"], {})
+        times = fields["timestamps_ns"].tolist()
+        nothing = ((np.nan,) * 4, None)
+        boxes = np.array([found.get(time_ns, nothing)[0] for time_ns in times], np.float64).reshape(-1, 4)
+        if confirmed is not None:
+            told = [found.get(time_ns, nothing)[1] for time_ns in times]
+            confirmed = tuple(old if new is None else new for old, new in zip(confirmed, told, strict=True))
+    return Projection(**fields, boxes=boxes, confirmed=confirmed, cuboids=_table(said.get("cuboids"), 9))
+
+
+def _point_projection(said: Mapping[str, Any]) -> PointProjection:
+    confirmed = _flags(said.get("confirmed"))
+    points, positions = _table(said.get("points"), 2), _table(said.get("positions"), 3)
+    return PointProjection(**_seen(said), points=points, confirmed=confirmed, positions=positions)
+
+
+def is_json(value: Any) -> bool:
+    """Whether JSON says a value as it is."""
+    try:
+        return bool(msgspec.json.decode(msgspec.json.encode(value)) == value)
+    except (TypeError, ValueError, OverflowError, msgspec.MsgspecError, RecursionError):
+        return False
 
 
 def attribute_of(said: Mapping[str, Any]) -> AttributePath:

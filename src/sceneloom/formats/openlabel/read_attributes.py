@@ -42,8 +42,18 @@ def attribute(kind: str, name: str, rows: Sequence[Said]) -> AttributePath:
     )
 
 
-def nested_attributes(rows: Iterable[Said]) -> tuple[AttributePath, ...]:
-    """The attributes that stand inside of elements of data."""
+def nested_flag(row: Said, name: str) -> bool | None:
+    """A boolean that stands inside of an element of data, or None."""
+    attributes = row.part.get("attributes")
+    for part in () if attributes is None else attributes.items("boolean"):
+        value = part.members().get("val")
+        if part.members().get("name") == name and isinstance(value, bool):
+            return value
+    return None
+
+
+def nested_attributes(rows: Iterable[Said], *, without: Sequence[str] = ()) -> tuple[AttributePath, ...]:
+    """The attributes that stand inside of elements of data, but for some by their names."""
     found: dict[tuple[str, str], list[Said]] = {}
     for row in rows:
         attributes = row.part.get("attributes")
@@ -52,6 +62,8 @@ def nested_attributes(rows: Iterable[Said]) -> tuple[AttributePath, ...]:
         for kind in PLAIN:
             for part in attributes.items(kind):
                 name = part.members().get("name")
+                if name in without:
+                    continue
                 found.setdefault((kind, name if isinstance(name, str) else kind), []).append(
                     Said(row.time_ns, part)
                 )

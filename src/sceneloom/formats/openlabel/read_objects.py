@@ -1,6 +1,6 @@
 """Objects, actions, events, contexts and relations as annotations."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -12,11 +12,11 @@ from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.openlabel.document import Part
 from sceneloom.formats.openlabel.frame_times import FrameTimes
 from sceneloom.formats.openlabel.gathering import Element, Said
-from sceneloom.formats.openlabel.ours import Ours
-from sceneloom.formats.openlabel.read_attributes import attribute, nested_attributes
+from sceneloom.formats.openlabel.ours import Ours, SeenBoxes, restored_from
+from sceneloom.formats.openlabel.read_attributes import attribute, nested_attributes, nested_flag
 from sceneloom.formats.openlabel.read_geometry import IN_PICTURES, READERS, Rows
 from sceneloom.formats.openlabel.systems import Systems
-from sceneloom.formats.openlabel.words import ABSOLUTE, GEOMETRY, RELATIVE
+from sceneloom.formats.openlabel.words import ABSOLUTE, CONFIRMED, GEOMETRY, INTERPOLATED, RELATIVE
 from sceneloom.scene import (
     Annotation,
     CameraSensor,
@@ -64,27 +64,68 @@ class Reader:
 
     def _of_object(self, element: Element) -> list[Annotation]:
         label = element.head.need("type").text() or None
-        said = element.data
+        own, said = self.ours.fields_of(element.kind, element.uid), dict(element.data)
+        members = {} if own is None else own.members()
+        parts = [] if own is None else [self._part(element, label, one, said) for one in own.items("parts")]
+        drawn = {} if own is None else _drawn(own, said)
         plain = tuple(attribute(*key, rows) for key, rows in said.items() if key[0] not in GEOMETRY)
         shapes = {key: rows for key, rows in said.items() if key[0] in GEOMETRY and self._is_read(key, rows)}
         if self.ours.class_of(element.kind, element.uid) == "points":
             shapes = {}
         extras = _further(element)
-        alone = len(shapes) == 1
+        alone = len(shapes) == 1 and members.get("is_whole") is not True
         made: list[Annotation] = []
+        whole: Annotation = ObjectAnnotation(element.id, label, attributes=plain, extras=extras)
+        if own is not None and not alone:
+            whole = restored_from(own, whole)
         for (kind, name), rows in shapes.items():
+            key_rows, without = _key_rows(rows, members)
             fields: dict[str, Any] = {
                 "id": element.id if alone else f"{element.id}:{kind}:{name}",
                 "label": label,
-                "attributes": (*nested_attributes(rows), *(plain if alone else ())),
+                "attributes": (*nested_attributes(key_rows, without=without), *(plain if alone else ())),
                 "extras": _shape_extras(extras if alone else {}, kind, name, rows),
-                **({} if alone else {"parent_id": element.id}),
+                **({} if alone else {"parent_id": whole.id}),
             }
-            made.append(READERS[kind](self._rows(kind, rows, fields)))
+            made.append(READERS[kind](self._rows(kind, key_rows, fields)))
         if alone:
-            return [self.ours.restored(made[0], element.kind, element.uid)]
-        whole = ObjectAnnotation(element.id, label, attributes=plain, extras=extras)
-        return [self.ours.restored(whole, element.kind, element.uid), *made]
+            whole = made.pop() if own is None else restored_from(own, made.pop(), drawn)
+        return [whole, *(one for one in parts if one is not None), *made]
+
+    def _part(
+        self, element: Element, label: str | None, own: Part, said: dict[tuple[str, str], list[Said]]
+    ) -> Annotation | None:
+        """An annotation that we wrote as data of the object of another; None where these were taken out.
+
+        Args:
+            element: the object.
+            label: its class.
+            own: what we wrote of the annotation besides.
+            said: what is said of the object; what belongs to the annotation is taken out.
+        """
+        members, drawn = own.members(), _drawn(own, said)
+        names = [name.text() for name in own.items("data")]
+        keys = [key for key in said if key[0] in GEOMETRY and key[1] in names]
+        shapes = {key: rows for key in keys if self._is_read(key, rows := said.pop(key))}
+        plain = []
+        for listed in own.items("own"):
+            kind, name, called = _texts(listed, 3)
+            told = said.pop((kind, name), [])
+            plain += [attribute(kind, called, told)] if told else []
+        if names and not shapes:
+            return None
+        whole = ObjectAnnotation(element.id, label, attributes=tuple(plain))
+        if "class" in members or not shapes:
+            return restored_from(own, whole)
+        (kind, name), rows = next(iter(shapes.items()))
+        key_rows, without = _key_rows(rows, members)
+        fields: dict[str, Any] = {
+            "id": f"{element.id}:{kind}:{name}",
+            "label": label,
+            "attributes": (*nested_attributes(key_rows, without=without), *plain),
+            "extras": _shape_extras({}, kind, name, rows),
+        }
+        return restored_from(own, READERS[kind](self._rows(kind, key_rows, fields)), drawn)
 
     def _is_read(self, key: tuple[str, str], rows: list[Said]) -> bool:
         """Whether a shape is of a form that we know; cuboids without a value say that there is none."""
@@ -152,6 +193,40 @@ class Reader:
             extras=MappingProxyType(extras),
         )
         return self.ours.restored(event, element.kind, element.uid)
+
+
+def _texts(part: Part, count: int) -> list[str]:
+    values = part.value
+    if not isinstance(values, list) or len(values) != count or not all(isinstance(v, str) for v in values):
+        raise part.fault(f"a list of {count} texts")
+    return list(values)
+
+
+def _key_rows(rows: list[Said], members: Mapping[str, Any]) -> tuple[list[Said], tuple[str, ...]]:
+    """Rows without those that we interpolated, and names of attributes that say which these are."""
+    if members.get("interpolated") is not True:
+        return rows, ()
+    found = [row for row in rows if nested_flag(row, INTERPOLATED) is not True]
+    return found or rows, (INTERPOLATED,)
+
+
+def _drawn(own: Part, said: dict[tuple[str, str], list[Said]]) -> dict[str, SeenBoxes]:
+    """Take the boxes that are projections of an annotation out of what is said, by their names."""
+    found: dict[str, SeenBoxes] = {}
+    if own.members().get("class") is not None:
+        return found
+    for listed in own.items("projections"):
+        name = listed.get("data")
+        rows = [] if name is None else said.pop(("bbox", name.text()), [])
+        boxes = {}
+        for row in rows:
+            if row.time_ns is not None:
+                x, y, width, height = row.part.need("val").numbers((4,))
+                box = (x - width / 2, y - height / 2, width, height)
+                boxes[row.time_ns] = (box, nested_flag(row, CONFIRMED))
+        if name is not None:
+            found[name.text()] = boxes
+    return found
 
 
 def _further(element: Element) -> Any:

@@ -14,6 +14,9 @@ WORLD, EGO = "world", "ego"
 OURS = "sceneloom"
 """Name of what only we understand: a member of metadata and stream properties, and a text of objects."""
 
+INTERPOLATED, CONFIRMED = "interpolated", "confirmed"
+"""Flags inside of cuboids between key frames, and of boxes that are projections of cuboids."""
+
 UID = re.compile(r"-?[0-9]+|[0-9a-fA-F]{8}-(?:[0-9a-fA-F]{4}-){3}[0-9a-fA-F]{12}")
 """What the schema takes as the key of an object, action, event, context, relation or tag."""
 

@@ -1,6 +1,6 @@
 """A scene as an OpenLABEL file."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,18 @@ from sceneloom.formats.field_losses import field_losses
 from sceneloom.formats.loss import Fate, Loss, LossReport
 from sceneloom.formats.openlabel.draft import Draft, Uids
 from sceneloom.formats.openlabel.holdings import HOLDS
-from sceneloom.formats.openlabel.ours import annotation_fields, attribute_fields
+from sceneloom.formats.openlabel.ours import (
+    activation_fields,
+    annotation_fields,
+    attribute_fields,
+    is_json,
+    point_projection_fields,
+    projection_fields,
+)
+from sceneloom.formats.openlabel.read_geometry import RBBOX
 from sceneloom.formats.openlabel.read_objects import KIND
 from sceneloom.formats.openlabel.reading import KEPT
+from sceneloom.formats.openlabel.things import things
 from sceneloom.formats.openlabel.words import EGO, OURS, SCHEMA_VERSION, WORLD
 from sceneloom.formats.openlabel.written_data import (
     FURTHER,
@@ -23,6 +32,7 @@ from sceneloom.formats.openlabel.written_data import (
     box_data,
     cuboid_data,
     keypoint_data,
+    projection_data,
     shape_data,
 )
 from sceneloom.formats.openlabel.written_streams import Streams
@@ -51,7 +61,7 @@ from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations_frame import annotations_frame
 from sceneloom.scene.contents import KINDS
 from sceneloom.scene.span import frame_times
-from sceneloom.scene.types import key_of
+from sceneloom.scene.types import Key, key_of
 
 _LEFT_OUT = (LocalizationAdjustment, CameraCalibration, PlainAnnotation)
 _NO_PLACE = "left out: OpenLABEL has no place for it"
@@ -81,6 +91,7 @@ class _Writer:
         self.draft = Draft(_frame_times(scene))
         self.uids = Uids()
         self.relations: dict[str, Any] = {}
+        self.parts: set[Key] = set()
         in_world = annotations_frame(scene) is Coordinates.WORLD
         self.system = WORLD if in_world else EGO
         self.angles = CuboidAngles.of(scene)
@@ -88,9 +99,8 @@ class _Writer:
     def document(self) -> dict[str, Any]:
         """The member `openlabel`."""
         written = [one for one in self.scene.annotations if not isinstance(one, _LEFT_OUT)]
-        for annotation in written:
-            if not isinstance(annotation, LinkAnnotation):
-                self._element(annotation)
+        for annotation, parts in things([one for one in written if not isinstance(one, LinkAnnotation)]):
+            self._element(annotation, parts)
         for annotation in written:
             if isinstance(annotation, LinkAnnotation):
                 self._relation(annotation)
@@ -136,21 +146,20 @@ class _Writer:
             self.losses.append(Loss(field=f"metadata.{name}", what="left out: JSON cannot say it"))
         return {**found, **({"metadata": metadata} if metadata else {})}
 
-    def _element(self, annotation: Any) -> None:
+    def _element(self, annotation: Any, parts: Sequence[Annotation]) -> None:
+        """Write a thing: its annotation, and those that tell more of it as further data of the same object."""
         kind = "event" if isinstance(annotation, EventAnnotation) else "object"
         uid = self.uids.give(annotation.id)
         further = annotation.extras.get(KIND)
         further = dict(further) if isinstance(further, Mapping) else {}
         head = {name: further[name] for name in ("ontology_uid", "resource_uid") if name in further}
         name = further.get("name")
-        label = getattr(annotation, "label", None)
+        label = next((said for one in (annotation, *parts) if (said := getattr(one, "label", None))), None)
         self.draft.heads[kind][uid] = {
             "name": name if isinstance(name, str) else str(annotation.id),
             "type": label or "",
             **head,
         }
-        fields = annotation_fields(annotation)
-        fields.update(_CLASS_FIELDS.get(type(annotation), lambda _: {})(annotation))
         if isinstance(annotation, EventAnnotation):
             stop_ns = annotation.start_ns + int(annotation.duration_ns or 0)
             self.draft.heads[kind][uid]["frame_intervals"] = [
@@ -159,11 +168,102 @@ class _Writer:
                     "frame_end": self.draft.number(stop_ns),
                 }
             ]
-        self.draft.say(kind, uid, self._data(annotation, further))
-        unsaid = self._attributes(kind, uid, annotation)
-        fields.update({"attributes": unsaid} if unsaid else {})
+        fields = self._say(kind, uid, annotation, further, label)
+        if parts:
+            fields.update({} if fields["data"] else {"is_whole": True})
+            fields["parts"] = [self._part(kind, uid, part, label) for part in parts]
+        del fields["data"]
+        self.draft.ours.setdefault(kind, {})[uid] = fields
+
+    def _part(self, kind: str, uid: str, part: Any, label: str | None) -> dict[str, Any]:
+        self.uids.by_id[key_of(part.id)] = uid
+        self.parts.add(key_of(part.id))
+        further = part.extras.get(KIND)
+        return self._say(
+            kind, uid, part, dict(further) if isinstance(further, Mapping) else {}, label, is_part=True
+        )
+
+    def _say(
+        self,
+        kind: str,
+        uid: str,
+        annotation: Any,
+        further: Mapping[str, Any],
+        label: str | None,
+        *,
+        is_part: bool = False,
+    ) -> dict[str, Any]:
+        """Say an annotation as data of an object, and give the fields that only we understand."""
+        fields = annotation_fields(annotation)
+        fields.update(_CLASS_FIELDS.get(type(annotation), lambda _: {})(annotation))
+        if label is not None and getattr(annotation, "label", label) is None:
+            fields["unlabelled"] = True
+        data = self.draft.renamed(uid, self._data(annotation, further), annotation.id)
+        fields["data"] = list(dict.fromkeys(element["name"] for _, _, element in data))
+        if isinstance(annotation, CuboidAnnotation) and any("attributes" in one for _, _, one in data):
+            fields["interpolated"] = True
+        self.draft.say(kind, uid, data)
         self._tell_fields(annotation)
-        self._keep(kind, uid, annotation, fields)
+        unsaid, renamed = self._attributes(kind, uid, annotation, is_part=is_part)
+        fields.update({"attributes": unsaid} if unsaid else {})
+        fields.update({"own": renamed} if renamed else {})
+        fields.update(self._seen(kind, uid, annotation))
+        fields.update(self._path_extras(annotation))
+        if is_json(dict(annotation.extras)):
+            fields["extras"] = dict(annotation.extras)
+        else:
+            field = f"annotations[{annotation.id}].extras"
+            self.losses.append(Loss(field=field, what="left out: JSON cannot say it"))
+        return fields
+
+    def _seen(self, kind: str, uid: str, annotation: Any) -> dict[str, Any]:
+        """Say where and when sensors see a cuboid: the boxes as data, the rest among our fields."""
+        found: dict[str, Any] = {}
+        if isinstance(annotation, PointsAnnotation) and annotation.projections:
+            points = annotation.projections
+            seen = [[self._sound(annotation, point_projection_fields(one)) for one in row] for row in points]
+            return {"projections": seen}
+        if not isinstance(annotation, CuboidAnnotation):
+            return found
+        if not len(annotation.path.timestamps_ns):
+            for name in _SEEN:
+                if count := len(getattr(annotation, name)):
+                    field = f"annotations[{annotation.id}].{name}"
+                    self.losses.append(Loss(field=field, what=_NO_PLACE, count=count))
+            return found
+        rows = [self._sound(annotation, activation_fields(one)) for one in annotation.activations]
+        found.update({"activations": rows} if rows else {})
+        rows = []
+        for projection in annotation.projections:
+            fields = self._sound(annotation, projection_fields(projection))
+            system = self._camera(projection.sensor_id)
+            data = list(projection_data(projection, f"projection:{system}", system))
+            if len({time_ns for time_ns, _, _ in data}) == len(data) and data:
+                data = self.draft.renamed(uid, data, annotation.id)
+                self.draft.say(kind, uid, data)
+                fields.update({"data": data[0][2]["name"], "boxes": None})
+            rows.append(fields)
+        found.update({"projections": rows} if rows else {})
+        return found
+
+    def _sound(self, annotation: Annotation, fields: dict[str, Any]) -> dict[str, Any]:
+        """Leave out further fields that JSON cannot say, and report it."""
+        if is_json(fields.get("extras")):
+            return fields
+        field, count = f"annotations[{annotation.id}].extras", len(fields["extras"])
+        self.losses.append(Loss(field=field, what="left out: JSON cannot say it", count=count))
+        return {name: value for name, value in fields.items() if name != "extras"}
+
+    def _path_extras(self, annotation: Any) -> dict[str, Any]:
+        path = getattr(annotation, "path", None)
+        further = {} if path is None else {name: path.extras[name] for name in path.extras if name != RBBOX}
+        if not further:
+            return {}
+        if is_json(further):
+            return {"path_extras": further}
+        field = f"annotations[{annotation.id}].path.extras"
+        self.losses.append(Loss(field=field, what="left out: JSON cannot say it", count=len(further)))
+        return {}
 
     def _data(self, annotation: Annotation, further: Mapping[str, Any]) -> list[Datum]:
         """The places of an annotation, if it has some."""
@@ -172,7 +272,7 @@ class _Writer:
         name = told.pop("name", None)
         data: list[Datum] = []
         if isinstance(annotation, CuboidAnnotation):
-            data = list(cuboid_data(annotation, name or "cuboid", self.system, self.angles))
+            data = list(cuboid_data(annotation, name or "cuboid", self.system, self.angles, self.draft.times))
         elif isinstance(annotation, Box2DAnnotation):
             data = list(box_data(annotation, name or "bbox", self._camera(annotation.sensor_id)))
         elif isinstance(annotation, ShapeAnnotation):
@@ -186,14 +286,20 @@ class _Writer:
     def _camera(self, sensor_id: Any) -> str:
         return self.streams.names.get(sensor_id, str(sensor_id))
 
-    def _attributes(self, kind: str, uid: str, annotation: Any) -> list[dict[str, Any]]:
-        """Write the attributes; give those that the data cannot hold."""
-        unsaid, seen = [], set()
+    def _attributes(
+        self, kind: str, uid: str, annotation: Any, *, is_part: bool
+    ) -> tuple[list[dict[str, Any]], list[list[str]]]:
+        """Write the attributes; give those that the data cannot hold, and type, name and own name of a part's."""
+        unsaid, renamed, seen = [], [], set()
         for attribute in annotation.attributes:
             data = attribute_data(attribute, self.streams.names)
             key = None if not data else (data[0][1], attribute.name)
             if data and key not in seen and not self._collides(annotation, attribute.name):
                 seen.add(key)
+                if is_part:
+                    data = self.draft.renamed(uid, data, annotation.id)
+                    renamed.append([data[0][1], data[0][2]["name"], attribute.name])
+                self.draft.names.setdefault(uid, set()).add(attribute.name)
                 self.draft.say(kind, uid, data)
                 self._tell_further(annotation, attribute)
                 if attribute.timestamps_ns is None and not attribute.static:
@@ -205,7 +311,7 @@ class _Writer:
             else:
                 field = f"annotations[{annotation.id}].attributes.{attribute.name}"
                 self.losses.append(Loss(field=field, what="left out: JSON cannot say it"))
-        return unsaid
+        return unsaid, renamed
 
     def _tell_further(self, annotation: Any, attribute: AttributePath) -> None:
         unsaid = attribute.extras.keys() - FURTHER
@@ -227,24 +333,6 @@ class _Writer:
         if held is not None and not len(held.timestamps_ns):
             what = "it has no place at any time: read back as an object without one"
             self.losses.append(Loss(field=f"annotations[{annotation.id}]", what=what))
-        if isinstance(annotation, CuboidAnnotation) and len(annotation.path.timestamps_ns) > 1:
-            times = annotation.path.timestamps_ns
-            inside = (self.draft.times >= times.min()) & (self.draft.times <= times.max())
-            between = int(inside.sum()) - int(np.isin(self.draft.times, times).sum())
-            if between:
-                what = "written at key frames: frames between them have no box of the object"
-                field = f"annotations[{annotation.id}].path.values"
-                self.losses.append(Loss(field=field, what=what, count=between, fate=Fate.APPROXIMATED))
-        for name in _SEEN:
-            count = len(getattr(annotation, name, ()))
-            if count:
-                field = f"annotations[{annotation.id}].{name}"
-                self.losses.append(Loss(field=field, what=_NO_PLACE, count=count))
-        path = getattr(annotation, "path", None)
-        further = [] if path is None else [name for name in path.extras if name != "rbbox"]
-        if further:
-            field = f"annotations[{annotation.id}].path.extras"
-            self.losses.append(Loss(field=field, what=_NO_PLACE, count=len(further)))
 
     def _keep(self, kind: str, uid: str, annotation: Any, fields: dict[str, Any]) -> None:
         """Keep the fields that only we understand, and the further ones that JSON can say."""
@@ -272,7 +360,10 @@ class _Writer:
             "rdf_objects": [other],
             **{name: further[name] for name in ("ontology_uid", "resource_uid") if name in further},
         }
-        self._keep("relation", uid, link, annotation_fields(link))
+        fields = annotation_fields(link)
+        for name, end in (("from_id", link.from_id), ("to_id", link.to_id)):
+            fields.update({name: end} if key_of(end) in self.parts else {})
+        self._keep("relation", uid, link, fields)
 
     def _kind_of(self, uid: str) -> str:
         return "event" if uid in self.draft.heads["event"] else "object"
@@ -303,6 +394,7 @@ def _labeled_points(annotation: LabeledPointsAnnotation) -> dict[str, Any]:
                 "sensor_id": one.sensor_id,
                 "point_ids": one.point_ids.tolist(),
                 **({} if one.sensor_frame is None else {"sensor_frame": one.sensor_frame}),
+                **({"extras": dict(one.extras)} if one.extras and is_json(dict(one.extras)) else {}),
             }
             for one in annotation.labeled_points
         ],
@@ -314,7 +406,12 @@ def _points(annotation: PointsAnnotation) -> dict[str, Any]:
         "class": "points",
         "labels": None if annotation.labels is None else list(annotation.labels),
         "paths": [
-            {"timestamps_ns": one.timestamps_ns.tolist(), "values": one.values.tolist(), "id": one.id}
+            {
+                "timestamps_ns": one.timestamps_ns.tolist(),
+                "values": one.values.tolist(),
+                "id": one.id,
+                **({"extras": dict(one.extras)} if one.extras and is_json(dict(one.extras)) else {}),
+            }
             for one in annotation.paths
         ],
     }
@@ -330,14 +427,6 @@ _CLASS_FIELDS: Mapping[type[Any], Any] = {
     ShapeAnnotation: lambda annotation: {"shape": annotation.type.value},
 }
 """Fields of classes that the format does not have."""
-
-
-def is_json(value: Any) -> bool:
-    """Whether JSON says a value as it is."""
-    try:
-        return bool(msgspec.json.decode(msgspec.json.encode(value)) == value)
-    except (TypeError, ValueError, OverflowError, msgspec.MsgspecError, RecursionError):
-        return False
 
 
 def _frame_times(scene: Scene) -> Int64Array:
@@ -356,6 +445,8 @@ def _frame_times(scene: Scene) -> Int64Array:
             for one in getattr(annotation, "attributes", ())
             if one.timestamps_ns is not None
         ]
+        if isinstance(annotation, CuboidAnnotation):
+            found += [one.timestamps_ns for one in annotation.projections if one.boxes is not None]
         if isinstance(annotation, EventAnnotation):
             stop_ns = annotation.start_ns + int(annotation.duration_ns or 0)
             found.append(np.array([annotation.start_ns, stop_ns], np.int64))

@@ -6,19 +6,22 @@ from typing import Any
 
 import numpy as np
 
+from sceneloom.arrays import Int64Array
 from sceneloom.formats.openlabel.read_attributes import TYPE
 from sceneloom.formats.openlabel.read_geometry import RBBOX
-from sceneloom.formats.openlabel.words import ABSOLUTE
+from sceneloom.formats.openlabel.words import ABSOLUTE, CONFIRMED, INTERPOLATED
 from sceneloom.scene import (
     AttributePath,
     Box2DAnnotation,
     CuboidAnnotation,
     PointsAnnotation,
+    Projection,
     ShapeAnnotation,
     ShapeType,
 )
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations.keypoints import places_of
+from sceneloom.scene.at import cuboid_poses
 
 Datum = tuple[int | None, str, dict[str, Any]]
 """Time [ns], or None for always; type of the data; the element."""
@@ -27,13 +30,56 @@ _CLOSED = (ShapeType.POLYGON, ShapeType.POLYGON_2D, ShapeType.POLYGON_TOPDOWN)
 _POINTS = (ShapeType.POINT, ShapeType.POINT_2D, ShapeType.POINT_TOPDOWN)
 
 
-def cuboid_data(cuboid: CuboidAnnotation, name: str, system: str, angles: CuboidAngles) -> Iterator[Datum]:
-    """A cuboid in each row: centre, quaternion x y z w, sizes."""
+def cuboid_data(
+    cuboid: CuboidAnnotation, name: str, system: str, angles: CuboidAngles, frames_ns: Int64Array
+) -> Iterator[Datum]:
+    """A cuboid in each row and, marked as such, in the frames between: centre, quaternion x y z w, sizes.
+
+    Args:
+        cuboid: over time.
+        name: of the data.
+        system: the coordinate system of the cuboid.
+        angles: how its angles are meant.
+        frames_ns: (M,) int64 [ns], the times of all frames; it is said in those in which the cuboid is there.
+    """
     values = cuboid.path.values
     quaternions = angles.quaternions(values[:, 6:9])
     rows = np.concatenate([values[:, 3:6], quaternions, values[:, :3]], axis=1).tolist()
+    between_ns, between = _between(cuboid, angles, frames_ns)
     for time_ns, row in zip(cuboid.path.timestamps_ns.tolist(), rows, strict=True):
-        yield time_ns, "cuboid", {"name": name, "val": row, "coordinate_system": system}
+        told = {"attributes": _flag(INTERPOLATED, value=False)} if between else {}
+        yield time_ns, "cuboid", {"name": name, "val": row, "coordinate_system": system, **told}
+    for time_ns, row in zip(between_ns, between, strict=True):
+        told = {"attributes": _flag(INTERPOLATED, value=True)}
+        yield time_ns, "cuboid", {"name": name, "val": row, "coordinate_system": system, **told}
+
+
+def _between(
+    cuboid: CuboidAnnotation, angles: CuboidAngles, frames_ns: Int64Array
+) -> tuple[list[int], list[list[float]]]:
+    """Times and rows of a cuboid in the frames that have no row of its path, as far as it is there."""
+    times = frames_ns[~np.isin(frames_ns, cuboid.path.timestamps_ns)]
+    poses = cuboid_poses(cuboid, times, angles=angles)
+    rows = np.concatenate([poses.centers_world, poses.quaternions_xyzw, poses.sizes_lwh], axis=1)
+    there = poses.there & np.isfinite(rows).all(axis=1)
+    return times[there].tolist(), rows[there].tolist()
+
+
+def _flag(name: str, *, value: bool) -> dict[str, Any]:
+    return {"boolean": [{"name": name, "val": value}]}
+
+
+def projection_data(projection: Projection, name: str, system: str) -> Iterator[Datum]:
+    """The box of a projection in each row that has one: centre and size, and whether a person confirmed it."""
+    boxes = projection.boxes
+    if boxes is None:
+        return
+    rows = np.concatenate([boxes[:, :2] + boxes[:, 2:] / 2, boxes[:, 2:]], axis=1)
+    for k in np.flatnonzero(np.isfinite(rows).all(axis=1)).tolist():
+        confirmed = None if projection.confirmed is None else projection.confirmed[k]
+        told = {} if confirmed is None else {"attributes": _flag(CONFIRMED, value=confirmed)}
+        element = {"name": name, "val": rows[k].tolist(), "coordinate_system": system, **told}
+        yield int(projection.timestamps_ns[k]), "bbox", element
 
 
 def box_data(box: Box2DAnnotation, name: str, system: str) -> Iterator[Datum]:

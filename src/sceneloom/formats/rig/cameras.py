@@ -70,7 +70,7 @@ def _from_video(drive: Drive, record: Record, place: str) -> CameraSensor:
     path = drive.root(record, place).file(record["video"], f"{place}.video")
     video = VideoFile(path)
     drive.videos.append(video)
-    reader = video.reader()
+    reader = video.whole_or_left(drive.ledger)
     lens = _fitted_lens(drive, record, place, (reader.width, reader.height))
     mount = _mount(drive, record)
     source = drive.time_source(record, place)

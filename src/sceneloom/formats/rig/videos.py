@@ -12,6 +12,7 @@ from sceneloom.arrays import Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
 from sceneloom.formats.files import open_file
+from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.video import VideoReader, open_video
 from sceneloom.scene import Picture, VideoContent
 
@@ -21,17 +22,19 @@ class VideoFile:
 
     Attributes:
         path: the file.
+        cut_off: whether only what is left of a damaged video is read.
     """
 
     def __init__(self, path: Path) -> None:
         """Open nothing yet."""
         self.path = path
+        self.cut_off = False
         self._closed = False
         self._reader: VideoReader | None = None
         self._lock = Lock()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"path": self.path, "_closed": self._closed, "_reader": self._reader}
+        return {"path": self.path, "cut_off": self.cut_off, "_closed": self._closed, "_reader": self._reader}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -47,8 +50,32 @@ class VideoFile:
             if self._closed:
                 raise DataError(self.path, "", "is closed")
             if self._reader is None:
-                self._reader = open_video(self.path)
+                self._reader = open_video(self.path, cut_off=self.cut_off)
             return self._reader
+
+    def whole_or_left(self, ledger: Ledger) -> VideoReader:
+        """The open video with its list of images; a lenient reading takes what is left of one that breaks off.
+
+        Raises:
+            DataError: it cannot be read, or no image of it is left.
+        """
+        reader = self.reader()
+        try:
+            reader.index  # noqa: B018 - the walk through the packets finds out whether it is whole
+        except DataError as error:
+            if not ledger.lenient:
+                raise
+            reader.close()
+            self._reader, self.cut_off = None, True
+            try:
+                count = self.reader().count
+            except DataError:
+                count = 0
+            if count == 0:
+                raise error from None
+            problem = f"{error.problem}; its first {count} images are read"
+            ledger.fault("unreadable-videos", DataError(error.file, error.place, problem))
+        return self.reader()
 
     def rgb(self, index: int) -> UInt8Array:
         """Decode one picture."""
@@ -70,8 +97,10 @@ class VideoFile:
         """Open the video's bytes."""
         return open_file(self.path)
 
-    def content(self, chosen: Int64Array) -> VideoContent:
-        """The video for those who copy it, with the pictures that are used of it."""
+    def content(self, chosen: Int64Array) -> VideoContent | None:
+        """The video for those who copy it, with the pictures that are used of it; None for what is left of one."""
+        if self.cut_off:
+            return None
         reader = self.reader()
         whole = np.array_equal(chosen, np.arange(reader.count))
         return VideoContent(self.open_binary, reader.codec, None if whole else tuple(chosen.tolist()))

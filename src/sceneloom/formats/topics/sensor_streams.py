@@ -249,7 +249,8 @@ class SensorStreams:
             return None
         if packets.reordered:
             what = (
-                "pictures that need later ones (B frames) are kept; viewers that follow the schema show none"
+                "pictures that need later ones (B frames) are kept; viewers that follow the schema show none: "
+                "`--set pictures=jpeg` encodes each image by itself, and they show it"
             )
             self.losses.converted("sensors.camera.video", what)
         note["codec"] = packets.codec

@@ -211,6 +211,25 @@ def test_videos_are_pictures_with_times(opened, folder, video, times, expected_m
         _ = camera.pictures[0].rgb
 
 
+def test_of_a_video_that_breaks_off_a_lenient_reading_keeps_the_images_before_the_cut(opened, folder, video):
+    content = video.read_bytes()
+    video.write_bytes(content[: len(content) * 3 // 5])
+    (folder / "t.txt").write_text("5\n7\n11\n13\n17\n")
+    changes = (AS_VIDEO, (BY_RATE, 'times = { lines = "t.txt", unit = "milliseconds" }'))
+    with pytest.raises(DataError, match="cut off"):
+        opened(*changes)
+    with opened(*changes, lenient=True) as scene:
+        camera = scene.cameras[0]
+        count = len(camera.pictures)
+        assert 0 < count < 5
+        assert [int(image.rgb[0, 0, 0]) for image in camera.pictures] == [0, 40, 80, 120, 160][:count]
+        assert pickle.loads(pickle.dumps(scene)).cameras[0].pictures[0].rgb[0, 0, 0] == 0
+        assert camera.video is None
+        counts = {notice.code: notice.count for notice in scene.notices}
+        assert counts["unreadable-videos"] == 1
+        assert counts["counts-disagree"] == 5 - count
+
+
 def test_times_and_pictures_of_a_video_have_to_be_as_many(opened, folder, video):
     (folder / "t.txt").write_text("1\n2\n")
     with pytest.raises(DataError, match="2 times for 5 files or pictures"):

@@ -1,9 +1,10 @@
-"""The poses that a reader gives its sensors: along the default trajectory."""
+"""The poses that a reader gives its sensors, and what writers in the world do without any."""
 
 from collections.abc import Mapping
 from typing import Any
 
 from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.loss import Fate, Loss
 from sceneloom.scene import NoticeKind, PosePath, Trajectory
 
 
@@ -22,3 +23,9 @@ def default_poses(trajectories: Mapping[Any, Trajectory], place: str, ledger: Le
         ledger.note(NoticeKind.SKIPPED, "orientations-missing", place, message)
         return None
     return default.poses
+
+
+def standing_ego() -> Loss:
+    """What every target that places things in the world reports of a drive whose trajectory is not known."""
+    what = "not known: the ego is taken to stand at the world's origin"
+    return Loss(field="trajectories.positions", what=what, fate=Fate.APPROXIMATED)

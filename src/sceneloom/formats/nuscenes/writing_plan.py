@@ -12,6 +12,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.editing.undistortion import undistort_scene
 from sceneloom.errors import OptionError
+from sceneloom.formats.default_poses import standing_ego
 from sceneloom.formats.field_losses import field_losses
 from sceneloom.formats.file_names import file_stems
 from sceneloom.formats.kitti.written.choice import ego_way
@@ -124,8 +125,7 @@ class WritingPlan:
         way = ego_way(scene)
         check_one_ego(scene, way)
         if way is None:
-            what = "not known: the ego is taken to stand at the world's origin"
-            losses.append(Loss(field="trajectories.positions", what=what, fate=Fate.APPROXIMATED))
+            losses.append(standing_ego())
         if len(scene.trajectories) > 1:
             what = "left out: the tables hold one way of the ego"
             losses.append(Loss(field="trajectories", what=what, count=len(scene.trajectories) - 1))

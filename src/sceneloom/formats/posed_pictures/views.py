@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from sceneloom.errors import OptionError
+from sceneloom.formats.default_poses import standing_ego
 from sceneloom.formats.file_names import file_stems
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.posed_pictures.settings import PosedSettings
@@ -77,6 +78,8 @@ class PosedScene:
         if first is None:
             raise OptionError(f"{scene.source}: no picture has a pose in the world")
         posed.losses.clear()
+        if ego is not None and ego.name == "identity":
+            posed.losses.append(standing_ego())
         place = first.world_from_camera.translation
         if np.abs(place).max() > FARTHEST_M:
             posed.origin_world = RigidTransform(np.eye(3), np.floor(place))

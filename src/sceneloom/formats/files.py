@@ -54,7 +54,7 @@ def check_regular(path: Path) -> None:
     """
     status = path.stat()
     _check_mode(path, status.st_mode)
-    stored = getattr(status, "st_blocks", 0) * 512
+    stored = (getattr(status, "st_blocks", None) or 0) * 512  # remote files tell none
     if status.st_size > LARGEST_READ and _PAGE <= stored < status.st_size / LARGEST_HOLES:
         problem = f"is {status.st_size} bytes long, of which {stored} are stored; expected a file without such holes"
         raise OSError(errno.EINVAL, problem, str(path))

@@ -83,9 +83,8 @@ def test_what_computes_with_a_refined_scene_uses_the_refined_calibration(call, t
             at_ns = camera.pictures.timestamps_ns[1:2]
             camera_pose, lidar_pose = (path.interpolate(at_ns) for path in (camera.poses, lidar.poses))
         found = pose_of(camera_pose).inverse() @ pose_of(lidar_pose)
-        np.testing.assert_allclose(
-            found.matrix, expected, atol=2e-3
-        )  # poses are written within 0.01 deg and 1 mm
+        # both poses are written within 1 mm and 0.01 deg, and half a degree was planted
+        np.testing.assert_allclose(found.matrix, expected, atol=4e-3)
 
 
 def pose_of(samples):

@@ -1,6 +1,7 @@
 """Lenses and mountings of single pictures in the words that they were read from, where these still mean them."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,8 @@ class PictureParameters:
         text = msgspec.json.encode(words)
         if text != self._last_lens[0]:
             self._last_lens = text, self._lens_of(text)
-        return self._last_lens[1] == cropped(camera, *self._size)
+        said = self._last_lens[1]
+        return said is not None and _without_zeros(said) == _without_zeros(cropped(camera, *self._size))
 
     def _lens_of(self, text: bytes) -> Camera | None:
         """What a reader of the written recording makes of it."""
@@ -101,3 +103,9 @@ def _mount_of(text: bytes) -> RigidTransform | None:
     except SceneloomError:
         return None
     return None if ledger.notices else mount
+
+
+def _without_zeros(camera: Camera) -> Camera:
+    """A camera without the zeros that other formats add at the end of its coefficients."""
+    count = max((k + 1 for k, value in enumerate(camera.coefficients) if value), default=0)
+    return replace(camera, coefficients=camera.coefficients[:count])

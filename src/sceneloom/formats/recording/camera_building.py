@@ -188,7 +188,8 @@ def _match_pictures(
         sources.open_files.add(files)
         check_kind(files, _first_fields(sources, index, columns))
         numbers = np.asarray(sources.frames.numbers, np.int64)
-        choice = choose_pictures(numbers, files.count, alignment=sources.image_index)
+        cut_off = isinstance(files, VideoReader) and files.is_remainder
+        choice = choose_pictures(numbers, files.count, alignment=sources.image_index, cut_off=cut_off)
         if choice.problem is not None and ledger.lenient and maybe_cut_off(files, len(numbers)):
             files = open_video(path, cut_off=True)
             sources.open_files.add(files)

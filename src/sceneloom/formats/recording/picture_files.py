@@ -151,7 +151,9 @@ class PictureChoice:
     by_line: bool = False
 
 
-def choose_pictures(numbers: Int64Array, picture_count: int, *, alignment: str = "auto") -> PictureChoice:
+def choose_pictures(
+    numbers: Int64Array, picture_count: int, *, alignment: str = "auto", cut_off: bool = False
+) -> PictureChoice:
     """Match `frames` lines with pictures.
 
     A line's picture is `number` minus the first number where the pictures are as many as the numbers span; else
@@ -163,6 +165,7 @@ def choose_pictures(numbers: Int64Array, picture_count: int, *, alignment: str =
         numbers: (N,) int64, `number` of all frames lines, in the order of the file.
         picture_count: how many pictures there are.
         alignment: a key of `ALIGNMENTS`; any but "auto" decides, whatever the counts say.
+        cut_off: whether images are missing because the video is cut off, which the problem then names.
     """
     count = len(numbers)
     if count == 0:
@@ -191,8 +194,10 @@ def choose_pictures(numbers: Int64Array, picture_count: int, *, alignment: str =
         f"expected {count} pictures" + (f" or {last - first + 1}" if last - first + 1 != count else "")
     )
     problem += (
-        f". Which picture a line means is open: a lenient reading takes --image-index {used} ({ALIGNMENTS[used]}); "
-        f"there is {others}"
+        f". The video is cut off: lines beyond its end have no image (--image-index {used}: {ALIGNMENTS[used]})"
+        if cut_off
+        else f". Which picture a line means is open: a lenient reading takes --image-index {used} "
+        f"({ALIGNMENTS[used]}); there is {others}"
     )
     return PictureChoice(np.where(indices < picture_count, indices, -1), problem)
 

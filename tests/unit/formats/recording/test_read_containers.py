@@ -97,6 +97,8 @@ def test_what_is_left_of_a_video_is_told_with_its_count(drive):
         messages = {notice.code: notice.message for notice in scene.notices}
         assert f"its first {count} pictures are read" in messages["unreadable-videos"]
         assert f"{count} pictures, but data.jsonl has {COUNT} frames lines" in messages["unmatched-pictures"]
+        assert "The video is cut off" in messages["unmatched-pictures"]
+        assert "is open" not in messages["unmatched-pictures"]
     report = validate(drive.path)
     assert not report.passed
     assert "unreadable-videos" in {finding.rule for finding in report.findings}

@@ -120,6 +120,32 @@ def test_a_folder_is_replaced_only_by_its_like_and_never_with_the_source_in_it(
 
 
 @pytest.mark.parametrize(
+    ("name", "file"),
+    [
+        ("kitti-odometry", "poses/05.txt"),  # the downloaded trajectory of another sequence
+        ("recording", "lidar/notes.txt"),
+        ("ros2", "yesterday.mcap"),
+        ("kitti-raw", "2011_09_26/2011_09_26_drive_0099_sync/oxts/data/0000000000.txt"),
+        ("kitti-tracking", "training/label_02/0007.txt"),
+        ("nuscenes", "v1.0-own/sample.json"),
+        ("nerfstudio", "images/sketch.png"),
+        ("pcd", "notes.pcd"),
+    ],
+)
+def test_a_folder_with_one_more_file_of_another_drive_is_not_replaced(
+    call: "Call", recording: Path, tmp_path: Path, name: str, file: str
+) -> None:
+    own = tmp_path / "own"
+    assert call("convert", recording, own, "--to", name, "--quiet").code == 0
+    (own / file).parent.mkdir(parents=True, exist_ok=True)
+    (own / file).write_text("mine")
+    before = _tree(own)
+    outcome = call("convert", recording, own, "--to", name, "--overwrite")
+    assert (outcome.code, _tree(own)) == (1, before)
+    assert "choose another name" in outcome.err
+
+
+@pytest.mark.parametrize(
     "arguments",
     [
         ("edit", "crop", "{0}", "--start", "0.1", "-o", "{0}"),

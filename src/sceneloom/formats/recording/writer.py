@@ -38,7 +38,7 @@ _KIND = FolderKind(
         r"calibration\.json",
         r"vio_config\.yaml",
         r"frames\d+/\d{8}\.png",
-        r"lidar\d*/.+",
+        r"lidar\d*/\w[\w.-]*\.(bin|dat|raw)",
         r"README(\.\w+)?",
     ),
     r"data\.jsonl",

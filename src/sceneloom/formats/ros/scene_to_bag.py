@@ -48,7 +48,7 @@ def _dialect(*, videos: bool) -> Dialect:
     )
 
 
-_KIND = FolderKind("bag of ROS 2", (r"metadata\.yaml", r".+\.(mcap|db3)"), r"metadata\.yaml")
+_KIND = FolderKind("bag of ROS 2", (r"metadata\.yaml", r"(?P<one>.+)\.(mcap|db3)"), r"metadata\.yaml")
 
 
 def write_ros1(

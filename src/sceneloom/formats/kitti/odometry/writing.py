@@ -40,7 +40,7 @@ _KIND = FolderKind(
     (
         rf"{_SEQUENCE}/(calib|times)\.txt",
         rf"{_SEQUENCE}/(velodyne|labels|image_\d)/\d{{6}}\.(bin|label|png|jpe?g)",
-        r"poses/.+\.txt",
+        r"poses/(?P<one>.+)\.txt",
     ),
     r"sequences/.+/calib\.txt",
 )

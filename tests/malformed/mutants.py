@@ -3,7 +3,7 @@
 A mutant is a drive with one file changed, and is known by the name of the drive and a number, so that each can be made
 again: `python -m tests.malformed.mutants NAME NUMBER` shows what becomes of one, with its traceback.
 `python -m tests.malformed.mutants NAME --count 2000` tries the first of them, `--count 2000 120`
-for two minutes at most. Mutants with negative numbers have a named pipe, a device, a folder, a socket or a file of
+for two minutes at most, and says how many there were of each outcome, how long they took and the most memory. Mutants with negative numbers have a named pipe, a device, a folder, a socket or a file of
 200 GB without content in the place of a file, or a file that is named by a number beyond 64 bits, or has values
 nested 100,000 deep.
 
@@ -100,6 +100,57 @@ def _street(folder: Path) -> Path:
     return written
 
 
+def _without_checksums(folder: Path) -> Path:
+    """Write an MCAP file with packed chunks and without checksums, so that what is changed in it is looked at."""
+    from mcap.reader import make_reader
+    from mcap.writer import CompressionType, Writer
+
+    sound = _written("mcap", "sound.mcap")(folder)
+    target = folder / "drive.mcap"
+    with sound.open("rb") as source, target.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.ZSTD, enable_crcs=False)
+        writer.start(profile="", library="another")
+        known: dict[int, int] = {}
+        for schema, channel, message in make_reader(source).iter_messages():
+            if channel.id not in known:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                known[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, number)
+            writer.add_message(known[channel.id], message.log_time, message.data, message.publish_time)
+        writer.finish()
+    sound.unlink()
+    return target
+
+
+def _packed_bag(folder: Path) -> Path:
+    """Write a bag of ROS 1 whose chunks are compressed."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.rosbag1 import Writer
+
+    sound = _written("ros1", "sound.bag")(folder)
+    bag = Writer(folder / "drive.bag")
+    bag.set_compression(Writer.CompressionFormat.LZ4)
+    with AnyReader([sound]) as reader, bag:
+        known = {
+            one.id: bag.add_connection(one.topic, one.msgtype, typestore=reader.typestore)
+            for one in reader.connections
+        }
+        for connection, time_ns, content in reader.messages():
+            bag.write(known[connection.id], time_ns, content)
+    sound.unlink()
+    return folder / "drive.bag"
+
+
+def _copied(place: str) -> Callable[[Path], Path]:
+    """A file of someone else, out of the folder of real data."""
+
+    def copy(folder: Path) -> Path:
+        data = os.environ.get("SCENELOOM_DATA", _ROOT.parent / "shared" / "data")
+        source = Path(data, "real", "strangers", place)
+        return Path(shutil.copyfile(source, folder / source.name))
+
+    return copy
+
+
 DRIVES: dict[str, Callable[[Path], Path]] = {
     "openlabel": _written("openlabel", "drive.json"),
     "kitti-raw": _written("kitti-raw", "drive"),
@@ -109,16 +160,32 @@ DRIVES: dict[str, Callable[[Path], Path]] = {
     "pcd": _written("pcd", "drive"),
     "ply": _written("ply", "drive"),
     "npz": _written("npz", "drive"),
+    "mcap": _written("mcap", "drive.mcap"),
+    "mcap lz4": _written("mcap", "drive.mcap", compression="lz4"),
+    "mcap zstd unchecked": _without_checksums,
+    "ros1": _written("ros1", "drive.bag", pictures="raw"),
+    "ros1 lz4": _packed_bag,
+    "ros2": _written("ros2", "drive"),
+    "ros2 sqlite": _written("ros2", "drive", storage="sqlite3"),
 }
-"""Writers of sound drives: each takes an empty folder and gives the path of the drive in it, a file or a folder."""
+"""Writers of sound drives, by their format and what else tells them apart.
+
+Each takes an empty folder and gives the path of the drive in it, a file or a folder.
+"""
+
+STRANGERS: dict[str, Callable[[Path], Path]] = {
+    "mcap stranger": _copied("mcap/custom-camera-model.mcap"),
+    "ros1 stranger lz4": _copied("ros1_bags/example-lz4.bag"),
+    "ros1 stranger tf": _copied("tf_bags/tf_example.bag"),
+    "ros2 stranger tf": _copied("tf_bags/tf_example.db3"),
+    "ros2 stranger radar": _copied("radar_bag/ars548/1708578204.db3"),
+}
+"""The same with files of others."""
 
 OTHER_DRIVES: dict[str, Callable[[Path], Path]] = {
     "sfs": _written("sfs", "drive.sfs"),
     "recording": _written("recording", "drive"),
     "rig": _by_test("rig.conftest", "write_folder"),
-    "mcap": _written("mcap", "drive.mcap"),
-    "ros1": _written("ros1", "drive.bag"),
-    "ros2": _written("ros2", "drive"),
     "kitti-tracking": _written("kitti-tracking", "drive"),
     "kitti-odometry": _written("kitti-odometry", "drive"),
     "kitti-bin": _written("kitti-bin", "drive"),
@@ -131,7 +198,7 @@ OTHER_DRIVES: dict[str, Callable[[Path], Path]] = {
 }
 """Those of the formats whose mutants are tried elsewhere."""
 
-ALL_DRIVES = DRIVES | OTHER_DRIVES
+ALL_DRIVES = DRIVES | OTHER_DRIVES | STRANGERS
 
 
 def mutant_of(content: bytes, chance: np.random.Generator) -> bytes:
@@ -458,7 +525,7 @@ def _read(drive: Path, name: str, *, lenient: bool = False) -> None:
     """Open a drive and read all that is in it."""
     import sceneloom
 
-    with sceneloom.open(drive, format=name, lenient=lenient) as scene:
+    with sceneloom.open(drive, format=name.split(maxsplit=1)[0], lenient=lenient) as scene:
         for sensor in scene.sensors:
             for frame in getattr(sensor, "frames", ()):
                 points = frame.points
@@ -507,7 +574,9 @@ def _main() -> None:
         numbers = range(int(arguments[2])) if arguments[1] == "--count" else None
         seconds = float(arguments[3]) if len(arguments) > 3 else float("inf")
         tried = try_mutants(arguments[0], numbers, seconds=seconds)
-        sys.stdout.write(f"{arguments[0]}: {tried}\n  {time.monotonic() - begun:.0f} s\n")
+        peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss >> 10
+        took = time.monotonic() - begun
+        sys.stdout.write(f"{arguments[0]}: {tried}\n  {took:.0f} s, at most {peak} MiB in one process\n")
     else:
         with tempfile.TemporaryDirectory() as folder:
             drive = ALL_DRIVES[arguments[0]](Path(folder))

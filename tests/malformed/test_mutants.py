@@ -3,7 +3,7 @@
 import sys
 
 import pytest
-from tests.malformed.mutants import ALL_DRIVES, DRIVES, try_mutants
+from tests.malformed.mutants import ALL_DRIVES, DRIVES, OTHER_DRIVES, STRANGERS, try_mutants
 
 from sceneloom.detections.detector_files import read_detectors
 from sceneloom.errors import DataError, SceneloomError
@@ -33,8 +33,22 @@ def test_many_mutants_of_a_drive_give_a_scene_or_an_error_of_ours(name):
     assert not tried.failures, str(tried)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", STRANGERS)
+def test_many_mutants_of_files_of_others_give_a_scene_or_an_error_of_ours(name, data_dir):
+    if not (data_dir / "real" / "strangers").is_dir():
+        pytest.skip("no files of others beside the real data")
+    tried = try_mutants(name, range(MANY), seconds=110)
+    assert not tried.failures, str(tried)
+
+
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in ALWAYS else pytest.mark.slow) for name in ALL_DRIVES]
+    "name",
+    [
+        pytest.param(name, marks=() if name in ALWAYS else pytest.mark.slow)
+        for name in DRIVES | OTHER_DRIVES
+        if " " not in name
+    ],
 )
 def test_what_is_no_file_and_what_is_endless_in_the_place_of_any_file_is_refused_and_never_waited_for(name):
     if name == "argoverse2":

@@ -3,9 +3,9 @@
 A mutant is a drive with one file changed, and is known by the name of the drive and a number, so that each can be made
 again: `python -m tests.malformed.mutants NAME NUMBER` shows what becomes of one, with its traceback.
 `python -m tests.malformed.mutants NAME --count 2000` tries the first of them, `--count 2000 120`
-for two minutes at most, and says how many there were of each outcome, how long they took and the most memory. Mutants with negative numbers have a named pipe, a device, a folder, a socket or a file of
-200 GB without content in the place of a file, or a file that is named by a number beyond 64 bits, or has values
-nested 100,000 deep.
+for two minutes at most, and says how many there were of each outcome, how long they took and the most memory.
+Mutants with negative numbers have a named pipe, a device, a folder, a socket or a file of 200 GB without content in
+the place of a file, or a file that is named by a number beyond 64 bits, or has values nested 100,000 deep.
 
 What may become of a mutant is a scene, or a `SceneloomError`. Any other exception, a process that dies, takes more
 memory than `MEMORY`, or longer than `SECONDS`, is a failure.

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.malformed.mutants import ALL_DRIVES
 
 from sceneloom.errors import DataError
 from sceneloom.formats import open_scene, write_scene
@@ -43,3 +44,39 @@ def test_an_index_without_its_chunk_is_a_fault(bag):
         DataError, match=r"log.bag: byte \d+: the record is damaged: an index before any chunk"
     ):
         open_scene(bag)
+
+
+@pytest.mark.parametrize("kind", ["TFMessage", "Odometry", "Detection3DArray", "Imu"])
+def test_orientations_beyond_what_can_be_squared_are_faults_and_no_warnings(tmp_path, kind):
+    """Warnings are errors here: squares of such numbers overflow."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.rosbag1 import Writer
+
+    sound, path, touched = ALL_DRIVES["ros1"](tmp_path), tmp_path / "other.bag", 0
+    with AnyReader([sound]) as reader, Writer(path) as writer:
+        known = {
+            one.id: writer.add_connection(one.topic, one.msgtype, typestore=reader.typestore)
+            for one in reader.connections
+        }
+        for connection, time_ns, raw in reader.messages():
+            content, message = raw, reader.deserialize(raw, connection.msgtype)
+            if connection.msgtype.endswith(kind):
+                touched += _turned(message, 1e200)
+                content = reader.typestore.serialize_ros1(message, connection.msgtype)
+            writer.write(known[connection.id], time_ns, content)
+    assert touched
+    with open_scene(path, lenient=True) as scene:
+        assert scene.notices or kind == "Imu"
+        for sensor in scene.sensors:
+            for frame in getattr(sensor, "frames", ()):
+                assert frame.points is not None
+
+
+def _turned(message, number):
+    """Set the last element of each quaternion in a message; say of how many."""
+    if isinstance(message, list):
+        return sum(_turned(part, number) for part in message)
+    if type(message).__name__.endswith("Quaternion"):
+        message.w = number
+        return 1
+    return sum(_turned(part, number) for part in getattr(message, "__dict__", {}).values())

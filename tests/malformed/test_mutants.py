@@ -15,6 +15,8 @@ pytestmark = pytest.mark.skipif(
 )
 
 FEW, MANY = 24, 2000
+GUARDED = "mcap lz4"
+"""A drive of packed chunks with checksums, which few changes get by."""
 ALWAYS = {"openlabel", "laz", "recording", "kitti-object", "scale-toolkit", "mcap", "argoverse2"}
 """Drives whose files are replaced in the usual run; the others follow in the long one."""
 
@@ -23,7 +25,7 @@ ALWAYS = {"openlabel", "laz", "recording", "kitti-object", "scale-toolkit", "mca
 def test_a_mutant_of_a_drive_gives_a_scene_or_an_error_of_ours(name):
     tried = try_mutants(name, range(FEW))
     assert not tried.failures, str(tried)
-    assert set(tried.outcomes) == {"scene", "refused"}
+    assert set(tried.outcomes) == {"scene", "refused"} - ({"scene"} if name == GUARDED else set())
 
 
 @pytest.mark.slow

@@ -83,7 +83,9 @@ def _cloud(parsed: Parsed) -> Sequence[CloudRecord]:
 
 def _rigid(pose: Any) -> RigidTransform | None:
     quaternion = _turn(pose.orientation)
-    if not np.isfinite(quaternion).all() or not 0 < np.linalg.norm(quaternion) < math.inf:
+    with np.errstate(over="ignore", invalid="ignore"):
+        length = np.linalg.norm(quaternion)
+    if not 0 < length < math.inf:
         return RigidTransform(np.eye(3), _vector(pose.position))
     return RigidTransform.from_quaternion(_vector(pose.position), quaternion)
 

@@ -11,10 +11,10 @@ import numpy as np
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import DataError, SceneloomError
 from sceneloom.formats.openlabel.document import Part
+from sceneloom.formats.quaternion_lengths import lengths_of
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import matrix_from_quaternion, normalise_quaternion, quaternion_from_matrix
 
-_GREATEST_NORM_ERROR = 0.01
 _GREATEST_MATRIX_ERROR = 0.01
 _DEFAULT_SEQUENCE = "ZYX"
 
@@ -62,7 +62,7 @@ def unit_quaternions(parts: Sequence[Part], values: list[list[float]]) -> Float6
         DataError: one has another length.
     """
     quaternions = np.array(values, np.float64)
-    wrong = np.flatnonzero(~(np.abs(np.linalg.norm(quaternions, axis=1) - 1.0) <= _GREATEST_NORM_ERROR))
+    wrong = np.flatnonzero(lengths_of(quaternions)[1])
     if len(wrong):
         raise parts[int(wrong[0])].fault("a quaternion x y z w of length 1")
     return normalise_quaternion(quaternions)

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sceneloom.arrays import Float64Array
+from sceneloom.formats.quaternion_lengths import lengths_of
 from sceneloom.formats.topics.records import (
     AnyRecord,
     Box2D,
@@ -176,7 +177,7 @@ def _imu(message: Any) -> Sequence[SampleRecord]:
     if message.angular_velocity_covariance[0] != -1:
         values["gyroscope"] = tuple(_vector(message.angular_velocity).tolist())
     turn = _turn(message.orientation)
-    if message.orientation_covariance[0] != -1 and abs(np.linalg.norm(turn) - 1) < 0.01:
+    if message.orientation_covariance[0] != -1 and not lengths_of(turn[None])[1][0]:
         values["orientation"] = tuple(turn.tolist())
     return [SampleRecord(*_head(message), values)]
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.formats.poses import GREATEST_NORM_ERROR
+from sceneloom.formats.quaternion_lengths import lengths_of
 from sceneloom.formats.topics.places import Places
 from sceneloom.formats.topics.records import Box2D, Box3D, Boxes2DRecord, Boxes3DRecord
 from sceneloom.formats.topics.survey import Survey
@@ -91,14 +91,16 @@ def cuboid(
     centers = np.array([box.center for box in boxes]).reshape(-1, 3)
     turns = np.array([box.quaternion_xyzw for box in boxes]).reshape(-1, 4)
     sizes = np.array([box.size_lwh for box in boxes]).reshape(-1, 3)
-    sound = np.abs(np.linalg.norm(turns, axis=1) - 1) <= GREATEST_NORM_ERROR
+    sound = ~lengths_of(turns)[1]
     sound &= np.isfinite(np.hstack([centers, turns, sizes])).all(axis=1)
     _note(survey, sound, "boxes-at-fault", place, "boxes without a place, size or orientation")
     placed = np.zeros(len(boxes), np.bool_)
     for frame in dict.fromkeys(box.frame_id for box in boxes):
         same = np.array([box.frame_id == frame for box in boxes]) & sound
         if same.any():
-            placed[same] = _to_world(centers, turns, same, times, frame, places)
+            with np.errstate(over="ignore", invalid="ignore"):
+                placed[same] = _to_world(centers, turns, same, times, frame, places)
+    placed &= np.isfinite(centers).all(axis=1)
     _note(
         survey,
         placed | ~sound,

@@ -7,7 +7,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import DataError
-from sceneloom.formats.poses import GREATEST_NORM_ERROR
+from sceneloom.formats.quaternion_lengths import lengths_of
 from sceneloom.formats.topics.records import TransformRecord
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, normalise_quaternion, rotate_vectors
@@ -178,11 +178,11 @@ def _composed(edges: Sequence[Edge], times: Int64Array) -> PosePath | None:
 
 
 def _check(record: TransformRecord, name: str) -> None:
-    norm = float(np.linalg.norm(record.quaternion_xyzw))
-    if not (abs(norm - 1.0) <= GREATEST_NORM_ERROR and np.isfinite(record.position).all()):
+    norms, wrong = lengths_of(record.quaternion_xyzw[None])
+    if wrong[0] or not np.isfinite(record.position).all():
         problem = (
-            f"position {record.position.tolist()}, orientation {record.quaternion_xyzw.tolist()} of length {norm:.4f}; "
-            "expected finite numbers and a unit quaternion x y z w"
+            f"position {record.position.tolist()}, orientation {record.quaternion_xyzw.tolist()} "
+            f"of length {norms[0]:.4g}; expected finite numbers and a unit quaternion x y z w"
         )
         raise DataError(name, f"transform {record.parent!r} to {record.child!r}", problem)
     if record.parent == record.child:

@@ -9,7 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.errors import DataError
-from sceneloom.formats.poses import GREATEST_NORM_ERROR
+from sceneloom.formats.quaternion_lengths import lengths_of
 from sceneloom.formats.topics.places import Places
 from sceneloom.formats.topics.records import FixRecord, PoseRecord, SampleRecord
 from sceneloom.formats.topics.stamps import in_order
@@ -84,9 +84,11 @@ def _pose_fault(record: PoseRecord) -> str | None:
         return f"position {record.position.tolist()}; expected finite numbers"
     if record.quaternion_xyzw is None:
         return None
-    norm = float(np.linalg.norm(record.quaternion_xyzw))
-    if not abs(norm - 1.0) <= GREATEST_NORM_ERROR:
-        return f"orientation {record.quaternion_xyzw.tolist()} of length {norm:.4f}; expected 1 within 0.01"
+    norms, wrong = lengths_of(record.quaternion_xyzw[None])
+    if wrong[0]:
+        return (
+            f"orientation {record.quaternion_xyzw.tolist()} of length {norms[0]:.4g}; expected 1 within 0.01"
+        )
     return None
 
 

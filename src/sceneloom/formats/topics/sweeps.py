@@ -195,7 +195,8 @@ def _directions(columns: dict[str, AnyArray], positions: AnyArray) -> AnyArray:
     if all(name in columns for name in DIRECTION_COLUMNS):
         told = [columns.pop(name) for name in DIRECTION_COLUMNS]
         return read_only(np.stack(told, axis=1), np.float32)
-    distances = np.linalg.norm(positions, axis=1, keepdims=True)
+    with np.errstate(over="ignore", invalid="ignore"):
+        distances = np.linalg.norm(positions, axis=1, keepdims=True)
     ahead = np.divide(positions, distances, out=np.zeros_like(positions), where=distances > 0)
     return read_only(ahead, np.float32)
 

@@ -18,7 +18,7 @@ from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.fusion.outcome import Cause, Outcome, refused
 from sceneloom.fusion.properties import Property
 from sceneloom.scene.poses import PosePath
-from sceneloom.service.client_errors import code_of, service_error
+from sceneloom.service.client_errors import code_of, reader_of, service_error
 from sceneloom.service.motion_form import motion_request
 from sceneloom.service.pem import read_certificates, read_pair
 from sceneloom.service.received import Sent, outcome_of, property_of, result_of, sent_of
@@ -242,7 +242,7 @@ class FusionClient:
         made: Callable[..., Any] = getattr(self._channel, kind)(
             f"/{_SERVICE.full_name}/{method.name}",
             request_serializer=_serialised,
-            response_deserializer=reply_type.FromString,
+            response_deserializer=reader_of(reply_type),
         )
         return made
 

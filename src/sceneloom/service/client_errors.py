@@ -1,9 +1,11 @@
 """What a caller of the service meets besides answers: one error for each kind of failure."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
+from typing import Any
 
 import grpc
+from google.protobuf.message import DecodeError
 
 from sceneloom.errors import SceneloomError
 
@@ -62,9 +64,31 @@ _ERRORS: Mapping[grpc.StatusCode, type[ServiceError]] = MappingProxyType(
 )
 
 
+_UNREADABLE = "Exception deserializing response"
+"""What gRPC says where a reader of answers gives None."""
+
+
+def reader_of(reply_type: Any) -> Callable[[bytes], Any]:
+    """Give what reads answers of a type; None of bytes that are none, since gRPC logs tracebacks of what is raised."""
+
+    def read(content: bytes) -> Any:
+        try:
+            return reply_type.FromString(content)
+        except DecodeError:
+            return None
+
+    return read
+
+
+def details_of(error: grpc.RpcError) -> str:
+    """What is said of a call that failed."""
+    details = str(getattr(error, "details", lambda: "")() or "")
+    return "the answer is no message of this service" if _UNREADABLE in details else details
+
+
 def service_error(address: str, error: grpc.RpcError) -> ServiceError:
     """Give the error of a call that failed."""
-    code, details = code_of(error), str(getattr(error, "details", lambda: "")() or "")
+    code, details = code_of(error), details_of(error)
     kind = TooLargeError if _TOO_LARGE in details else _ERRORS.get(code, ServiceError)
     problem = f"{code.name.lower().replace('_', ' ')}: {details}" if details else code.name.lower()
     return kind(address, problem)

@@ -12,6 +12,7 @@ from grpc_reflection.v1alpha import reflection_pb2
 
 from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.service.client_errors import details_of, reader_of
 from sceneloom.service.pem import read_certificates, read_pair
 from sceneloom.service.security import read_token
 
@@ -194,7 +195,7 @@ class GrpcTransport:
         call = self.channel.unary_unary(
             "/grpc.health.v1.Health/Check",
             request_serializer=health_pb2.HealthCheckRequest.SerializeToString,
-            response_deserializer=health_pb2.HealthCheckResponse.FromString,
+            response_deserializer=reader_of(health_pb2.HealthCheckResponse),
         )
         request = health_pb2.HealthCheckRequest(service=service)
         try:
@@ -224,7 +225,7 @@ class GrpcTransport:
             call = self.channel.stream_stream(
                 f"/grpc.reflection.{version}.ServerReflection/ServerReflectionInfo",
                 request_serializer=reflection_pb2.ServerReflectionRequest.SerializeToString,
-                response_deserializer=reflection_pb2.ServerReflectionResponse.FromString,
+                response_deserializer=reader_of(reflection_pb2.ServerReflectionResponse),
             )
             try:
                 replies = list(call(iter([request]), timeout=PATIENCE_S, metadata=self._metadata))
@@ -249,12 +250,12 @@ def _stub(channel: grpc.Channel, method: Any) -> Any:
     return make(
         f"/{SERVICE.full_name}/{method.name}",
         request_serializer=getattr(fusion_pb2, method.input_type.name).SerializeToString,
-        response_deserializer=getattr(fusion_pb2, method.output_type.name).FromString,
+        response_deserializer=reader_of(getattr(fusion_pb2, method.output_type.name)),
     )
 
 
 def _told(error: Any) -> CallFailedError:
-    return CallFailedError(error.code().name, str(error.details() or ""))
+    return CallFailedError(error.code().name, details_of(error))
 
 
 def _only(replies: list[Any]) -> Any:

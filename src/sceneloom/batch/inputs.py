@@ -10,6 +10,7 @@ from typing import Any
 from sceneloom.batch.jobs import NOTHING, Input
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.drives import drives_of
+from sceneloom.formats.files import read_settings
 from sceneloom.formats.table import PART
 from sceneloom.formats.urls import is_url
 
@@ -115,7 +116,7 @@ def _urls(text: str) -> list[str]:
 def _listed(file: Path, files: Mapping[str, FileOption], others: frozenset[str]) -> Iterator[Input]:
     try:
         # what else Unicode ends lines with may stand in names
-        lines = file.read_text(encoding="utf-8-sig").split("\n")
+        lines = read_settings(file).decode("utf-8-sig").replace("\r\n", "\n").split("\n")
     except UnicodeDecodeError as error:
         raise DataError(file, "", "is no text in UTF-8; expected a path or an object in each line") from error
     for number, line in enumerate(map(str.strip, lines), start=1):

@@ -14,6 +14,7 @@ from sceneloom.detections.classes import KINDS, kind_name
 from sceneloom.detections.detectors import ClassStatistics, Detectors
 from sceneloom.detections.independent import INDEPENDENT, independent_detectors
 from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.files import read_settings
 
 FOLDER = Path(__file__).parent / "fitted"
 """Where the package keeps its files."""
@@ -63,8 +64,8 @@ def read_detectors(path: str | Path) -> Detectors:
         DataError: it cannot be read, or says something else.
     """
     try:
-        raw = tomllib.loads(Path(path).read_text("utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        raw = tomllib.loads(read_settings(Path(path)).decode("utf-8"))
+    except (ValueError, RecursionError) as error:
         raise DataError(path, "", f"{error}; expected the TOML of detectors") from None
     try:
         found = _File.read(raw)

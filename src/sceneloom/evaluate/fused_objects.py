@@ -7,6 +7,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import DataError
 from sceneloom.evaluate.objects import ObjectTable
+from sceneloom.formats.files import file_faults, open_file
 from sceneloom.formats.kitti import KittiLabels
 from sceneloom.formats.kitti.calibration import read_calibration
 from sceneloom.formats.kitti.camera_boxes import CENTRE_TO_CORNER, lidar_boxes
@@ -22,7 +23,7 @@ def fused_files(path: Path) -> list[Path]:
 
 
 def _begins_with_detections(file: Path) -> bool:
-    with file.open("rb") as stream:
+    with file_faults(file), open_file(file) as stream:
         return stream.read(64).lstrip().startswith(b'{"detections"')
 
 

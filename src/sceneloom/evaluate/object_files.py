@@ -13,6 +13,7 @@ from sceneloom.evaluate.fused_objects import fused_files, read_fused, truth_in_l
 from sceneloom.evaluate.objects import ObjectTable
 from sceneloom.evaluate.overlaps import Similarity
 from sceneloom.evaluate.scene_objects import labelled_times, scene_objects
+from sceneloom.formats.files import file_faults, open_file
 from sceneloom.formats.kitti import KittiLabels, read_labels
 from sceneloom.formats.kitti.chosen_sequence import sequences_called
 from sceneloom.formats.kitti.detection_lists import DetectionList, read_boxes_2d_list, read_boxes_3d_list
@@ -157,7 +158,7 @@ def _kind_of(path: Path | str) -> _Kind:
 def _kind_of_files(files: Iterable[Path]) -> _Kind:
     """Tell files of frames, whose lines begin with a class, from those of sequences by the first line of all."""
     for file in files:
-        with file.open("rb") as stream:
+        with file_faults(file), open_file(file) as stream:
             word = next((line.split()[0] for line in stream if line.strip()), None)
         if word is not None:
             return _Kind.FRAMES if word[:1].isalpha() else _Kind.SEQUENCES
@@ -263,7 +264,7 @@ def _table_of_list(file: Path, ledger: Ledger) -> ObjectTable:
     """The detections of one class and sequence; lists of boxes in space have more columns."""
     if _Kind.EMPTY is _kind_of_files([file]):
         return ObjectTable.empty()
-    with file.open("rb") as stream:
+    with file_faults(file), open_file(file) as stream:
         in_space = next(line for line in stream if line.strip()).count(b",") > 5
     if in_space:
         found = read_boxes_3d_list(file, None, ledger)

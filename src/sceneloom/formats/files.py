@@ -24,6 +24,9 @@ lines of recordings are read piece by piece, and may be of any length."""
 LARGEST_RATIO = 100
 """How many times as long as they are compressed bytes may become; sweeps and tables become 2 to 20 times as long."""
 
+LARGEST_SETTINGS = 1 << 26
+"""Longest file of settings, lists, certificates or tokens: what people write by hand [bytes]."""
+
 ALWAYS_UNPACKED = 1 << 26
 """Up to so many bytes anything compressed may become, however short it is: constant values compress very well."""
 
@@ -115,6 +118,19 @@ def read_bytes(path: Path) -> bytes:
     with file_faults(path), open_file(path) as file:
         check_length(path)
         return file.read()
+
+
+def read_settings(path: Path) -> bytes:
+    """Read a whole file that a person wrote: settings, a list of drives, a certificate, a token.
+
+    Raises:
+        DataError: it cannot be read, is no regular file, or is longer than `LARGEST_SETTINGS`.
+    """
+    with file_faults(path), open_file(path) as file:
+        found = file.read(LARGEST_SETTINGS + 1)
+    if len(found) > LARGEST_SETTINGS:
+        raise DataError(path, "", f"{path.stat().st_size} bytes; expected {LARGEST_SETTINGS} at most")
+    return found
 
 
 def check_length(path: Path) -> int:

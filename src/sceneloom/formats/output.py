@@ -173,18 +173,24 @@ def _check_not_read(target: Path, *, whole: bool = False) -> None:
         gc.collect()  # scenes that nobody has any more read nothing
         path = _read_by(target, whole=whole)
         if path is not None:
-            how = "is read" if _same(path, target) else f"holds or lies in {path}, which is read"
+            how = (
+                "is read"
+                if _same(path, target)
+                else f"holds or lies in {path}, which is read"
+                if whole
+                else f"is a file in {path}, which is read"
+            )
             raise OutputError(f"{target}: {how} by this very run, and is left alone; choose another name")
 
 
 def _read_by(target: Path, *, whole: bool) -> Path | None:
-    """What is being read and would be replaced."""
+    """What is being read and would be replaced: any file of a folder that is read counts as read."""
     place = Path(os.path.realpath(target))
     for source in list(_SOURCES):
         read = Path(os.path.realpath(source.path))
         if read == place or _same(read, place):
             return source.path
-        if whole and (place in read.parents or (read in place.parents and read.is_dir())):
+        if (whole and place in read.parents) or (read in place.parents and read.is_dir()):
             return source.path
     return None
 

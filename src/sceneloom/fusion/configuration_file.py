@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 
 from sceneloom.errors import CalibrationError, DataError
+from sceneloom.formats.files import read_settings
 from sceneloom.fusion.calibration.entries import CalibrationEntry, entry_of
 from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.outcome import Outcome
@@ -100,7 +101,7 @@ def read_configuration_file(path: Path | str, *, further: tuple[str, ...] = ()) 
 
 def _tables(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text("utf-8"))
+        return tomllib.loads(read_settings(path).decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise DataError(path, "", f"no TOML: {error}") from error
 

@@ -12,6 +12,7 @@ from sceneloom.checks import ValidationReport, validate
 from sceneloom.checks.opening import open_subject
 from sceneloom.errors import DataError, SceneloomError
 from sceneloom.formats import size_on_disk
+from sceneloom.formats.files import read_bytes
 from sceneloom.formats.loss import Loss
 from sceneloom.formats.table import PART
 from sceneloom.formats.urls import path_or_url
@@ -75,7 +76,7 @@ def collect(
     Raises:
         UnknownFormatError: no format fits the path.
         OptionError: an option or its value is not known.
-        DataError: nothing of the drive can be read, or the loss report cannot.
+        DataError: nothing of the drive can be read, the loss report cannot, or the truth cannot be compared with it.
     """
     if settings.truth is not None and not Path(settings.truth).exists():
         raise DataError(settings.truth, "", "no such file or folder; expected what the drive is held against")
@@ -95,10 +96,7 @@ def read_losses(path: Path) -> tuple[Loss, ...]:
     Raises:
         DataError: it cannot be read, or is none.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise DataError(path, "", f"cannot be read: {error.strerror}") from error
+    content = read_bytes(path)
     try:
         told = msgspec.json.decode(content)
         listed = told if isinstance(told, list) else told["losses"]
@@ -142,18 +140,20 @@ class _Collector:
             calibration=calibration,
             fusion=fusion,
             labels=self.part("annotations", lambda: self._labels(start_ns, album), None),
-            metrics=self.part("truth", self._metrics, Metrics()),
+            metrics=self.part("truth", self._metrics, Metrics(), required=self.settings.truth is not None),
             validation=validation,
             left_out=self.left_out,
         )
         return Collected(self._report(evidence, losses), album)
 
-    def part(self, name: str, work: Callable[[], Part], otherwise: Part) -> Part:
-        """Do a part of the work; note why where it cannot be done."""
+    def part(self, name: str, work: Callable[[], Part], otherwise: Part, *, required: bool = False) -> Part:
+        """Do a part of the work; note why where it cannot be done, unless it is `required`."""
         try:
             with stage(name):
                 found = work()
         except SceneloomError as error:
+            if required:
+                raise
             self.left_out[name] = str(error)
             found = otherwise
         self.done += 1

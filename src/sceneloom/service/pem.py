@@ -4,16 +4,16 @@ import ssl
 from pathlib import Path
 
 from sceneloom.errors import DataError
+from sceneloom.formats.files import read_settings
 
 
 def read_certificates(path: Path) -> bytes:
     """Read the certificates of a PEM file.
 
     Raises:
-        DataError: there are none.
-        OSError: the file cannot be read.
+        DataError: there are none, or the file cannot be read.
     """
-    content = path.read_bytes()
+    content = read_settings(path)
     try:
         ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_verify_locations(cafile=path)
     except ssl.SSLError as error:
@@ -28,14 +28,13 @@ def read_pair(certificate: Path, key: Path) -> tuple[bytes, bytes]:
         the certificates and the key, as the PEM files have them.
 
     Raises:
-        DataError: one of them is none, or they do not belong together.
-        OSError: a file cannot be read.
+        DataError: one of them is none or cannot be read, or they do not belong together.
     """
-    certificates = read_certificates(certificate)
+    certificates, private = read_certificates(certificate), read_settings(key)
     try:
         # a password of our own: without one OpenSSL would ask at the terminal
         ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(certificate, key, password=lambda: "none")
     except ssl.SSLError as error:
         wanted = f"the unencrypted key (PEM) of the certificate in {certificate}"
         raise DataError(key, "", f"not that key; expected {wanted}") from error
-    return certificates, key.read_bytes()
+    return certificates, private

@@ -11,6 +11,7 @@ import grpc
 from grpc.aio import ServerInterceptor, ServicerContext
 
 from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.files import read_settings
 from sceneloom.service.pem import read_certificates, read_pair
 
 _OPEN_SERVICES = ("/grpc.health.v1.Health/",)
@@ -100,7 +101,7 @@ def read_token(path: Path) -> str:
         DataError: it is no text, too short, or has blanks in it.
     """
     try:
-        token = path.read_bytes().decode("ascii").strip()
+        token = read_settings(path).decode("ascii").strip()
     except UnicodeDecodeError as error:
         raise DataError(path, "", "no token; expected ASCII characters") from error
     if len(token) < _SHORTEST_TOKEN or not token.isprintable() or " " in token:

@@ -15,7 +15,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.undistortion import Undistortion, undistorted_camera
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.depth_images import read_depth_png
-from sceneloom.formats.files import file_faults
+from sceneloom.formats.files import check_regular, file_faults, open_file
 from sceneloom.scene import DepthCameraSensor, DepthFrame, Identifier, Scene
 from sceneloom.view.feeds import Feed, Tell
 from sceneloom.view.pictures import PlacedCamera, picture_path
@@ -111,7 +111,7 @@ def written_depths(folder: Path) -> Iterator[_Entry]:
     index = folder / "index.jsonl"
     if not index.is_file():
         raise DataError(index, "", "is missing; expected the folder that `fuse --depth` or `depth` wrote")
-    with file_faults(index), index.open("rb") as lines:
+    with file_faults(index), open_file(index) as lines:
         for number, line in enumerate(lines, start=1):
             try:
                 yield msgspec.json.decode(line, type=_Entry)
@@ -173,6 +173,7 @@ def _read(path: Path) -> Float32Array:
     with file_faults(path):
         try:
             if path.suffix == ".npz":
+                check_regular(path)
                 with np.load(path) as arrays:
                     return np.asarray(arrays["depth"], np.float32)
             return read_depth_png(path)

@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import ArrayError, DataError
-from sceneloom.formats.files import file_faults
+from sceneloom.formats.files import file_faults, open_file
 from sceneloom.pictures.objects import objects_of_fused
 from sceneloom.pipeline.detections.files import fused_files, read_fused
 from sceneloom.scene import Identifier, Scene, Support, TrackedObjects
@@ -69,7 +69,7 @@ def read_tracks(path: Path, scene: Scene) -> tuple[TrackedObjects, ...]:
     """
     ids = {str(camera.id): camera.id for camera in scene.cameras}
     moments: list[TrackedObjects] = []
-    with file_faults(path), path.open("rb") as lines:
+    with file_faults(path), open_file(path) as lines:
         for number, text in enumerate(lines, start=1):
             try:
                 moments.append(_moment(msgspec.json.decode(text, type=_Line), ids))

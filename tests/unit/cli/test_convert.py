@@ -169,3 +169,26 @@ def test_no_verb_replaces_the_file_that_it_reads(
     outcome = call(*(text.format(drive, tmp_path / "out.html") for text in arguments), "--overwrite")
     assert (outcome.code, "is read by this very run" in outcome.err) == (1, True), outcome.err
     assert drive.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("convert", "{0}", "{0}/data.jsonl", "--to", "jsonl"),
+        ("convert", "{0}", "{0}/calibration.json", "--to", "sfs"),
+        ("fuse", "{0}", "-o", "{0}/old.sfs"),
+        ("report", "{0}", "-o", "{0}/page.html"),
+        ("report", "{0}", "--numbers", "{0}/calibration.json"),
+        ("edit", "crop", "{0}", "--start", "0.1", "-o", "{0}/lidar/000001.bin"),
+    ],
+    ids=lambda arguments: arguments[-1],
+)
+def test_no_verb_replaces_a_file_of_the_folder_that_it_reads(
+    call: "Call", recording: Path, tmp_path: Path, arguments: tuple[str, ...]
+) -> None:
+    for name in ("old.sfs", "page.html"):
+        (recording / name).write_text("mine")
+    before = _tree(recording)
+    outcome = call(*(text.format(recording) for text in arguments), "--overwrite")
+    assert (outcome.code, "which is read by this very run" in outcome.err) == (1, True), outcome.err
+    assert _tree(recording) == before

@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 
 def test_a_page_and_its_numbers(call, recording, tmp_path):
     page, numbers = tmp_path / "r.html", tmp_path / "r.json"
@@ -43,4 +45,18 @@ def test_a_path_that_is_not_there_is_an_error(call, tmp_path):
 def test_a_truth_that_is_not_there_is_an_error(call, recording, tmp_path):
     outcome = call("report", recording, "-o", tmp_path / "page.html", "--truth", tmp_path / "no.tum")
     assert (outcome.code, "no.tum: no such file or folder" in outcome.err) == (1, True)
+    assert not (tmp_path / "page.html").exists()
+
+
+@pytest.mark.parametrize("kind", ["another time", "another kind"])
+def test_a_truth_that_cannot_be_compared_is_an_error_that_says_why(call, recording, tmp_path, kind):
+    truth = tmp_path / "truth.tum"
+    if kind == "another time":
+        truth.write_text("".join(f"{9e8 + k} {k} 0 0 0 0 0 1\n" for k in range(5)))
+    else:
+        truth.write_text("a letter to somebody\n")
+    outcome = call("report", recording, "--quick", "-o", tmp_path / "page.html", "--truth", truth)
+    assert outcome.code == 1, outcome.out
+    assert f"{truth}: cannot be compared with the drive: " in outcome.err
+    assert "leave `--truth` out" in outcome.err
     assert not (tmp_path / "page.html").exists()

@@ -13,8 +13,8 @@ import msgspec
 from sceneloom.calibrate.conventions.forms import COUNTS
 from sceneloom.calibrate.conventions.hypotheses import hypotheses
 from sceneloom.errors import DataError
+from sceneloom.formats.files import read_settings
 
-_MOST_BYTES = 50_000_000
 _MOST_FOUND = 1_000
 
 _TRANSLATIONS = ("translation", "position", "t", "T", "trans", "xyz")
@@ -48,12 +48,8 @@ def read_extrinsics(path: Path) -> tuple[Extrinsic, ...]:
         DataError: the file cannot be read, or holds none.
     """
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise DataError(
-                str(path), "", f"{path.stat().st_size} bytes; expected a calibration file, at most 50 MB"
-            )
-        text = path.read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_settings(path).decode("utf-8")
+    except UnicodeDecodeError as error:
         raise DataError(str(path), "", f"{error}; expected a text with an extrinsic in it") from error
     found: list[Extrinsic] = []
     try:

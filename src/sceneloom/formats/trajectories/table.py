@@ -86,6 +86,7 @@ def read_trajectory_file(
         raise OptionError(
             f"{where}: has its own times; those of {times} would not be used, and are for KITTI's poses"
         )
+    _check_used(where, chosen, reading)
     if chosen is None:
         scene_form, place = format_and_place(where, format=form)
         options = {**options, **({"lenient": True} if lenient else {})}
@@ -97,6 +98,29 @@ def read_trajectory_file(
             content = chosen.read(Path(where), reading, ledger)
         content = replace(content, notices=ledger.notices)
     return from_optical(content) if optical else content
+
+
+def _check_used(path: str | Path, form: TrajectoryForm | None, reading: Reading) -> None:
+    """Refuse what would be ignored: a rate or unit of times that are known, an origin of positions in metres.
+
+    Raises:
+        OptionError: naming the option, and what it is for.
+    """
+    what = "scenes" if form is None else f"the form {form.name!r}"
+    if reading.rate_hz is not None and form is not kitti.FORM:
+        raise OptionError(
+            f"{path}: {what} has its own times; the rate {reading.rate_hz:g} Hz would not be used, and is for KITTI's "
+            "poses: leave it out"
+        )
+    if reading.unit is not None and (form is None or (form is kitti.FORM and reading.rate_hz is not None)):
+        raise OptionError(
+            f"{path}: no times in a text are read here; the unit {reading.unit!r} would not be used: leave it out"
+        )
+    if reading.origin_lla is not None and form not in (None, gnss.FORM):
+        raise OptionError(
+            f"{path}: {what} has positions in metres; the origin would not be used, and is for satellite fixes: "
+            "leave it out"
+        )
 
 
 def read_trajectory(path: str | Path, **options: Any) -> Trajectory:

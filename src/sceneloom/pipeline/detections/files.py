@@ -12,7 +12,7 @@ from sceneloom.arrays import Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.errors import DataError, OptionError, SceneloomError
-from sceneloom.formats.files import file_faults
+from sceneloom.formats.files import file_faults, open_file
 from sceneloom.formats.kitti import KittiTracking, write_labels
 from sceneloom.formats.kitti.oxts import PERIOD_NS
 from sceneloom.formats.output import filling, replacing_together
@@ -219,7 +219,7 @@ def fused_files(path: Path) -> tuple[Path, ...]:
 
 
 def _begins_with_detections(path: Path) -> bool:
-    with file_faults(path), path.open("rb") as file:
+    with file_faults(path), open_file(path) as file:
         return file.read(64).lstrip().startswith(b'{"detections"')
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
-from sceneloom.formats.files import file_faults
+from sceneloom.formats.files import file_faults, open_file
 from sceneloom.formats.output import replacing
 
 _LENGTH_BYTES = 8
@@ -62,7 +62,7 @@ def read_records(path: Path) -> Iterator[tuple[dict[str, Any], dict[str, AnyArra
     Raises:
         DataError: the file is not there, or not what `writing_records` left.
     """
-    with file_faults(path), path.open("rb") as file:
+    with file_faults(path), open_file(path) as file:
         if path.stat().st_size == 0:
             raise DataError(path, "", "is empty; expected records of a part of a drive")
         while start := file.read(_LENGTH_BYTES):

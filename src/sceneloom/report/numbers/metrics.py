@@ -4,7 +4,7 @@ from pathlib import Path
 
 import msgspec
 
-from sceneloom.errors import SceneloomError
+from sceneloom.errors import DataError, SceneloomError
 from sceneloom.evaluate import TrajectoryReport, evaluate_trajectory
 from sceneloom.evaluate.tracking import compare_tracks
 from sceneloom.evaluate.tracking.comparison import TrackingReport
@@ -39,6 +39,9 @@ def metrics_of(
         source: where the drive lies, to be held against `truth`; None where it is in memory only.
         truth: a trajectory, or a scene or KITTI's text with the true objects and way; None for none.
         compare: ways to be found and compared, too: "lidar", "gnss".
+
+    Raises:
+        DataError: neither the drive's trajectory nor its objects can be compared with `truth`.
     """
     collected = _Collected()
     true_way = scene.trajectories.get(TRUTH)
@@ -60,7 +63,7 @@ def metrics_of(
 
 
 class _Collected:
-    """Comparisons so far; what cannot be compared is told, not raised."""
+    """Comparisons so far; what cannot be compared is told, not raised, but for a truth that was named."""
 
     def __init__(self) -> None:
         self.trajectories: list[TrajectoryReport] = []
@@ -96,4 +99,10 @@ class _Collected:
             except SceneloomError as error:
                 refused.append(f"objects: {error}")
         if self.tracks is None and len(self.trajectories) == before:
-            self.skipped += refused or [f"{truth}: the drive has neither a way nor objects to be compared"]
+            reasons = "; ".join(refused) or "the drive has neither a trajectory nor objects"
+            raise DataError(
+                truth,
+                "",
+                f"cannot be compared with the drive: {reasons}. Expected a trajectory whose times overlap with the "
+                "drive's, or objects of the same frames; name such a file, or leave `--truth` out",
+            )

@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 
+from sceneloom.formats.files import open_file
 from sceneloom.scene import Scene
 from sceneloom.version import __version__
 
@@ -105,7 +106,7 @@ def hash_of(path: Path) -> tuple[str | None, str | None, int | None]:
 
 
 def _parts(file: Path, size: int, *, whole: bool) -> Iterator[bytes]:
-    with file.open("rb") as content:
+    with open_file(file) as content:
         if whole:
             while part := content.read(_ENDS):
                 yield part

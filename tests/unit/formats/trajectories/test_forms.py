@@ -261,7 +261,7 @@ BAD = [
 def test_bad_content_is_one_error_with_its_line(tmp_path: Path, form: str, text: str, problem: str) -> None:
     path = put(tmp_path, "bad.txt", text)
     with pytest.raises(DataError, match=problem):
-        read_trajectory(path, form=form, rate_hz=10)
+        read_trajectory(path, form=form, rate_hz=10 if form == "kitti" else None)
 
 
 def test_a_lenient_reading_leaves_out_what_is_bad(tmp_path: Path) -> None:
@@ -349,3 +349,20 @@ def test_fixes_are_taken_out_of_a_log_that_lies_by_itself(tmp_path: Path) -> Non
     )
     assert read_trajectory(f"{path}:fixes").timestamps_ns.tolist() == [1403636581 * 10**9]
     assert read_trajectory(f"{path}:vio").positions[0, 0] == 9.0
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "word"),
+    [
+        ("way.tum", {"rate_hz": 10.0}, "has its own times; the rate 10 Hz would not be used"),
+        ("way.tum", {"origin_lla": (48.0, 9.0, 300.0)}, "the origin would not be used"),
+        ("way.kitti", {"rate_hz": 10.0, "unit": "seconds"}, "the unit 'seconds' would not be used"),
+    ],
+)
+def test_what_would_be_ignored_of_a_trajectory_s_times_and_origin_is_refused(tmp_path, name, options, word):
+    text = {"way.tum": "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n", "way.kitti": "1 0 0 0 0 1 0 0 0 0 1 0\n" * 2}[
+        name
+    ]
+    (tmp_path / name).write_text(text)
+    with pytest.raises(OptionError, match=word):
+        read_trajectory(tmp_path / name, **options)

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from sceneloom.errors import DataError, UnknownFormatError
-from sceneloom.formats.files import file_faults
+from sceneloom.formats.files import file_faults, open_file
 from sceneloom.formats.ledger import Ledger
 from sceneloom.pipeline.detections.lists import json_lines, kitti_text, nuscenes
 from sceneloom.pipeline.detections.lists.context import ListContext, ListForm
@@ -26,7 +26,7 @@ def form_of(path: Path) -> ListForm | None:
         DataError: it cannot be read.
         UnknownFormatError: no form recognises it.
     """
-    with file_faults(path), path.open("rb") as file:
+    with file_faults(path), open_file(path) as file:
         head = file.read(_HEAD).decode("utf-8-sig", "replace").lstrip()
     if not head:
         return None

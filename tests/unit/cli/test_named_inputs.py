@@ -1,0 +1,45 @@
+"""Inputs that options name: a pipe, a device or an endless file in their place is an error at once."""
+
+import os
+
+import pytest
+
+from sceneloom.batch import inputs
+from sceneloom.calibrate.conventions.reading import read_extrinsics
+from sceneloom.detections.detector_files import read_detectors
+from sceneloom.errors import DataError
+from sceneloom.evaluate.fused_objects import fused_files
+from sceneloom.formats import files
+from sceneloom.fusion.configuration_file import read_configuration_file
+from sceneloom.report.collecting import read_losses
+from sceneloom.service.pem import read_certificates, read_pair
+from sceneloom.service.security import read_token
+
+READERS = {
+    "a list of drives": lambda path: list(inputs._listed(path, {}, frozenset())),
+    "extrinsics": read_extrinsics,
+    "detectors": read_detectors,
+    "a configuration": read_configuration_file,
+    "certificates": read_certificates,
+    "a key": lambda path: read_pair(path, path),
+    "a token": read_token,
+    "losses": read_losses,
+    "fused detections": fused_files,
+}
+
+
+@pytest.mark.parametrize("what", READERS)
+def test_an_input_that_is_a_pipe_is_named_and_not_waited_for(tmp_path, what):
+    path = tmp_path / "input.jsonl"
+    os.mkfifo(path)
+    with pytest.raises(DataError, match=r"input\.jsonl.*is a named pipe; expected a regular file"):
+        READERS[what](path)
+
+
+@pytest.mark.parametrize("what", sorted(READERS.keys() - {"losses", "fused detections"}))
+def test_settings_that_are_very_long_are_refused(tmp_path, what, monkeypatch):
+    monkeypatch.setattr(files, "LARGEST_SETTINGS", 1000)
+    path = tmp_path / "input.toml"
+    path.write_bytes(b"#" * 1001)
+    with pytest.raises(DataError, match="1001 bytes; expected 1000 at most"):
+        READERS[what](path)

@@ -36,7 +36,9 @@ FREE = ("metadata", "extras")
 
 @cache
 def scene(odd: bool, corrections: bool = True) -> Scene:
-    return planted_scene(odd=odd, corrections=corrections)
+    """The drive; `corrections`: with its corrections as annotations, else with them applied."""
+    drive = planted_scene(odd=odd)
+    return drive if corrections else drive.corrected()
 
 
 def framed(sensor) -> bool:
@@ -48,6 +50,9 @@ def values_of(drive: Scene) -> dict[str, list]:
     found: dict[str, list] = {}
     for name, value in standing_values(drive):
         found.setdefault(name, []).append(plain(value))
+    # cameras that only poses place have no mounting: those of others stay beside theirs
+    if "sensors.camera.mount" in found:
+        found["sensors.camera.mount"] = [plain(camera.mount) for camera in drive.cameras]
     for sensor in filter(framed, drive.sensors):
         for frame in frames_of(sensor):
             for name, value in frame_values(sensor, frame):
@@ -80,10 +85,19 @@ def lens(numbers: dict) -> dict:
 
 def same_values(field: str, before: list, after: list) -> bool:
     """Whether all values are there again; more may be: what the format says by itself."""
+    if field == "sensors.camera.mount":
+        pairs = zip(before, after, strict=False)
+        return len(before) <= len(after) and all(one is None or same(one, other) for one, other in pairs)
     if field in FREE or field.endswith(".extras"):
+        before = [without_ours(value) for value in before]
         named = [{key: inner.get(key) for key in value} for value, inner in zip(before, after, strict=False)]
         return same(before, named)
     return same(before, after[: len(before)])
+
+
+def without_ours(value: dict) -> dict:
+    """Without what the project itself says of a scene, which writing adds to."""
+    return {key: inner for key, inner in value.items() if key != "sceneloom"}
 
 
 def same(one, other) -> bool:

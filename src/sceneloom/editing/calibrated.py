@@ -38,11 +38,10 @@ def calibrated_camera(sensor: CameraSensor, calibration: CameraCalibration) -> C
     """
     shift_ns = round(calibration.time_offset_ns or 0)
     lens = calibration.intrinsics
-    turned = sensor if calibration.poses is None else _turned(sensor, calibration.poses)
-    constant = None if calibration.poses is None else _only_pose(calibration.poses)
+    turned = sensor if calibration.poses is None else _turned(sensor, calibration.poses, shift_ns)
     stamps_ns = sensor.pictures.timestamps_ns + shift_ns
     pictures = LazyFrames(
-        stamps_ns, CalibratedPictures(sensor.pictures, sensor.camera, lens, constant, shift_ns)
+        stamps_ns, CalibratedPictures(sensor.pictures, sensor.camera, lens, calibration.poses, shift_ns)
     )
     poses = None if turned.poses is None else _reaching(turned.poses, stamps_ns, abs(shift_ns))
     return replace(turned, camera=lens or sensor.camera, pictures=pictures, poses=poses)
@@ -56,14 +55,14 @@ class CalibratedPictures:
         pictures: as they were.
         old_lens: that of the camera.
         lens: the calibrated one, or None.
-        camera_from_calibrated: the same at all times, or None.
+        camera_from_calibrated: over time, its end poses held beyond its ends; or None.
         shift_ns: added to their stamps.
     """
 
     pictures: LazyFrames[Picture]
     old_lens: Camera
     lens: Camera | None
-    camera_from_calibrated: RigidTransform | None
+    camera_from_calibrated: PosePath | None
     shift_ns: int
 
     def __call__(self, k: int) -> Picture:
@@ -75,7 +74,8 @@ class CalibratedPictures:
         picture = self.pictures[k]
         mount = picture.mount
         if mount is not None and self.camera_from_calibrated is not None:
-            mount = mount @ self.camera_from_calibrated
+            at = self.camera_from_calibrated.held(np.array([picture.timestamp_ns + self.shift_ns], np.int64))
+            mount = mount @ RigidTransform.from_quaternion(at.positions[0], at.quaternions_xyzw[0])
         return replace(
             picture,
             timestamp_ns=picture.timestamp_ns + self.shift_ns,
@@ -100,10 +100,11 @@ def _only_pose(path: PosePath) -> RigidTransform | None:
     return RigidTransform.from_quaternion(path.positions[0], path.quaternions_xyzw[0])
 
 
-def _turned(sensor: CameraSensor, correction: PosePath) -> CameraSensor:
+def _turned(sensor: CameraSensor, correction: PosePath, shift_ns: int) -> CameraSensor:
     """Put the correction behind the camera's poses and its mounting."""
     constant = _only_pose(correction)
-    poses = None if sensor.poses is None else _behind(sensor.poses, correction)
+    stamps_ns = sensor.pictures.timestamps_ns + shift_ns
+    poses = None if sensor.poses is None else _behind(sensor.poses, correction, stamps_ns)
     if constant is not None:
         mount = None if sensor.mount is None else sensor.mount @ constant
         return replace(sensor, poses=poses, mount=mount)
@@ -116,13 +117,21 @@ def _turned(sensor: CameraSensor, correction: PosePath) -> CameraSensor:
         sensor.mount.quaternion_xyzw[None],
         endless=True,
     )
-    return replace(sensor, poses=_behind(mounted, correction), mount=None, coordinates=Coordinates.EGO)
+    return replace(
+        sensor, poses=_behind(mounted, correction, stamps_ns), mount=None, coordinates=Coordinates.EGO
+    )
 
 
-def _behind(path: PosePath, correction: PosePath) -> PosePath:
-    """`path ∘ correction` at the path's times, or at those of the correction where the path stands still."""
+def _behind(path: PosePath, correction: PosePath, stamps_ns: Int64Array) -> PosePath:
+    """`path ∘ correction` at the times of both and of the pictures; beyond the correction its end poses hold."""
     constant = len(correction.timestamps_ns) == 1
-    times_ns = correction.timestamps_ns if path.endless and not constant else path.timestamps_ns
+    times_ns = path.timestamps_ns
+    if not constant:
+        times_ns = np.concatenate([correction.timestamps_ns, stamps_ns])
+        if not path.endless:
+            inside = (times_ns >= path.start_ns) & (times_ns <= path.stop_ns)
+            times_ns = np.concatenate([path.timestamps_ns, times_ns[inside]])
+        times_ns = np.unique(times_ns)
     body = path.interpolate(times_ns)
     diff = correction.held(times_ns)
     return PosePath(

@@ -5,17 +5,21 @@ are of different rigs: by the calibration the first camera looks the other way.
 """
 
 import json
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError
 from sceneloom.formats import open_scene, write_scene
 from sceneloom.formats.loss import Fate
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Coordinates
+from sceneloom.scene import CameraCalibration, Coordinates, LazyFrames, PosePath, Scene
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 SIZE = (83, 80)
 CALIBRATED = [
@@ -178,3 +182,102 @@ def test_whole_parameters_without_a_size_are_those_of_the_pictures_as_they_are(r
         camera = scene.cameras[0].camera
     assert (camera.width, camera.height) == SIZE
     assert (camera.fx, camera.cx) == (LENS["focalLengthX"], LENS["principalPointX"])
+
+
+def drifting() -> PosePath:
+    """A correction that drifts by 0.3 m and 11 degrees while five pictures are taken, told at three times."""
+    angles = np.array([-0.1, 0.0, 0.1])
+    zeros = np.zeros(3)
+    turns = np.stack([zeros, np.sin(angles / 2), zeros, np.cos(angles / 2)], axis=1)
+    times = np.array([1_050_000_000, 1_200_000_000, 1_400_000_000], np.int64)
+    return PosePath(times, np.stack([np.array([0.0, 0.1, 0.3]), zeros, zeros], axis=1), turns)
+
+
+@cache
+def street() -> Scene:
+    lens = Camera("pinhole", 80, 48, 45.0, 45.0, 39.5, 23.5)
+    drive = simulate_street(
+        1, frames=5, lidar=LidarSpec(beams=8, steps=60), cameras=(CameraSpec(lens),)
+    ).scene
+    return replace(drive, annotations=())
+
+
+def corrected_over_time(kind: str) -> Scene:
+    """A drive whose camera moves on the vehicle: by a correction, as its poses say, or as each picture says."""
+    drive = street()
+    correction = CameraCalibration("drift", "camera0", drifting())
+    if kind == "poses":
+        (camera,) = replace(drive, annotations=(correction,)).corrected().cameras
+        return replace(drive, sensors=tuple(camera if one.id == camera.id else one for one in drive.sensors))
+    if kind == "mountings":
+        (camera,) = drive.cameras
+        shots = camera.pictures
+        own = LazyFrames(shots.timestamps_ns, lambda k: replace(shots[k], mount=camera.mount))
+        rigged = replace(camera, pictures=own)
+        drive = replace(drive, sensors=tuple(rigged if one.id == rigged.id else one for one in drive.sensors))
+    return replace(drive, annotations=(correction,))
+
+
+def mountings(scene: Scene, planted: Scene) -> np.ndarray:
+    """`ego_from_camera` at each picture, (N, 4, 4), seen from the first one, whatever the ego's frame is."""
+    (camera,) = scene.cameras
+    stamps = planted.cameras[0].pictures.timestamps_ns
+    found = []
+    for k, stamp in enumerate(stamps):
+        own = camera.pictures[k].mount if len(camera.pictures) else None
+        mount = own or camera.mount
+        if mount is None:
+            ways = scene.trajectories or planted.trajectories
+            at = np.array([stamp], np.int64)
+            ego, there = (path.held(at) for path in (next(iter(ways.values())).poses, camera.poses))
+            ego, there = (
+                RigidTransform.from_quaternion(p.positions[0], p.quaternions_xyzw[0]) for p in (ego, there)
+            )
+            mount = there if camera.coordinates is Coordinates.EGO else ego.inverse() @ there
+        found.append(mount.matrix)
+    return np.linalg.inv(found[0]) @ np.array(found)
+
+
+def expected_mountings() -> np.ndarray:
+    (camera,) = street().cameras
+    held = drifting().held(camera.pictures.timestamps_ns)
+    pairs = zip(held.positions, held.quaternions_xyzw, strict=True)
+    matrices = [(camera.mount @ RigidTransform.from_quaternion(*pair)).matrix for pair in pairs]
+    return np.linalg.inv(matrices[0]) @ np.array(matrices)
+
+
+@pytest.mark.parametrize("kind", ["correction", "poses", "mountings"])
+@pytest.mark.parametrize(
+    ("name", "keeps"),
+    [
+        ("d.sfs", True), ("recording", True), ("d.mcap", True), ("d.bag", True), ("d.ros2", True),
+        ("nuscenes", True), ("kitti-object", True),
+        ("kitti-raw", False), ("kitti-tracking", False), ("kitti-odometry", False),
+    ],
+)  # fmt: skip
+def test_a_camera_that_moves_on_the_vehicle_does_so_in_the_target_or_is_a_loss(name, keeps, kind, tmp_path):
+    if name in ("d.bag", "d.ros2"):
+        pytest.importorskip("rosbags")
+    planted = corrected_over_time(kind)
+    right = expected_mountings()
+    assert np.abs(right - np.eye(4)).max() > 0.2
+    np.testing.assert_allclose(mountings(planted.corrected(), planted), right, atol=1e-7)
+    target = tmp_path / name
+    form = None if "." in name else name
+    if kind == "mountings" and not keeps:
+        with pytest.raises(
+            CalibrationError, match=r"pictures have mountings of their own, up to 0\.3 m and 11"
+        ):
+            write_scene(planted, target, format=form)
+        return
+    report = write_scene(planted, target, format=form)
+    lost = [
+        loss for loss in report if loss.field == "sensors[camera0].poses" and loss.fate is Fate.APPROXIMATED
+    ]
+    if not keeps:
+        (loss,) = lost
+        assert loss.largest_error == pytest.approx(0.3)
+        return
+    with open_scene(target) as read:
+        np.testing.assert_allclose(mountings(read.corrected(), planted), right, atol=1e-5)
+    assert not lost

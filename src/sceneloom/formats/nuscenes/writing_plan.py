@@ -22,7 +22,7 @@ from sceneloom.formats.nuscenes.holdings import HOLDS
 from sceneloom.formats.nuscenes.keyframes import Samples, Written, choose_samples, stamps_of
 from sceneloom.formats.nuscenes.tables import LogRow, SceneRow
 from sceneloom.formats.nuscenes.written_tables import token_of
-from sceneloom.formats.recording.written_mounts import mounting
+from sceneloom.formats.recording.written_mounts import each_mounted, mounting
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraSensor, LidarSensor, PosePath, RadarSensor, Scene
 from sceneloom.scene.contents import KINDS
@@ -124,6 +124,7 @@ class WritingPlan:
         scene = _with_pinholes(scene, losses)
         way = ego_way(scene)
         check_one_ego(scene, way)
+        scene = each_mounted(scene, way)
         if way is None:
             losses.append(standing_ego())
         if len(scene.trajectories) > 1:

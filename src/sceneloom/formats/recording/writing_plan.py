@@ -15,7 +15,7 @@ from sceneloom.formats.recording.trajectories import RANKS
 from sceneloom.formats.recording.unreplayable import unreplayable
 from sceneloom.formats.recording.unwritten import unwritten
 from sceneloom.formats.recording.written_lines import origin_for
-from sceneloom.formats.recording.written_mounts import mounting
+from sceneloom.formats.recording.written_mounts import each_mounted, mounting
 from sceneloom.formats.recording.written_shots import shooting_sensors
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Coordinates, ImuSensor, LidarSensor, OdometrySensor, PosePath, Scene, Trajectory
@@ -85,11 +85,12 @@ class WritingPlan:
             CalibrationError: nothing says how a camera is mounted.
         """
         notes = _notes(scene)
-        found = shooting_sensors(scene)
-        cameras = [camera for camera in found if len(shots_of(camera))] or found
         trajectories = _trajectories(scene, notes)
         ego_path = _ego_path(scene)
         check_one_ego(scene, ego_path)
+        scene = each_mounted(scene, ego_path)
+        found = shooting_sensors(scene)
+        cameras = [camera for camera in found if len(shots_of(camera))] or found
         losses: list[Loss] = []
         if ego_path is None and not trajectories:
             ego_path = _ride_along([*scene.lidars, *cameras], trajectories, losses)

@@ -1,8 +1,9 @@
 """Where a sensor sits on the vehicle, as one transform: what it says itself, or what its poses tell."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import degrees
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -20,13 +21,21 @@ from sceneloom.geometry.rotations import (
     multiply_quaternions,
     rotate_vectors,
 )
-from sceneloom.scene import CameraSensor, Coordinates, DepthCameraSensor, LidarSensor, PosePath
-from sceneloom.scene.shooting import ShootingSensor, mounts_of_shots
+from sceneloom.scene import (
+    CameraSensor,
+    Coordinates,
+    DepthCameraSensor,
+    LazyFrames,
+    LidarSensor,
+    PosePath,
+    Scene,
+)
+from sceneloom.scene.shooting import ShootingSensor, mounts_of_shots, shots_of, with_shots
 
-RIGID_WITHIN = 0.01
-"""Metres that a sensor may move on the vehicle before it is said that one mounting does not describe it."""
-_TURNED_WITHIN_DEG = 0.1
-"""The same for its turning [deg]."""
+_RIGID_WITHIN_M, _RIGID_WITHIN_DEG = 0.001, 0.05
+"""How far a sensor may move on the vehicle before it is reported that one mounting does not describe it."""
+_EACH_BEYOND_M, _EACH_BEYOND_DEG = 0.01, 0.1
+"""Beyond this, pictures get mountings of their own where the target holds them."""
 _REFUSED_M, _REFUSED_DEG = 0.1, 1.0
 """Mountings of single pictures that are further apart than this are not replaced by one for all."""
 
@@ -64,12 +73,63 @@ def mounting(
     if mount is None or relative is None:
         return mount, losses
     moved, turned = _moved(mount, relative.positions, relative.quaternions_xyzw)
-    if moved > RIGID_WITHIN or turned > _TURNED_WITHIN_DEG:
+    if moved > _RIGID_WITHIN_M or turned > _RIGID_WITHIN_DEG:
         held = "as its mounting says" if sensor.mount is not None else "as at its first pose"
         found = f"up to {round(moved, 3):g} m and {round(turned, 3):g} degrees"
         what = f"taken to be mounted {held}, from which it moves {found} on the vehicle"
-        losses.append(Loss(field=field, what=what, fate=Fate.APPROXIMATED))
+        losses.append(
+            Loss(
+                field=field,
+                what=what,
+                count=len(relative.timestamps_ns),
+                fate=Fate.APPROXIMATED,
+                largest_error=moved,
+            )
+        )
     return mount, losses
+
+
+def each_mounted(scene: Scene, ego_path: PosePath | None) -> Scene:
+    """Give each picture of a camera that moves on the ego a mounting of its own, where only its poses say that it does.
+
+    Those of a camera that says how it is mounted, and pictures that have no pose of camera and ego, stay as they are.
+    """
+    changed = tuple(_each_mounted(sensor, ego_path) for sensor in scene.sensors)
+    moved = any(new is not old for new, old in zip(changed, scene.sensors, strict=True))
+    return replace(scene, sensors=changed) if moved else scene
+
+
+def _each_mounted(sensor: Any, ego_path: PosePath | None) -> Any:
+    if not isinstance(sensor, CameraSensor | DepthCameraSensor) or sensor.mount is not None:
+        return sensor
+    relative, _ = _ego_from_sensor(sensor, ego_path)
+    if relative is None or len(relative.timestamps_ns) < 2 or mounts_of_shots(sensor) is not None:
+        return sensor
+    first = RigidTransform.from_quaternion(relative.positions[0], relative.quaternions_xyzw[0])
+    moved, turned = _moved(first, relative.positions, relative.quaternions_xyzw)
+    if moved <= _EACH_BEYOND_M and turned <= _EACH_BEYOND_DEG:
+        return sensor
+    shots, either = shots_of(sensor), cast("Any", sensor)  # the two kinds of cameras alike
+    mounted = LazyFrames(shots.timestamps_ns, _MountedShots(shots, relative))
+    return with_shots(either, mounted, sensor.video)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _MountedShots:
+    """Reads pictures and gives them their mountings; what `LazyFrames` asks for.
+
+    Attributes:
+        shots: as they were.
+        ego_from_sensor: over time, its end poses held beyond its ends.
+    """
+
+    shots: LazyFrames[Any]
+    ego_from_sensor: PosePath
+
+    def __call__(self, k: int) -> Any:
+        shot = self.shots[k]
+        at = self.ego_from_sensor.held(np.array([shot.timestamp_ns], np.int64))
+        return replace(shot, mount=RigidTransform.from_quaternion(at.positions[0], at.quaternions_xyzw[0]))
 
 
 def _moved(

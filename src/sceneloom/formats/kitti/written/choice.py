@@ -10,7 +10,7 @@ from sceneloom.editing.undistortion import undistort_scene
 from sceneloom.formats.kitti.scenes.sensors import LIDAR_ID, camera_id
 from sceneloom.formats.kitti.written.target import kept_of
 from sceneloom.formats.loss import Fate, Loss
-from sceneloom.formats.recording.written_mounts import mounting
+from sceneloom.formats.recording.written_mounts import each_mounted, mounting
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import angle_between
 from sceneloom.scene import CameraSensor, Coordinates, LidarSensor, OdometrySensor, PosePath, Scene
@@ -64,6 +64,7 @@ def choose(
     losses: list[Loss] = []
     path = ego_way(scene)
     check_one_ego(scene, path)
+    scene = scene if rigid else each_mounted(scene, path)
     lidar, ego_from_lidar = _lidar(scene, path, losses)
     named = _numbered(scene, slots, losses)
     mounts: dict[int, RigidTransform] = {}

@@ -18,7 +18,7 @@ from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.fusion.outcome import Cause, Outcome, refused
 from sceneloom.fusion.properties import Property
 from sceneloom.scene.poses import PosePath
-from sceneloom.service.client_errors import code_of, reader_of, service_error
+from sceneloom.service.client_errors import code_of, details_of, reader_of, service_error
 from sceneloom.service.motion_form import motion_request
 from sceneloom.service.pem import read_certificates, read_pair
 from sceneloom.service.received import Sent, outcome_of, property_of, result_of, sent_of
@@ -260,7 +260,7 @@ class FusionClient:
 
     def _failure(self, error: grpc.RpcError) -> Exception:
         if code_of(error) in _OF_THE_CALLER:
-            return OptionError(str(getattr(error, "details", lambda: error)()))
+            return OptionError(details_of(error) or f"{self.address}: {code_of(error).name.lower()}")
         return service_error(self.address, error)
 
 

@@ -82,6 +82,8 @@ def chosen_algorithm(fusion_type: FusionType, chosen: AlgorithmChoice) -> Algori
     if not isinstance(chosen, str):
         return _Checked.of(fusion_type, chosen)
     path, colon, function = chosen.rpartition(":")
+    if chosen.endswith(".py") or (path.endswith(".py") and not function):
+        raise OptionError(f"algorithm {chosen}: no function is named; expected FILE.py:FUNCTION")
     if not colon or not path.endswith(".py"):
         return chosen
     return _Checked.of(fusion_type, _FileFunction(path, function))

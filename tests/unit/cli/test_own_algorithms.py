@@ -98,7 +98,8 @@ def test_the_command_line_takes_a_function_of_a_file(call, recording, tmp_path, 
         ("{file}x/none.py:red", "no such file; expected FILE.py:FUNCTION"),
         ("{broken}:red", "it cannot be loaded: ZeroDivisionError: division by zero"),
         ("{leaving}:red", "it cannot be loaded: SystemExit: 3"),
-        ("{file}", "there are projection"),
+        ("{file}", "no function is named; expected FILE.py:FUNCTION"),
+        ("{file}:", "no function is named; expected FILE.py:FUNCTION"),
     ],
 )
 def test_what_cannot_be_an_algorithm_is_named_as_bad_usage(call, recording, tmp_path, file, chosen, message):

@@ -15,9 +15,10 @@ from sceneloom.scene import Identifier, Notice, NoticeKind, PointsFrame
 
 OPENCV, BROWN = "opencv", "brown"
 TANGENTIALS = (OPENCV, BROWN)
+"""The two meanings that p1 and p2 have among those who write lenses. Source: "Distortion" in docs/CONVENTIONS.md."""
 PAIRS, TRIPLES = "pairs", "triples"
 VERTICES = (PAIRS, TRIPLES)
-"""The two meanings that p1 and p2 have among those who write lenses. Source: "Distortion" in docs/CONVENTIONS.md."""
+"""How the vertices of polygons and polylines in space may be written."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ Every class keeps its constructor's arguments in `args`, so instances survive pi
 them are without passwords and signatures: messages end in logs.
 """
 
+import warnings
 from collections.abc import Iterable
 from typing import Any
 
@@ -30,10 +31,12 @@ class SceneloomError(Exception):
     Attributes:
         notices: what was assumed, repaired or left out before of the scenes that were read.
         passing: whether the cause, a busy server or a connection that was cut, may be gone another time.
+        sources: the scenes that were open when it was raised, by the addresses that they were read from.
     """
 
     notices: tuple[Any, ...] = ()
     passing: bool = False
+    sources: tuple[str, ...] = ()
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*(redacted(each) if isinstance(each, str) else each for each in arguments))
@@ -41,6 +44,18 @@ class SceneloomError(Exception):
     def remember(self, notices: tuple[Any, ...]) -> None:
         """Keep what was noticed before, once, in the order in which it was."""
         self.notices = (*(notice for notice in notices if notice not in self.notices), *self.notices)
+
+    def raised_with(self, source: str) -> None:
+        """Note a scene that was open."""
+        if source and source not in self.sources:
+            self.sources = (*self.sources, redacted(source))
+
+    def with_sources(self) -> str:
+        """The message, after the names of the scenes that were open where it names none of them."""
+        text = str(self)
+        if any(source in text for source in self.sources):
+            return text
+        return ": ".join(part for part in (", ".join(self.sources), text) if part)
 
     def rename(self, place: str, called: str) -> None:
         """Say what a place is called by people, where it is a copy of what they named."""
@@ -133,3 +148,19 @@ class MissingExtraError(SceneloomError):
 def how_to_install(extra: str) -> str:
     """Say how an extra of this package is installed, from an index or from a checkout of it."""
     return f"pip install 'sceneloom[{extra}]' (in a checkout: pip install '.[{extra}]')"
+
+
+def ignore_warnings_of_extreme_numbers() -> None:
+    """Let programs, but not users of the library, compute with the extreme numbers of files without NumPy's warnings.
+
+    What overflows becomes infinite or no number, and is judged by whoever uses it. Casts of such numbers to integers,
+    and sums of integers that overflow, which would give any number, are still warned of. The filter
+    holds for all threads of the process.
+    """
+    for message in (
+        "(overflow|divide by zero) encountered in (?!scalar (add|subtract))",
+        "invalid value encountered in (?!cast)",
+        "All-NaN ",
+        "Mean of empty slice",
+    ):
+        warnings.filterwarnings("ignore", message, RuntimeWarning)

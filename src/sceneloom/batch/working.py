@@ -14,7 +14,7 @@ from sceneloom.batch.files import with_files
 from sceneloom.batch.further import bring, drafts_of
 from sceneloom.batch.jobs import Outcome, Task
 from sceneloom.batch.outputs import send
-from sceneloom.errors import SceneloomError
+from sceneloom.errors import SceneloomError, ignore_warnings_of_extreme_numbers
 from sceneloom.formats.fingerprints import late_fingerprint
 from sceneloom.redaction import redacted
 from sceneloom.stages import stage, timed
@@ -34,6 +34,7 @@ def run_task(task: Task) -> Outcome:
     """Do one drive; whatever goes wrong with it is told, not raised, and without secrets of addresses."""
     begun, busy = time.perf_counter(), time.process_time()
     told: dict[str, Any] = {}
+    ignore_warnings_of_extreme_numbers()
     try:
         with timed() as stages:
             told = _done(task)
@@ -41,7 +42,7 @@ def run_task(task: Task) -> Outcome:
             told["report"]["stages"] = {name: round(seconds, 6) for name, seconds in stages.items()}
     except (SceneloomError, OSError, MemoryError) as error:
         told = {
-            "error": redacted(error) or type(error).__name__,
+            "error": redacted(_message(error)) or type(error).__name__,
             "kind": type(error).__name__,
             "passing": may_pass(error),
         }
@@ -55,6 +56,10 @@ def run_task(task: Task) -> Outcome:
         worker=f"{socket.gethostname()}:{os.getpid()}",
         **told,
     )
+
+
+def _message(error: BaseException) -> str:
+    return error.with_sources() if isinstance(error, SceneloomError) else str(error)
 
 
 def _done(task: Task) -> dict[str, Any]:

@@ -354,6 +354,8 @@ def _by_mountings(scene: Scene, lidar: LidarSensor, sample: Sample) -> _Placed:
 
 def _pose(source: PoseSource, time_ns: int) -> RigidTransform | None:
     """`world_from_sensor` at a time [ns]; None where the poses do not reach."""
+    if not -(2**63) <= time_ns < 2**63:
+        return None
     found = source.at(np.array([time_ns], np.int64))
     if not np.isfinite(found.positions).all():
         return None

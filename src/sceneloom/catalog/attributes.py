@@ -41,7 +41,7 @@ def _spans(attribute: AttributePath) -> Iterator[tuple[Any, int | None, int | No
         yield from ((value, None, None) for value in attribute.values[:1])
         return
     times = attribute.timestamps_ns.tolist()
-    yield from zip(attribute.values, times, [*times[1:], None], strict=True)
+    yield from zip(attribute.values, times, [*times[1:], None][: len(times)], strict=True)
 
 
 def _text(value: Any) -> str:

@@ -164,7 +164,7 @@ def track_rows(scene: Scene, rows: BoxRows, away: Float64Array, start_ns: int) -
     for track in np.flatnonzero(np.diff(bounds)).tolist():
         mine = order[bounds[track] : bounds[track + 1]]
         times = rows.timestamps_ns[mine]
-        numbers[track, :2] = (times[0] - start_ns) / 1e9, (times[-1] - start_ns) / 1e9
+        numbers[track, :2] = (int(times[0]) - start_ns) / 1e9, (int(times[-1]) - start_ns) / 1e9
         numbers[track, 2] = np.linalg.norm(np.diff(rows.solids[mine, :3], axis=0), axis=1).sum()
         numbers[track, 3] = np.fmin.reduce(away[mine])
     said = [_said(annotation) for annotation in scene.annotations]

@@ -49,9 +49,10 @@ class Way:
 
     def speeds(self, timestamps_ns: Int64Array) -> Float64Array:
         """Give the speeds (M,) [m/s] at times (M,) [ns]; NaN where it does not reach, or for a single point."""
-        first, last = self.timestamps_ns[0], self.timestamps_ns[-1]
-        start = np.clip(timestamps_ns - WINDOW_NS // 2, first, max(first, last - WINDOW_NS))
-        stop = np.clip(start + WINDOW_NS, first, last)
+        first, last = int(self.timestamps_ns[0]), int(self.timestamps_ns[-1])
+        inside = np.clip(timestamps_ns, -(2**63) + WINDOW_NS, 2**63 - 1 - WINDOW_NS)
+        start = np.clip(inside - WINDOW_NS // 2, first, max(first, last - WINDOW_NS))
+        stop = np.clip(np.minimum(start, 2**63 - 1 - WINDOW_NS) + WINDOW_NS, first, last)
         seconds = (stop - start) / 1e9
         gone = np.linalg.norm(self.at(stop) - self.at(start), axis=1)
         unknown = np.full(len(seconds), np.nan)

@@ -59,9 +59,9 @@ def point_places(subject: Subject, sensor: Ranging) -> Mapping[PointsFrame, Pose
 
 
 def transform_at(source: PoseSource, timestamp_ns: int) -> RigidTransform | None:
-    """Give a source's transform at one time; None beyond its reach."""
+    """Give a source's transform at one time; None beyond its reach, and where its poses are no finite numbers."""
     poses = source.at(np.array([timestamp_ns], np.int64))
-    if poses.coverage[0] == 2:
+    if poses.coverage[0] == 2 or not np.isfinite(poses.positions).all():
         return None
     return RigidTransform.from_quaternion(poses.positions[0], poses.quaternions_xyzw[0])
 

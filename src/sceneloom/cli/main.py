@@ -13,7 +13,7 @@ import click
 
 from sceneloom.cli.first_run import telling_of_compiling
 from sceneloom.cli.verb_group import VerbGroup
-from sceneloom.errors import OptionError, SceneloomError
+from sceneloom.errors import OptionError, SceneloomError, ignore_warnings_of_extreme_numbers
 from sceneloom.version import __version__
 
 VERBS = MappingProxyType(
@@ -64,6 +64,7 @@ def main(arguments: list[str] | None = None) -> None:
         if isinstance(stream, TextIOWrapper):
             # names of files may be no Unicode, and a terminal may know fewer characters than we write
             stream.reconfigure(errors="backslashreplace")
+    ignore_warnings_of_extreme_numbers()
     with _ending_cleanly(), telling_of_compiling():
         sys.exit(_run(arguments))
 
@@ -128,4 +129,5 @@ def _told(error: BaseException) -> str:
     """The error in one line, that of the operating system in the form of ours: file, then problem."""
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
-    return str(error) or type(error).__name__
+    text = error.with_sources() if isinstance(error, SceneloomError) else str(error)
+    return text or type(error).__name__

@@ -6,8 +6,9 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Int64Array
+from sceneloom.arrays import Float32Array, Int64Array, finite_rows
 from sceneloom.editing.frame_change import KNOWN, FrameChange
+from sceneloom.errors import ArrayError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, RadarFrame, RadarPoints
 
@@ -69,5 +70,18 @@ def moved_points(points: Points, new_from_old: RigidTransform) -> Points:
 
 
 def moved_positions(positions: Float32Array, new_from_old: RigidTransform) -> Float32Array:
-    """Take positions (N, 3) float32 [m] into another frame, computed in float64."""
-    return new_from_old.apply(positions).astype(np.float32)
+    """Take positions (N, 3) float32 [m] into another frame, computed in float64.
+
+    Raises:
+        ArrayError: a point that has coordinates would have none there, as float32 does not reach so far.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        moved = new_from_old.apply(positions).astype(np.float32)
+    lost = finite_rows(positions) & ~finite_rows(moved)
+    if lost.any():
+        row = int(lost.argmax())
+        raise ArrayError(
+            f"points.positions[{row}]: {positions[row].tolist()} moved by {new_from_old.translation.tolist()}; "
+            "expected metres that float32 holds"
+        )
+    return moved

@@ -11,6 +11,12 @@ from sceneloom.formats.output import check_output, replacing
 SUFFIXES = (".png", ".svg", ".pdf")
 _SIZE_INCHES = (13.0, 6.5)
 _DPI = 120
+_MOST_LETTERS = 60
+
+
+def _short(name: str) -> str:
+    """A name that leaves room for the plot."""
+    return name if len(name) <= _MOST_LETTERS else f"{name[: _MOST_LETTERS - 1]}…"
 
 
 def check_plot(path: Path, *, overwrite: bool) -> Any:
@@ -64,13 +70,19 @@ def plot_errors(
 
 
 def _draw_map(figure: Any, axes: Any, errors: TrajectoryErrors) -> None:
-    axes.plot(*errors.reference_way[:, :2].T, color="0.6", linewidth=3, label=errors.reference_name, zorder=1)
+    axes.plot(
+        *errors.reference_way[:, :2].T,
+        color="0.6",
+        linewidth=3,
+        label=_short(errors.reference_name),
+        zorder=1,
+    )
     dots = axes.scatter(
         *errors.aligned.positions[:, :2].T,
         c=errors.translation,
         s=8,
         cmap="viridis",
-        label=errors.estimate_name,
+        label=_short(errors.estimate_name),
         zorder=2,
     )
     axes.plot(*errors.reference_way[0, :2], marker="s", color="black", linestyle="", label="start", zorder=3)

@@ -16,6 +16,7 @@ INSIDE, EXTRAPOLATED, OUT_OF_REACH = 0, 1, 2
 """Values of `coverage`."""
 
 
+@np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
 def interpolate_poses(
     timestamps_ns: Int64Array,
     positions: Float64Array,
@@ -49,7 +50,11 @@ def interpolate_poses(
     times, coverage = _within_reach(timestamps_ns, np.asarray(query_ns, np.int64), reach_ns)
     before = np.clip(np.searchsorted(timestamps_ns, times, side="right") - 1, 0, max(count - 2, 0))
     after = np.minimum(before + 1, count - 1)
-    fraction = (times - timestamps_ns[before]) / np.maximum(timestamps_ns[after] - timestamps_ns[before], 1)
+    # differences of int64 are taken as uint64, which holds each of them
+    spans = np.maximum((timestamps_ns[after] - timestamps_ns[before]).view(np.uint64), 1)
+    late = times >= timestamps_ns[before]
+    since = np.where(late, times - timestamps_ns[before], timestamps_ns[before] - times).view(np.uint64)
+    fraction = np.where(late, 1.0, -1.0) * since / spans
     fraction[before == after] = 0.0
     start, stop = positions[before], positions[after]
     places = start + fraction[:, None] * (stop - start)
@@ -71,6 +76,7 @@ def _within_reach(
     return times, coverage
 
 
+@np.errstate(invalid="ignore", over="ignore")
 def thin_poses(
     timestamps_ns: Int64Array,
     positions: Float64Array,
@@ -120,6 +126,7 @@ def thin_poses(
             np.linalg.norm(near - positions[open_poses], axis=1) / position_tolerance,
             angle_between(turned, unit[open_poses]) / rotation_tolerance,
         )
+        misfits[np.isnan(misfits)] = np.inf  # poses that are no numbers are kept
         chosen, undecided = _split(
             np.searchsorted(knots_ns, times), misfits, at_worst=level < _LEVELS_AT_WORST_POSE
         )

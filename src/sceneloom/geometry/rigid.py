@@ -101,6 +101,7 @@ class RigidTransform:
         """`b_from_a`."""
         return RigidTransform(self.rotation.T, -self.rotation.T @ self.translation)
 
+    @np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
     def apply(self, points: FloatArray) -> Float64Array:
         """Take (..., 3) points [m] of frame b into frame a."""
         moved: Float64Array = np.asarray(points, np.float64) @ self.rotation.T
@@ -108,6 +109,7 @@ class RigidTransform:
         moved += self.translation
         return moved
 
+    @np.errstate(invalid="ignore", over="ignore")
     def rotate(self, vectors: FloatArray) -> Float64Array:
         """Take (..., 3) directions or velocities of frame b into frame a, which moves nothing."""
         rotated: Float64Array = np.asarray(vectors, np.float64) @ self.rotation.T

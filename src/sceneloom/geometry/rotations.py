@@ -95,6 +95,7 @@ def conjugate_quaternion(quaternion_xyzw: ArrayLike) -> Float64Array:
     return conjugate
 
 
+@np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
 def rotate_vectors(quaternion_xyzw: ArrayLike, vectors: ArrayLike) -> Float64Array:
     """Rotate (..., 3) vectors by (..., 4) quaternions, which broadcast and are normalised first.
 

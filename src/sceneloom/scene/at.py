@@ -55,14 +55,16 @@ class Bracket:
             none = np.zeros(len(times), np.int64)
             return cls(none, none, np.zeros(len(times)), np.zeros(len(times), np.bool_))
         last = len(stamps_ns) - 1
+        # differences of int64 are taken as uint64, which holds each of them
         there = (times >= stamps_ns[0]) & (times <= stamps_ns[last])
         before = np.clip(np.searchsorted(stamps_ns, times, side="right") - 1, 0, last)
         inside = (times > stamps_ns[before]) & (before < last)
         after = before + inside
-        span = np.maximum(stamps_ns[after] - stamps_ns[before], 1)
-        share = np.where(inside, (times - stamps_ns[before]) / span, 0.0)
+        span = np.maximum((stamps_ns[after] - stamps_ns[before]).view(np.uint64), 1)
+        share = np.where(inside, (times - stamps_ns[before]).view(np.uint64) / span, 0.0)
         return cls(before, after, share, there | stationary)
 
+    @np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
     def blend(self, values: Float64Array) -> Float64Array:
         """Go straight between the rows of values (N, …); rows of times that the path does not cover mean nothing."""
         start = values[self.before]

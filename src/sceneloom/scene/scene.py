@@ -108,6 +108,7 @@ class Scene:
     ) -> None:
         if isinstance(error, SceneloomError):
             error.remember(self.notices)
+            error.raised_with(self.source)
         self.close()
 
     def close(self) -> None:

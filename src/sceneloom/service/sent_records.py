@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.errors import OptionError
 from sceneloom.fusion.messages.boxes import Boxes2d, Boxes3d
 from sceneloom.fusion.messages.records import SentRecord
 from sceneloom.fusion.messages.scene_form import (
@@ -89,11 +90,17 @@ class _Motion:
             return None
         reach_ns = 2 * scene_period_ns(self.rig.scene)
         start = self._sent
-        self._sent = int(np.searchsorted(path.timestamps_ns, timestamp_ns + reach_ns, side="right"))
+        self._sent = int(
+            np.searchsorted(path.timestamps_ns, min(timestamp_ns + reach_ns, 2**63 - 1), side="right")
+        )
         if self._sent <= start:
             self._sent = start
             return None
         rows = slice(start, self._sent)
+        if int(path.timestamps_ns[start]) + self.shift_ns >= 2**63 or self.shift_ns >= 2**63:
+            raise OptionError(
+                f"times from {int(path.timestamps_ns[0])} ns; messages hold {2**63 / 1e9:.0f} s from the first"
+            )
         return PosePath(
             path.timestamps_ns[rows] + self.shift_ns, path.positions[rows], path.quaternions_xyzw[rows]
         )

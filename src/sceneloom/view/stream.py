@@ -87,7 +87,8 @@ class Stream:
         if len(times_ns) == 0:
             return
         rr = sdk()
-        stamps = np.ascontiguousarray(times_ns, np.int64)
+        # the least number of 64 bits means "no time" there
+        stamps = np.maximum(np.ascontiguousarray(times_ns, np.int64), -(2**63) + 1)
         named = (
             {"timestamp": stamps.view("datetime64[ns]")}
             if self.calendar

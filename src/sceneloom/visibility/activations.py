@@ -28,10 +28,11 @@ def activation_of(
     first, beyond = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
     if len(first) == 0:
         return None
-    stops = np.append(timestamps_ns, timestamps_ns[-1] + usual_period_ns(timestamps_ns))[beyond]
+    end_ns = min(int(timestamps_ns[-1]) + int(usual_period_ns(timestamps_ns)), 2**63 - 1)
+    stops = np.append(timestamps_ns, np.int64(end_ns))[beyond]
     return Activation(
         sensor_id,
         timestamps_ns[first],
-        tuple((stops - timestamps_ns[first]).tolist()),
+        tuple((stops - timestamps_ns[first]).view(np.uint64).tolist()),  # which holds any difference
         None if cuboids is None else cuboids[first],
     )

@@ -9,6 +9,7 @@ import click
 from sceneloom.cli import options
 from sceneloom.cli.eval.figures import print_report
 from sceneloom.cli.printing import print_json, print_notices, progress_bar
+from sceneloom.errors import SceneloomError
 
 
 @click.command()
@@ -96,20 +97,25 @@ def trajectory(
         with progress_bar(f"reading {side.upper()}", quiet=quiet) as progress:
             sides[side] = shared.read(partial(read_trajectory_file, path, progress=progress, **own[side]))
     shared.check()
-    report = evaluate_trajectory(
-        sides["est"],
-        sides["ref"],
-        align=align,
-        align_first=align_first,
-        associate=associate,
-        tolerance=tolerance,
-        offset_ns=_offset_ns(offset),
-        start=start,
-        stop=stop,
-        rpe_deltas=rpe_deltas or RPE_DELTAS,
-        plot=plot,
-        overwrite=overwrite,
-    )
+    try:
+        report = evaluate_trajectory(
+            sides["est"],
+            sides["ref"],
+            align=align,
+            align_first=align_first,
+            associate=associate,
+            tolerance=tolerance,
+            offset_ns=_offset_ns(offset),
+            start=start,
+            stop=stop,
+            rpe_deltas=rpe_deltas or RPE_DELTAS,
+            plot=plot,
+            overwrite=overwrite,
+        )
+    except SceneloomError as error:
+        for path in (estimate, reference):
+            error.raised_with(str(path))
+        raise
     if as_json:
         print_json(report)
         return

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, BoolArray, Int64Array
+from sceneloom.arrays import AnyArray, BoolArray, Int64Array, finite_rows
 from sceneloom.formats.loss import Fate
 from sceneloom.formats.nuscenes.keyframes import Samples, microseconds
 from sceneloom.formats.nuscenes.written_frames import FrameLosses
@@ -94,7 +94,14 @@ def write_boxes(
     known: dict[str, str] = {}
     with TableWriter(folder, "instance") as instances, TableWriter(folder, "sample_annotation") as rows:
         for number, cuboid in enumerate(boxes.cuboids):
-            there = np.flatnonzero(boxes.poses[number].there).tolist()
+            poses = boxes.poses[number]
+            finite = finite_rows(np.hstack([poses.centers_world, poses.sizes_lwh, poses.quaternions_xyzw]))
+            nowhere = int((poses.there & ~finite).sum())
+            if nowhere:
+                losses.add(
+                    "annotations.cuboid.path", "boxes that are no finite numbers are left out", nowhere
+                )
+            there = np.flatnonzero(poses.there & finite).tolist()
             token = instance_token(cuboid, name)
             _tell_losses(cuboid, samples, there, losses)
             if not there:

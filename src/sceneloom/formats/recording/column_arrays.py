@@ -28,9 +28,10 @@ class SortedColumns:
 
 
 def nanoseconds(seconds: Float64Array) -> Int64Array:
-    """Bring seconds to the scene's clock: round(t · 1e9), halves to even."""
+    """Bring seconds to the scene's clock: round(t · 1e9), halves to even, cut to 64 bits."""
     scaled = seconds * 1e9
-    return np.rint(scaled, out=scaled).astype(np.int64)
+    np.rint(scaled, out=scaled)
+    return np.clip(scaled, -(2.0**63), 2.0**63 - 1024, out=scaled).astype(np.int64)
 
 
 def view(numbers: "array[float]") -> Float64Array:

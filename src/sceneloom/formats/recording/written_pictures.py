@@ -115,7 +115,7 @@ class ColorImages:
         lossy = codec == "h264"
         cut = 2 if lossy else 1
         self.width, self.height = camera.width - camera.width % cut, camera.height - camera.height % cut
-        self.blank: UInt8Array | UInt16Array = np.zeros((self.height, self.width, 3), np.uint8)
+        self.blank: UInt8Array | UInt16Array = np.broadcast_to(np.uint8(0), (self.height, self.width, 3))
         self.losses = _encoding_losses(sensor, (self.width, self.height)) if lossy else []
         self._full = (camera.height, camera.width, 3)
 
@@ -177,7 +177,7 @@ class PngPictures:
         folder.mkdir()
         self._folder = folder
         self._count = 0
-        self._last: UInt8Array = np.zeros((self.height, self.width, 3), np.uint8)
+        self._last: UInt8Array = np.broadcast_to(np.uint8(0), (self.height, self.width, 3))
 
     def fields(self, shot: Shot) -> dict[str, Any]:  # noqa: ARG002 - a picture says what it is
         """Give nothing."""

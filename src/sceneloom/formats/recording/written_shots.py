@@ -34,5 +34,5 @@ def frame_rate(sensor: ShootingSensor) -> float:
     stamps = shots_of(sensor).timestamps_ns
     if sensor.fps:
         return sensor.fps
-    span = float(stamps[-1] - stamps[0]) * 1e-9 if len(stamps) > 1 else 0.0
+    span = (int(stamps[-1]) - int(stamps[0])) * 1e-9 if len(stamps) > 1 else 0.0
     return (len(stamps) - 1) / span if span > 0 else _DEFAULT_FPS

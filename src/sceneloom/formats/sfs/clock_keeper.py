@@ -73,6 +73,8 @@ class ClockKeeper:
 
 
 def _moved(stamps: AnyArray, *, later: int, clock: FileClock, place: str) -> AnyArray:
+    if abs(later) >= 2**63:
+        raise OptionError(f"{place}: point times {later} ticks later do not fit 64 bits")
     since = stamps.astype(np.int64) + later
     if since.size:
         check_stamps(int(since.min()), int(since.max()), clock, place)

@@ -1,7 +1,7 @@
 """Writing records by the table of fields: nanoseconds become the file's times, arrays become items of the container."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -124,7 +124,7 @@ class RecordWriter:
     def plain_list(self, values: list[Any] | tuple[Any, ...], items: Items) -> list[Any]:
         """Write a list of anything; plain numbers and text need no look at each."""
         types = set(map(type, values))
-        if types <= _JSON_TYPES or (types <= {int, float} and math.isfinite(math.fsum(map(abs, values)))):
+        if types <= _JSON_TYPES or (types <= {int, float} and _all_finite(values)):
             return list(values)
         return list(self._plain_parts(dict(enumerate(values)), items).values())
 
@@ -142,6 +142,16 @@ class RecordWriter:
             return value
         self.not_numbers += 1
         return None
+
+
+def _all_finite(values: Iterable[float]) -> bool:
+    """Whether all numbers are finite; their sum says so at once, unless it is beyond float64 itself."""
+    try:
+        return math.isfinite(math.fsum(values))
+    except OverflowError:
+        return all(value - value == 0 for value in values)
+    except ValueError:  # infinity less infinity
+        return False
 
 
 _UNKNOWN = Field("", Kind.ANYTHING)

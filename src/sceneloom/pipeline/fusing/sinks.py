@@ -88,7 +88,8 @@ class SceneSink:
             self.writer.set_metadata({"sceneloom": {"extrapolated": marks}})
         for lidar_id, starts_ns in self._starts_ns.items():
             if lidar_id in self.sources:
-                times_ns = np.array([*starts_ns, self._stops_ns[lidar_id]], np.int64)
+                ends = (max(time_ns, -(2**63)) for time_ns in starts_ns)
+                times_ns = np.array([*ends, min(self._stops_ns[lidar_id], 2**63 - 1)], np.int64)
                 path = sensor_path(self.sources[lidar_id], times_ns)
                 if path is not None:
                     self.writer.set_poses(lidar_id, path)

@@ -279,7 +279,8 @@ def _over_time(scene: Scene, table: BoxTable, start_ns: int) -> tuple[tuple[floa
     span = time_span(scene)
     if span is None or span[0] == span[1]:
         return ()
-    times = span[0] + np.linspace(0, span[1] - span[0], _MOST_TIMES).astype(np.int64)
+    steps = range(_MOST_TIMES)
+    times = np.array([span[0] + (span[1] - span[0]) * k // (_MOST_TIMES - 1) for k in steps], np.int64)
     counts = np.zeros(len(times), np.int64)
     for annotation in table.annotations:
         stamps = annotation.path.timestamps_ns

@@ -223,6 +223,8 @@ def _empty(tracks: Sequence[Track], counts: PointCounts | None) -> list[Flag]:
         rows = np.flatnonzero(np.isin(track.supports, (Support.BOTH, Support.SWEEP)))
         points, known = np.zeros(len(rows), np.int64), np.zeros(len(rows), np.bool_)
         for lidar in counts.lidars:
+            if not len(lidar.timestamps_ns):
+                continue
             frames = np.searchsorted(lidar.timestamps_ns, track.timestamps_ns[rows], side="right") - 1
             there = (frames >= 0) & lidar.there[frames, number]
             points += np.where(there, lidar.counts[frames, number], 0)

@@ -127,7 +127,7 @@ def _seen_by(annotation: Any, times_ns: Int64Array) -> list[str]:
     for activation in activations:
         starts = activation.timestamps_ns
         lasts = (0,) * len(starts) if activation.durations_ns is None else activation.durations_ns
-        stops = starts + np.array(lasts, np.float64).astype(np.int64)
+        stops = starts.astype(np.float64) + np.array(lasts, np.float64)  # may lie beyond int64
         active = (starts[:, None] <= times_ns) & (times_ns <= stops[:, None])
         for m in np.flatnonzero(active.any(axis=0)).tolist():
             sensors[m].append(str(activation.sensor_id))

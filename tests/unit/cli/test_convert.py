@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from sceneloom import convert
+from sceneloom import open as open_drive
 from sceneloom.formats.table import format_named, written_formats
 
 if TYPE_CHECKING:
@@ -192,3 +193,15 @@ def test_no_verb_replaces_a_file_of_the_folder_that_it_reads(
     outcome = call(*(text.format(recording) for text in arguments), "--overwrite")
     assert (outcome.code, "which is read by this very run" in outcome.err) == (1, True), outcome.err
     assert _tree(recording) == before
+
+
+def test_channels_of_nuscenes_are_named_on_the_command_line(call, recording, tmp_path):
+    with open_drive(recording) as scene:
+        lidar = scene.lidars[0].id
+    words = ("convert", recording, tmp_path / "out", "--to", "nuscenes", "--channel")
+    assert call(*words, f"{lidar}=LIDAR_ROOF").code == 0
+    (table,) = (tmp_path / "out").rglob("sensor.json")
+    assert "LIDAR_ROOF" in {row["channel"] for row in json.loads(table.read_text())}
+    unknown = call(*words, "nix=LIDAR_TOP", "--overwrite")
+    assert unknown.code == 2
+    assert "nix" in unknown.err

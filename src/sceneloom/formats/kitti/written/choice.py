@@ -7,13 +7,23 @@ from math import degrees
 import numpy as np
 
 from sceneloom.editing.undistortion import undistort_scene
+from sceneloom.formats.default_poses import standing_ego
 from sceneloom.formats.kitti.scenes.sensors import LIDAR_ID, camera_id
 from sceneloom.formats.kitti.written.target import kept_of
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.written_mounts import each_mounted, mounting
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import angle_between
-from sceneloom.scene import CameraSensor, Coordinates, LidarSensor, OdometrySensor, PosePath, Scene
+from sceneloom.scene import (
+    CameraSensor,
+    Coordinates,
+    CuboidAnnotation,
+    LidarSensor,
+    OdometrySensor,
+    PosePath,
+    Scene,
+)
+from sceneloom.scene.annotations_frame import annotations_frame
 from sceneloom.scene.contents import KINDS
 from sceneloom.scene.sensor_sources import check_one_ego
 
@@ -193,6 +203,9 @@ def dropped_parts(scene: Scene, kept: frozenset[type]) -> list[Loss]:
         for part in (*scene.sensors, *scene.annotations)
         if type(part) not in kept
     ]
+    boxes = CuboidAnnotation in kept and any(isinstance(one, CuboidAnnotation) for one in scene.annotations)
+    if boxes and annotations_frame(scene) is Coordinates.WORLD and ego_way(scene) is None:
+        losses.append(standing_ego())
     if len(scene.trajectories) > 1:
         count = len(scene.trajectories) - 1
         what = "left out: the folder holds the way that is the default one"

@@ -28,6 +28,10 @@ from sceneloom.scene.types import key_of
 Key = tuple[type, Identifier]
 
 
+_EMPTYING = frozenset({"missing-videos", "unreadable-videos", "unmatched-pictures"})
+"""Faults of a recording that leave a camera without images."""
+
+
 def _nothing(subject: Subject) -> Iterator[Hit]:
     if subject.holds_nothing:
         yield Hit("sensors", "neither a sensor nor an annotation nor a trajectory")
@@ -47,10 +51,20 @@ def _count(sensor: Sensor) -> int | None:
 
 
 def _empty(subject: Subject) -> Iterator[Hit]:
-    """Sensors without content; those that annotations name belong to a scene whose data are elsewhere."""
+    """Sensors without content; those that annotations name belong to a scene whose data are elsewhere.
+
+    Cameras of a recording are passed over where each of them has a fault of its video that says why it is empty.
+    """
     named = {(type(mention.sensor_id), mention.sensor_id) for mention in sensor_mentions(subject)}
-    for path, sensor in subject.sensors():
-        if _count(sensor) == 0 and key_of(sensor.id) not in named:
+    empty = [
+        (path, sensor)
+        for path, sensor in subject.sensors()
+        if _count(sensor) == 0 and key_of(sensor.id) not in named
+    ]
+    reported = sum(fault.code in _EMPTYING for fault in subject.faults)
+    explained = sum(isinstance(sensor, CameraSensor) for _, sensor in empty) <= reported
+    for path, sensor in empty:
+        if not (explained and isinstance(sensor, CameraSensor)):
             what = "pictures" if isinstance(sensor, CameraSensor) else "measurements"
             yield Hit(path, f"{sensor.type} {sensor.id!r} has no {what}")
 

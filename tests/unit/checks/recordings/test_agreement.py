@@ -170,6 +170,29 @@ def test_what_is_refused_has_an_error_and_nothing_else_has(sound, tmp_path, name
     assert check_agreement(folder, tmp_path) == (name in REFUSED)
 
 
+@pytest.mark.parametrize(
+    ("name", "rule"),
+    [
+        ("no imuToCamera", "mounts-missing"),
+        ("no imuToCamera of the second", "mounts-missing"),
+        ("no video", "missing-videos"),
+        ("an empty video", "unreadable-videos"),
+        ("a cut video", "unreadable-videos"),
+    ],
+)
+def test_one_fault_of_a_recording_is_one_finding(sound, tmp_path, name, rule):
+    folder = shutil.copytree(sound, tmp_path / "drive")
+    REFUSED[name](folder)
+    assert [finding.rule for finding in sceneloom.validate(folder).findings] == [rule]
+
+
+def test_an_empty_camera_is_found_beside_the_missing_video_of_another_one(sound, tmp_path):
+    folder = shutil.copytree(sound, tmp_path / "drive")
+    (folder / "data2.mkv").unlink()
+    change(folder, lambda content: content["cameras"].append(content["cameras"][0]))
+    assert "sensor-empty" in {finding.rule for finding in sceneloom.validate(folder).findings}
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_they_agree_on_lines_and_calibrations_changed_at_random(sound, tmp_path, seed):
     generator = np.random.default_rng(seed)

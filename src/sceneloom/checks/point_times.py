@@ -63,7 +63,7 @@ def _not_on_the_clock(subject: Subject, frame: FrameInHand) -> Iterable[Hit]:
 
 
 def _widths(subject: Subject) -> Iterator[Hit]:
-    """Point times whose dtype is not the one that the description says for the file's unit."""
+    """Point times whose dtype is not the one that the description says for the file's unit; others are unreadable."""
     header = subject.header or {}
     unit = header.get("time_unit")
     tick_ns = READABLE_TICKS_NS.get(unit, 1_000) if isinstance(unit, str) else 1_000
@@ -75,6 +75,7 @@ def _widths(subject: Subject) -> Iterator[Hit]:
             (n, times.dtype)
             for n, frame in enumerate(frames if isinstance(frames, list) else [])
             if isinstance(times := _file_times(frame), np.ndarray)
+            and times.dtype.kind in "iu"
             and times.dtype.newbyteorder("=") != expected
         ]
         if odd:

@@ -221,3 +221,11 @@ def test_a_field_with_nearly_the_name_of_one_that_is_missing_is_found(found, pla
     told = [(path, message) for rule, path, message in found(content) if rule == "fields-spelling"]
     assert [path for path, _ in told] == ([] if right is None else [place])
     assert all(repr(right) in message for _, message in told)
+
+
+@pytest.mark.parametrize("kind", ["cubiod", "Cuboid", "labelled_points", ""])
+def test_of_an_annotation_of_an_unknown_type_nothing_is_required(found, kind):
+    content = header()
+    content["annotations"] = [{"id": "a", "type": kind, "path": path(1, 1, 1, 0, 0, 0, 0, 0, 0)}]
+    about = [rule for rule, place, _ in found(content) if place.startswith("annotations")]
+    assert about == ["annotation-type-known"]

@@ -31,8 +31,9 @@ _OWN = ("source", "target", "to", "trajectory", "strict", "loss", "overwrite", "
 @click.option(
     "--trajectory",
     metavar="NAME",
-    help="Which trajectory to write to a file of its own, `lidar`, `gnss`: computed, `fixes`: as received; of COLMAP "
-    "and nerfstudio: along which to place the pictures.",
+    help="Which trajectory to write to a file of its own, `lidar`, `gnss`: computed, `fixes`: as received; of COLMAP, "
+    "nerfstudio, nuScenes and clouds in another frame: by which to place things in the world, `identity`: standing. "
+    "[default: the drive's first one, else `gnss`, else `lidar`, else `identity`]",
 )
 @click.option(
     "--to",

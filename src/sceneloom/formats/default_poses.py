@@ -1,11 +1,23 @@
 """The poses that a reader gives its sensors, and what writers in the world do without any."""
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
+from sceneloom.errors import PoseError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Fate, Loss
-from sceneloom.scene import NoticeKind, PosePath, Trajectory
+from sceneloom.motion.ego_motion import (
+    check_odometry,
+    computed_name,
+    find_ego_motion,
+    is_computed,
+    placeable_lidars,
+)
+from sceneloom.motion.gnss_receivers import gnss_receivers
+from sceneloom.motion.trajectories import GNSS, IDENTITY, LIDAR
+from sceneloom.scene import NoticeKind, PosePath, Scene, Trajectory
+from sceneloom.scene.ego import EgoMotion
 
 
 def default_poses(trajectories: Mapping[Any, Trajectory], place: str, ledger: Ledger) -> PosePath | None:
@@ -25,7 +37,68 @@ def default_poses(trajectories: Mapping[Any, Trajectory], place: str, ledger: Le
     return default.poses
 
 
-def standing_ego() -> Loss:
-    """What every target that places things in the world reports of a drive whose trajectory is not known."""
-    what = "not known: the ego is taken to stand at the world's origin"
+_COMPUTED = MappingProxyType(
+    {
+        GNSS: "not known: computed from the GNSS fixes, with IMU and lidar as far as there are",
+        LIDAR: "not known: computed by lidar odometry",
+    }
+)
+"""What is reported of a trajectory that is computed, by its name."""
+
+
+def ego_in_world(scene: Scene, *, name: str | None = None) -> tuple[EgoMotion, list[Loss]]:
+    """Give the ego's trajectory to a target that needs it; what is computed or assumed is reported.
+
+    By default the scene's first trajectory that has orientations; without one "gnss" is computed, else "lidar"; where
+    neither can be, the ego is taken to stand. What reads the sweeps tells its progress as they are read.
+
+    Args:
+        scene: what is written.
+        name: of a trajectory of the scene, "gnss", "lidar", or "identity" for an ego that stands; None: the default.
+
+    Returns:
+        ego: the trajectory.
+        losses: that it was computed or assumed; empty where it is the scene's own.
+
+    Raises:
+        OptionError: there is no trajectory of that name.
+        PoseError: the named one has no orientations or cannot be computed; or poses lead to an ego of which the scene
+            does not say where it was.
+        DataError: a sweep cannot be read.
+    """
+    if name is not None:
+        ego = find_ego_motion(scene, name=name)
+        if ego.name == IDENTITY and name not in scene.trajectories:
+            return ego, [standing_ego()]
+        return ego, [_computed(computed_name(scene, name) or name)] if is_computed(scene, name) else []
+    for trajectory in scene.trajectories.values():
+        if trajectory.quaternions_xyzw is not None:
+            return EgoMotion.of(trajectory), []
+    check_odometry(scene)
+    faults: list[str] = []
+    names = [(GNSS, gnss_receivers(scene)), (LIDAR, placeable_lidars(scene))]
+    for computed in (computed for computed, sources in names if sources):
+        try:
+            ego = find_ego_motion(scene, name=computed)
+        except PoseError as error:
+            faults.append(str(error).removeprefix(f"{scene.source}: "))
+            continue
+        if any(notice.code == "odometry-without-motion" for notice in ego.notices):
+            faults.append("no two sweeps could be compared")
+            continue
+        return ego, [_computed(computed)]
+    return find_ego_motion(scene, name=IDENTITY), [standing_ego(*faults)]
+
+
+def _computed(name: str) -> Loss:
+    return Loss(field="trajectories.positions", what=_COMPUTED[name], fate=Fate.APPROXIMATED)
+
+
+def standing_ego(*faults: str) -> Loss:
+    """What every target that places things in the world reports of a drive whose trajectory is not known.
+
+    Args:
+        faults: why it could not be computed.
+    """
+    what = "; ".join(("not known: the ego is taken to stand at the world's origin", *faults))
     return Loss(field="trajectories.positions", what=what, fate=Fate.APPROXIMATED)

@@ -19,7 +19,7 @@ class FolderFormat:
     """A format whose drives are folders; it is only read if it has no writer.
 
     Attributes:
-        name, suffixes, looks_like, holds: as of `Format`.
+        name, suffixes, looks_like, holds, along_trajectory: as of `Format`.
         called: what messages call it, as in "opening PandaSet".
         recogniser: says whether an existing path is such a folder.
         missing: says what keeps a folder from being one, where that can be guessed.
@@ -41,6 +41,7 @@ class FolderFormat:
     writer: Callable[..., LossReport] | None = None
     writing_options: tuple[str, ...] = ()
     refusal: str = ""
+    along_trajectory: bool = False
     suffixes: tuple[str, ...] = ("",)
     holds: Holds = field(default_factory=lambda: NOTHING_HELD)
 

@@ -69,7 +69,7 @@ def ego_motion_as_given(
             "`sceneloom edit deskew --trajectory imu` only"
         )
     if name is None and not scene.trajectories:
-        _check_odometry(scene)
+        check_odometry(scene)
     match computed_name(scene, name):
         case "gnss":
             return _from_gnss(scene, heading, odometry, progress=progress, lenient=lenient)
@@ -79,7 +79,7 @@ def ego_motion_as_given(
     return choose_trajectory(scene, name=name, heading=heading)
 
 
-def _check_odometry(scene: Scene) -> None:
+def check_odometry(scene: Scene) -> None:
     """Refuse to choose what stands in for the ego that poses lead into.
 
     Raises:

@@ -1,12 +1,14 @@
 """A drive whose trajectory is not known: targets that place things in the world report the same of it."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.formats import write_scene
+from sceneloom.errors import OptionError
+from sceneloom.formats import open_scene, write_scene
 from sceneloom.formats.default_poses import standing_ego
 from sceneloom.formats.loss import Fate
 from sceneloom.geometry.rigid import RigidTransform
@@ -20,6 +22,7 @@ from sceneloom.scene import (
     LidarSensor,
     Picture,
     Scene,
+    Trajectory,
 )
 
 TIMES = np.array([0, 100_000_000], np.int64)
@@ -38,12 +41,105 @@ def drive():
     )
 
 
+def moving():
+    """A drive along x through a hall, 2 m/s, whose sweeps tell how it moved."""
+    rng = np.random.default_rng(4)
+    hall = rng.uniform((-12.0, -7.0, -1.0), (17.0, 9.0, 5.0), (6000, 3))
+    hall[np.arange(6000), np.arange(6000) % 3] = np.where(
+        np.arange(6000) % 2, *np.array([[-12.0, -7.0, -1.0], [17.0, 9.0, 5.0]])[:, np.arange(6000) % 3]
+    )
+    times = np.arange(6) * 100_000_000
+
+    def sweep(k):
+        return LidarFrame(int(times[k]), LidarPoints((hall - (0.2 * k, 0.0, 0.0)).astype(np.float32)))
+
+    lens = Camera("pinhole", 8, 6, 6.0, 6.0, 4.0, 3.0)
+    pictures = [Picture(int(time), lens, decode=lambda: np.zeros((6, 8, 3), np.uint8)) for time in times]
+    return Scene(
+        (
+            LidarSensor("lidar", LazyFrames(times, sweep), mount=MOUNT),
+            CameraSensor("camera", lens, LazyFrames(times, pictures.__getitem__), mount=MOUNT),
+        )
+    )
+
+
+def told(losses):
+    return [loss for loss in losses if loss.field == "trajectories.positions"]
+
+
+IN_WORLD = [("nuscenes", {}), ("colmap", {}), ("nerfstudio", {}), ("pcd", {"frame": "world"})]
+
+
+def last_ego(name, folder):
+    """Where the last frame was along x, as the target has it."""
+    if name == "nuscenes":
+        return open_scene(folder).trajectories["pose"].positions[-1, 0]
+    if name == "colmap":
+        lines = (folder / "sparse/0/images.txt").read_text().splitlines()
+        last = next(line for line in lines if line.endswith("000005_500000000.jpg")).split()
+        w, x, y, z = map(float, last[1:5])
+        turn = RigidTransform.from_quaternion(np.zeros(3), np.array([x, y, z, w]))
+        return -turn.inverse().apply(np.array([list(map(float, last[5:8]))]))[0, 0]
+    if name == "nerfstudio":
+        frames = json.loads((folder / "transforms.json").read_text())["frames"]
+        return max(frame["transform_matrix"][0][3] for frame in frames)
+    first, *_, last = (frame.points.positions[:, 0].min() for frame in open_scene(folder).lidars[0].frames)
+    return 1.0 + last - first
+
+
+@pytest.mark.parametrize(("name", "options"), IN_WORLD)
+@pytest.mark.parametrize("trajectory", [None, "lidar"])
+def test_targets_in_the_world_follow_the_sweeps_where_they_can_and_say_so_alike(
+    name, options, trajectory, tmp_path
+):
+    losses = write_scene(moving(), tmp_path / "out", format=name, trajectory=trajectory, **options)
+    (loss,) = told(losses)
+    assert (loss.fate, loss.what) == (Fate.APPROXIMATED, "not known: computed by lidar odometry")
+    assert last_ego(name, tmp_path / "out") == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize(("name", "options"), IN_WORLD)
+def test_targets_in_the_world_take_the_ego_as_standing_as_asked_and_say_so_alike(name, options, tmp_path):
+    losses = write_scene(moving(), tmp_path / "out", format=name, trajectory="identity", **options)
+    assert told(losses) == [standing_ego()]
+
+
+@pytest.mark.parametrize(("name", "options"), IN_WORLD)
+def test_where_no_trajectory_can_be_computed_the_ego_stands_and_the_report_says_why(name, options, tmp_path):
+    (loss,) = told(write_scene(drive(), tmp_path / "out", format=name, **options))
+    assert loss.fate is Fate.APPROXIMATED
+    assert loss.what.startswith(f"{standing_ego().what}; none of 2 lidar sweeps has enough returns")
+
+
 @pytest.mark.parametrize("name", ["nuscenes", "colmap", "nerfstudio"])
-def test_targets_in_the_world_take_the_ego_as_standing_and_say_so_alike(name, tmp_path):
-    # COLMAP and nerfstudio follow the lidar, and refuse where they cannot, unless they are asked to stand
-    options = {} if name == "nuscenes" else {"trajectory": "identity"}
-    losses = write_scene(drive(), tmp_path / "out", format=name, **options)
-    assert [loss for loss in losses if loss.field == "trajectories.positions"] == [standing_ego()]
+def test_without_a_lidar_the_ego_stands(name, tmp_path):
+    losses = write_scene(replace(drive(), sensors=drive().cameras), tmp_path / "out", format=name)
+    assert told(losses) == [standing_ego()]
+
+
+@pytest.mark.parametrize(("name", "options"), IN_WORLD)
+def test_the_drives_own_trajectory_comes_first_and_another_can_be_named(name, options, tmp_path):
+    times, straight = np.array([0, 600_000_000]), np.array([[0.0, 0.0, 0.0, 1.0]] * 2)
+    ways = {
+        way: Trajectory(way, times, np.array([[0.0, 0.0, 0.0], [end, 0.0, 0.0]]), straight)
+        for way, end in (("first", 6.0), ("second", 12.0))
+    }
+    scene = replace(moving(), trajectories=ways)
+    for way, end in ((None, 5.0), ("second", 10.0)):
+        losses = write_scene(scene, tmp_path / str(way), format=name, trajectory=way, **options)
+        assert not [loss for loss in told(losses) if "not known" in loss.what]
+        assert last_ego(name, tmp_path / str(way)) == pytest.approx(end, abs=1e-3)
+
+
+def test_points_on_the_ego_need_its_mounting_only_and_no_poses_are_made_up(tmp_path):
+    losses = write_scene(moving(), tmp_path / "out", format="pcd", frame="ego")
+    assert not told(losses)
+    assert not list((tmp_path / "out").glob("*.tum"))
+
+
+def test_a_trajectory_that_would_count_for_nothing_is_refused(tmp_path):
+    with pytest.raises(OptionError, match="needs none; expected another frame"):
+        write_scene(moving(), tmp_path / "out", format="pcd", trajectory="identity")
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,8 @@ from sceneloom.scene import Scene
 class CloudFormat:
     """Files of points of one kind, a frame each."""
 
+    along_trajectory = True
+
     def __init__(self, name: str) -> None:
         """Take the kind of that name."""
         self._kind = KINDS[name]

@@ -11,6 +11,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.editing.frames import to_ego, to_sensor, to_world
+from sceneloom.editing.sensor_frames import points_change
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.formats.clouds.columns import LossTaker, frame_columns, left_out
 from sceneloom.formats.clouds.folder import DEFAULT_ID, EGO_POSES, SENSOR_POSES
@@ -18,16 +19,19 @@ from sceneloom.formats.clouds.frame_files import ENCODINGS, FRAME_WRITERS
 from sceneloom.formats.clouds.holdings import holds_of
 from sceneloom.formats.clouds.kinds import CloudKind
 from sceneloom.formats.clouds.names import name_of_time
+from sceneloom.formats.default_poses import ego_in_world
 from sceneloom.formats.field_losses import field_losses
 from sceneloom.formats.file_names import file_stems
 from sceneloom.formats.loss import Fate, Loss, LossReport
 from sceneloom.formats.output import FolderKind, replacing
-from sceneloom.scene import Coordinates, LidarSensor, PointsFrame, PosePath, Scene
+from sceneloom.motion.ego_motion import is_computed, with_way_found
+from sceneloom.motion.trajectories import IDENTITY
+from sceneloom.scene import Coordinates, LidarSensor, OdometrySensor, PointsFrame, PosePath, Scene
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.sensor_sources import is_on_ego, named_odometry, sensor_source
 from sceneloom.scene.span import scene_period_ns
 
-_MOVES: Mapping[PointsFrame, Callable[[Scene], Scene]] = MappingProxyType(
+_MOVES: Mapping[PointsFrame, Callable[..., Scene]] = MappingProxyType(
     {PointsFrame.SENSOR: to_sensor, PointsFrame.EGO: to_ego, PointsFrame.WORLD: to_world}
 )
 _WRITTEN = {"file", "dropped_points", "clipped_intensities"}
@@ -42,11 +46,13 @@ class CloudSaving:
         frame: "sensor", "ego" or "world", the frame of the points; None: the one that they are in.
         encoding: of PCD files: "binary", "ascii" or "binary_compressed".
         lidar: id of the only lidar to be written, as text; None for all.
+        trajectory: name of the ego's, as of `ego_in_world`, where another frame of the points needs it.
     """
 
     frame: str | None = None
     encoding: str = ENCODINGS[0]
     lidar: str | None = None
+    trajectory: str | None = None
 
     def __post_init__(self) -> None:
         if self.frame is not None and self.frame not in tuple(PointsFrame):
@@ -65,10 +71,17 @@ def write_clouds(
         PoseError: the poses that another frame of the points needs are not known.
         OutputError: the output exists, or cannot be written.
     """
-    if saving.frame is not None and any(lidar.points_frame != saving.frame for lidar in scene.lidars):
-        scene = _MOVES[PointsFrame(saving.frame)](scene)
-    lidars = _chosen(scene, saving.lidar)
     losses = list(_of_fields(scene, kind))
+    asked = _chosen(scene, saving.lidar)
+    if saving.frame is not None and any(lidar.points_frame != saving.frame for lidar in asked):
+        scene, told = _in_frame(scene, asked, PointsFrame(saving.frame), saving.trajectory)
+        losses += told
+    elif saving.trajectory is not None:
+        raise OptionError(
+            f"trajectory {saving.trajectory!r}: the points stay in the frame that they are in, which needs none; "
+            "expected another frame, such as `frame=world`"
+        )
+    lidars = _chosen(scene, saving.lidar)
     losses += [
         Loss(field=f"sensors[{lidar.id}]", what="left out: another lidar was asked for")
         for lidar in scene.lidars
@@ -84,6 +97,46 @@ def write_clouds(
     else:
         _write_folder(scene, lidars, path, kind, write, overwrite=overwrite, losses=losses)
     return LossReport.of(losses)
+
+
+def _in_frame(
+    scene: Scene, lidars: list[LidarSensor], frame: PointsFrame, trajectory: str | None
+) -> tuple[Scene, list[Loss]]:
+    """Bring the points of lidars into a frame, along a trajectory where that needs one.
+
+    Raises:
+        PoseError: the poses that this needs are not known.
+    """
+    odometries = [sensor for sensor in scene.sensors if isinstance(sensor, OdometrySensor)]
+    others = [lidar for lidar in scene.lidars if lidar not in lidars]
+    part = replace(scene, sensors=(*lidars, *odometries), annotations=())
+    move, losses = _MOVES[frame], list[Loss]()
+    known = any(way.quaternions_xyzw is not None for way in scene.trajectories.values())
+    if trajectory is not None or known or any(_needs_trajectory(part, lidar, frame) for lidar in lidars):
+        ego, losses = ego_in_world(scene, name=trajectory)
+        part = with_way_found(part, ego) if is_computed(scene, ego.name) else part
+        by_default = trajectory is None and next(iter(part.trajectories), None) == ego.name
+        part = move(part, trajectory=None if by_default else ego.name)
+    else:
+        # nothing says where the ego was, nor need it be known: no poses of it are made up
+        placed = (_by_own_poses(lidar, frame) for lidar in lidars)
+        moved = move(replace(part, sensors=(*placed, *odometries)), trajectory=IDENTITY)
+        part = replace(part, sensors=(*moved.lidars, *odometries))
+    return replace(part, sensors=(*part.sensors, *others)), losses
+
+
+def _needs_trajectory(scene: Scene, lidar: LidarSensor, frame: PointsFrame) -> bool:
+    try:
+        points_change(scene, lidar, None, frame, reach_ns=0)
+    except PoseError:
+        return True
+    return False
+
+
+def _by_own_poses(lidar: LidarSensor, frame: PointsFrame) -> LidarSensor:
+    """A lidar without the mounting, where its own poses in the world say more."""
+    in_world = PointsFrame.WORLD in {frame, lidar.points_frame}
+    return replace(lidar, mount=None) if in_world and lidar.poses is not None else lidar
 
 
 def _of_fields(scene: Scene, kind: CloudKind) -> Iterator[Loss]:

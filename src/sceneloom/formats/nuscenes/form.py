@@ -25,7 +25,8 @@ FORMAT = FolderFormat(
     drives=scene_names,
     reading_options=("lenient", "sequence", "keyframes"),
     writer=write_nuscenes,
-    writing_options=("version", "keyframe_rate_hz", "pictures", "channel"),
+    writing_options=("version", "keyframe_rate_hz", "pictures", "channel", "trajectory"),
+    along_trajectory=True,
     holds=HOLDS,
 )
 """The nuScenes schema as one of the formats."""

@@ -64,6 +64,7 @@ def write_nuscenes(
     keyframe_rate_hz: float | str | None = None,
     pictures: str = "copy",
     channel: str | Iterable[str] | None = None,
+    trajectory: str | None = None,
 ) -> LossReport:
     """Write a scene as a data set; frames are read, written and let go one by one.
 
@@ -76,12 +77,14 @@ def write_nuscenes(
         pictures: "copy" copies JPEG and PNG files, and writes others as JPEG; "png" writes them as PNG.
         channel: channels of sensors, as `lidar=LIDAR_TOP,camera0=CAM_FRONT` or one text for each; others get the name
             that nuScenes has for the lidar or for the only camera that looks their way, else their id.
+        trajectory: name of the ego's, as of `ego_in_world`.
 
     Returns:
         What the tables could not hold.
 
     Raises:
         OptionError: an option is none of these.
+        PoseError: the trajectory cannot be taken.
         OutputError: the path exists, or cannot be written.
         CalibrationError: a lens cannot be computed with.
         DataError: what the scene is read from is damaged, or has no frame at all.
@@ -91,7 +94,7 @@ def write_nuscenes(
     if version is not None and not is_version(version):
         raise OptionError(f"version {version!r}; expected a name such as v1.0-mini")
     rate_hz = None if keyframe_rate_hz is None else as_positive("keyframe_rate_hz", keyframe_rate_hz)
-    plan = WritingPlan.of(scene, path, version, rate_hz, channels_of(scene, channel))
+    plan = WritingPlan.of(scene, path, version, rate_hz, channels_of(scene, channel), trajectory)
     with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
         losses = _Writer(plan, draft, pictures).write()
     return LossReport.of([*plan.losses, *losses])

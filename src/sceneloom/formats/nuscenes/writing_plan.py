@@ -12,7 +12,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.editing.undistortion import undistort_scene
 from sceneloom.errors import OptionError
-from sceneloom.formats.default_poses import standing_ego
+from sceneloom.formats.default_poses import ego_in_world
 from sceneloom.formats.field_losses import field_losses
 from sceneloom.formats.file_names import file_stems
 from sceneloom.formats.kitti.written.choice import ego_way
@@ -112,26 +112,31 @@ class WritingPlan:
         version: str | None,
         rate_hz: float | None,
         names: Mapping[str, str],
+        trajectory: str | None = None,
     ) -> "WritingPlan":
         """Look through a scene.
 
         Raises:
             CalibrationError: a lens cannot be computed with.
+            OptionError: there is no trajectory of that name.
+            PoseError: the trajectory cannot be taken.
             DataError: no sensor has a frame.
         """
         losses = [loss for loss in field_losses(scene, HOLDS) if loss.fate is Fate.DROPPED]
         losses += further_fields(scene)
         scene = _with_pinholes(scene, losses)
-        way = ego_way(scene)
+        way = ego_way(scene) if trajectory is None else None
+        if way is None:
+            ego, told = ego_in_world(scene, name=trajectory)
+            way = None if ego.path.endless else ego.path
+            losses += told
         check_one_ego(scene, way)
         scene = each_mounted(scene, way)
-        if way is None:
-            losses.append(standing_ego())
         if len(scene.trajectories) > 1:
             what = "left out: the tables hold one way of the ego"
             losses.append(Loss(field="trajectories", what=what, count=len(scene.trajectories) - 1))
         channels = _channels(scene, way, losses, names)
-        losses += _lost_poses(scene, channels)
+        losses += _lost_poses(scene, way, channels)
         about = _about(scene, path)
         samples = choose_samples(
             scene, [channel.sensor for channel in channels], rate_hz=rate_hz, name=about[0].name
@@ -156,10 +161,11 @@ class WritingPlan:
         return int(((stamps_ns < path.start_ns) | (stamps_ns > path.stop_ns)).sum())
 
 
-def _lost_poses(scene: Scene, channels: Sequence[Channel]) -> list[Loss]:
-    """Say that poses of the ego between frames are not in the tables."""
-    way = next((way for way in scene.trajectories.values() if way.quaternions_xyzw is not None), None)
-    if way is None:
+def _lost_poses(scene: Scene, way: PosePath | None, channels: Sequence[Channel]) -> list[Loss]:
+    """Say that poses between frames are not in the tables, of a trajectory of the scene."""
+    if way is None or not any(
+        known.timestamps_ns is way.timestamps_ns for known in scene.trajectories.values()
+    ):
         return []
     frames = np.concatenate([[0][:0], *(stamps_of(channel.sensor) for channel in channels)])
     lost = int((~np.isin(way.timestamps_ns, frames)).sum())

@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from sceneloom.errors import OptionError
-from sceneloom.formats.default_poses import standing_ego
+from sceneloom.formats.default_poses import ego_in_world
 from sceneloom.formats.file_names import file_stems
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.posed_pictures.settings import PosedSettings
 from sceneloom.formats.sfs.write_pictures import encode_jpeg
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.ego_motion import find_ego_motion
 from sceneloom.scene import CameraSensor, Identifier, Picture, Scene
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.sensor_sources import needs_ego, sensor_source
@@ -72,14 +71,12 @@ class PosedScene:
         if not cameras:
             raise OptionError(f"{scene.source}: no camera with pictures; there is nothing to write")
         needed = settings.trajectory is not None or needs_ego(scene)
-        ego = find_ego_motion(scene, name=settings.trajectory) if needed else None
+        ego, told = ego_in_world(scene, name=settings.trajectory) if needed else (None, [])
         posed = cls(scene, settings, ego)
         first = next(posed.views(), None)
         if first is None:
             raise OptionError(f"{scene.source}: no picture has a pose in the world")
-        posed.losses.clear()
-        if ego is not None and ego.name == "identity":
-            posed.losses.append(standing_ego())
+        posed.losses[:] = told
         place = first.world_from_camera.translation
         if np.abs(place).max() > FARTHEST_M:
             posed.origin_world = RigidTransform(np.eye(3), np.floor(place))

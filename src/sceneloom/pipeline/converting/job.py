@@ -80,8 +80,8 @@ def convert(
         source: a file or folder.
         target: a file or folder, or the URL of one in a store; its suffix chooses the format unless `to` names it.
         to: name of the target's format, or form of trajectories.
-        trajectory: name of the trajectory, where a file of trajectories is written or read, or pictures are placed
-            along one (COLMAP, nerfstudio).
+        trajectory: name of the trajectory, where a file of trajectories is written or read, or things are placed in
+            the world along one (COLMAP, nerfstudio, nuScenes, clouds), which may be "gnss", "lidar" or "identity".
         strict: refuse to lose anything: what the format never holds before anything is written, what shows only while
             writing so that nothing is left behind.
         loss: a file for what becomes of every field: `.json`, `.md` or `.txt`; written also where `strict` refuses.
@@ -95,7 +95,7 @@ def convert(
         UnknownFormatError: no format fits the source.
         DataError: the source is wrong.
         OptionError: there is no format or form `to`, it is only read, several have the target's suffix, `trajectory`
-            is named where a whole drive is written, or a part is asked for of a trajectory.
+            is named where a whole drive is written that needs none, or a part is asked for of a trajectory.
         LossError: something would be lost, and `strict` was said.
         OutputError: the target exists, or cannot be written.
     """

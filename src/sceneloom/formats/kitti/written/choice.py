@@ -1,7 +1,7 @@
 """Which sensors of a scene go into a folder of KITTI's, under which numbers, and where they sit."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import degrees
 
 import numpy as np
@@ -25,6 +25,7 @@ from sceneloom.scene import (
 )
 from sceneloom.scene.annotations_frame import annotations_frame
 from sceneloom.scene.contents import KINDS
+from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.sensor_sources import check_one_ego
 
 PARALLEL_WITHIN = 1e-6
@@ -94,7 +95,7 @@ def choose(
 
 
 def ego_way(scene: Scene) -> PosePath | None:
-    """The way of the ego: the first trajectory with orientations, else an odometry sensor's, else the lidar's own."""
+    """The way of the ego: the first trajectory with orientations, else by odometry, else by a sensor's own poses."""
     for trajectory in scene.trajectories.values():
         if trajectory.quaternions_xyzw is not None:
             return trajectory.poses
@@ -103,8 +104,12 @@ def ego_way(scene: Scene) -> PosePath | None:
             return sensor.poses
     posed_sensors: list[LidarSensor | CameraSensor] = [*scene.lidars, *scene.cameras]
     for posed in posed_sensors:
-        if posed.poses is not None and posed.coordinates is Coordinates.WORLD and posed.mount is None:
+        if posed.poses is None or posed.coordinates is not Coordinates.WORLD:
+            continue
+        if posed.mount is None:
             return posed.poses
+        egos = PoseSource(posed.poses, posed.mount.inverse()).at(posed.poses.timestamps_ns)
+        return replace(posed.poses, positions=egos.positions, quaternions_xyzw=egos.quaternions_xyzw)
     return None
 
 

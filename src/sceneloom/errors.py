@@ -153,6 +153,10 @@ def how_to_install(extra: str) -> str:
 def ignore_warnings_of_extreme_numbers() -> None:
     """Let programs, but not users of the library, compute with the extreme numbers of files without NumPy's warnings.
 
+    Called by `cli.main.main` and the workers of batches only, never on import: users of the library keep the filters
+    and `numpy.seterr` of their own process, and the tests, in which warnings are errors, those of theirs. Filters are
+    used in place of `numpy.seterr`, whose state is that of one thread, while threads decode what is read.
+
     What overflows becomes infinite or no number, and is judged by whoever uses it. Casts of such numbers to integers,
     and sums of integers that overflow, which would give any number, are still warned of. The filter
     holds for all threads of the process.

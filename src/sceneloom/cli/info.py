@@ -15,7 +15,7 @@ from sceneloom.scene.summary import SceneSummary, SensorSummary
 from sceneloom.scene.types import SensorType
 
 if TYPE_CHECKING:
-    from sceneloom.scene import Scene
+    from sceneloom.scene import Notice, Scene
 
 
 @click.command()
@@ -52,7 +52,8 @@ def info(
         summary = summarise(scene, size_bytes=size_on_disk(whole))
         axes = ego_axes(scene)
         mountings = [mounting_text(sensor, axes) for sensor in scene.sensors]
-        drawn = [] if pictures is None else _draw(scene, pictures, at, overwrite=overwrite)
+        drawn, undrawn = ([], ()) if pictures is None else _draw(scene, pictures, at, overwrite=overwrite)
+        summary = structs.replace(summary, notices=(*summary.notices, *undrawn))
     if as_json:
         print_json(
             summary if pictures is None else {**structs.asdict(summary), "pictures": list(map(str, drawn))}
@@ -65,10 +66,16 @@ def info(
         print_notices(summary.notices, verbose=verbose)
 
 
-def _draw(scene: "Scene", folder: Path, at: float | None, *, overwrite: bool) -> list[Path]:
+def _draw(
+    scene: "Scene", folder: Path, at: float | None, *, overwrite: bool
+) -> "tuple[list[Path], tuple[Notice, ...]]":
+    """Draw the annotations; gives the files, and what is in none of them."""
     from sceneloom.pictures.annotations import save_annotation_pictures
+    from sceneloom.pictures.canvas import counting_left_out
 
-    return save_annotation_pictures(scene, folder, at=at, overwrite=overwrite)
+    with counting_left_out() as left:
+        drawn = save_annotation_pictures(scene, folder, at=at, overwrite=overwrite)
+    return drawn, left.notices
 
 
 def _print_summary(summary: SceneSummary, mountings: Sequence[str | None]) -> None:

@@ -1,12 +1,16 @@
 """A drawing surface: pixels from NumPy, letters and lines from Pillow, one look for every picture."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from sceneloom.arrays import UInt8Array
+from sceneloom.scene import Notice, NoticeKind
 
 PilImage = Image.Image
 Colour = tuple[int, int, int]
@@ -21,6 +25,56 @@ ACCENT: Colour = (255, 122, 69)
 
 _FINE = 4
 """Polygons are filled on a grid this much finer and averaged."""
+
+
+@dataclass(slots=True)
+class LeftOut:
+    """How much of which kind has no place in images, as its coordinates are not finite; counted in each image."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """A line for each kind."""
+        return tuple(
+            f"{count:,} {kind} whose coordinates are not finite are not drawn, counted in each image"
+            for kind, count in self.counts.items()
+        )
+
+    @property
+    def notices(self) -> tuple[Notice, ...]:
+        """A notice for each kind."""
+        return tuple(
+            Notice(
+                kind=NoticeKind.SKIPPED,
+                code="not-drawn",
+                place="images",
+                message=f"{kind} whose coordinates are not finite are not drawn, counted in each image",
+                count=count,
+            )
+            for kind, count in self.counts.items()
+        )
+
+
+_LEFT_OUT: ContextVar[LeftOut | None] = ContextVar("left out of images", default=None)
+
+
+@contextmanager
+def counting_left_out() -> Iterator[LeftOut]:
+    """Count what images that are drawn inside leave out."""
+    found = LeftOut()
+    token = _LEFT_OUT.set(found)
+    try:
+        yield found
+    finally:
+        _LEFT_OUT.reset(token)
+
+
+def leave_out(kind: str, count: int) -> None:
+    """Note that an image has no place for so many of a kind, where somebody counts them."""
+    found = _LEFT_OUT.get()
+    if found is not None and count:
+        found.counts[kind] += int(count)
 
 
 @dataclass(slots=True)

@@ -7,7 +7,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, FloatArray, UInt8Array, check_array
 from sceneloom.errors import ArrayError, OptionError
-from sceneloom.pictures.canvas import count_text
+from sceneloom.pictures.canvas import count_text, leave_out
 from sceneloom.pictures.depth_scale import round_up
 from sceneloom.pictures.ego import EgoPlace
 
@@ -31,11 +31,13 @@ class DrawnCloud:
         points_world: (N, 3) float64 [m].
         colours: (N, 3) uint8.
         seen: how many of them a camera coloured.
+        left_out: how many more points are not finite.
     """
 
     points_world: Float64Array
     colours: UInt8Array
     seen: int
+    left_out: int = 0
 
 
 def drawn_cloud(
@@ -56,6 +58,8 @@ def drawn_cloud(
     check_array("colors", colors, (len(points_world), 3), np.uint8, optional=True)
     check_array("camera_index", camera_index, (len(points_world),), np.uint8, optional=True)
     finite = np.isfinite(points_world).all(axis=1)
+    left_out = int(np.count_nonzero(~finite))
+    leave_out("points", left_out)
     points = points_world[finite].astype(np.float64)
     seen = np.full(len(points), colors is not None)
     if camera_index is not None:
@@ -63,7 +67,7 @@ def drawn_cloud(
     drawn = height_greys(points[:, 2])
     if colors is not None:
         drawn[seen] = lifted(colors[finite][seen])
-    return DrawnCloud(points, drawn, int(seen.sum()))
+    return DrawnCloud(points, drawn, int(seen.sum()), left_out)
 
 
 def lifted(colors: UInt8Array) -> UInt8Array:
@@ -146,4 +150,5 @@ def cloud_caption(lines: Sequence[str], cloud: DrawnCloud) -> list[str]:
     """Give the caption's title and what the cloud holds."""
     count = len(cloud.points_world)
     share = f"{100.0 * cloud.seen / count:.0f} % coloured, the others grey" if cloud.seen else "none coloured"
-    return [*lines, f"{count_text(count, 'point')}, {share}" if count else "no points"][:2]
+    held = f"{count_text(count, 'point')}, {share}" if count else "no points"
+    return [*lines, held + (f"; {cloud.left_out:,} not finite" if cloud.left_out else "")][:2]

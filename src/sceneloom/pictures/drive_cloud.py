@@ -9,7 +9,7 @@ from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.editing.voxels import FIRST, one_per_cube
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pictures.canvas import PilImage, count_text
+from sceneloom.pictures.canvas import PilImage, count_text, leave_out
 from sceneloom.pictures.cloud_above import draw_cloud_above
 from sceneloom.pictures.cloud_perspective import draw_cloud_perspective
 from sceneloom.pictures.clouds import UNSEEN
@@ -105,6 +105,7 @@ class DriveCloud:
 def _one_per_cube(positions: Float32Array, camera_index: UInt8Array) -> Int64Array:
     """Numbers of the finite points that are kept, one per cube, one that a camera saw where there is one."""
     rows = np.flatnonzero(np.isfinite(positions).all(axis=1))
+    leave_out("points", len(positions) - len(rows))
     rows = rows[np.argsort(camera_index[rows] == UNSEEN, kind="stable")]
     kept: Int64Array = rows[one_per_cube(positions[rows], CUBE, keep=FIRST)]
     return kept

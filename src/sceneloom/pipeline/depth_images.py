@@ -9,12 +9,14 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from sceneloom.arrays import finite_rows
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.depth import METHODS, DenseDepth, complete_depth
 from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.formats.depth_images import write_confidence_png, write_depth_npz, write_depth_png
 from sceneloom.formats.output import check_output, filling, replacing
 from sceneloom.fusion import FusionConfiguration
+from sceneloom.pictures.canvas import counting_left_out, leave_out
 from sceneloom.pictures.dense_depths import draw_dense_depth
 from sceneloom.pipeline.fusing.sinks import lidar_folders, names_of
 from sceneloom.pipeline.needed_lidar import check_has_lidar
@@ -204,11 +206,12 @@ def write_depth_images(
         system.on_unreadable = skips.add
     total = sum(len(lidar.frames) for lidar in woven.scene.lidars)
     unfused: dict[str, int] = {}
-    with telling(skips), ExitStack() as stack:
+    with telling(skips), counting_left_out() as left, ExitStack() as stack:
         writer = _open_writer(
             woven, place, drawn, stack, form=form, confidence=confidence, overwrite=overwrite
         )
         for done, frame in enumerate(play(woven.scene, system, skips=skips), start=1):
+            leave_out("points", int((~finite_rows(frame.points.positions)).sum()))
             if frame.unfused is not None:
                 unfused[frame.unfused] = unfused.get(frame.unfused, 0) + 1
             for view in frame.views:
@@ -226,7 +229,7 @@ def write_depth_images(
         cameras=tuple(tally.report(camera_id) for camera_id, tally in writer.tallies.items()),
         beyond_range=writer.beyond_range,
         seconds=time.perf_counter() - begun,
-        notices=tuple(woven.scene.notices),
+        notices=(*woven.scene.notices, *left.notices),
     )
 
 

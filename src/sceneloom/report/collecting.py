@@ -17,6 +17,7 @@ from sceneloom.formats.loss import Loss
 from sceneloom.formats.table import PART
 from sceneloom.formats.urls import path_or_url
 from sceneloom.motion.ego_motion import find_ego_motion, is_computed, with_way_found
+from sceneloom.pictures.canvas import counting_left_out
 from sceneloom.report.album import Album
 from sceneloom.report.numbers.calibration import check_cameras
 from sceneloom.report.numbers.conversions import conversions_of
@@ -129,7 +130,10 @@ class _Collector:
         album = Album(self.settings.pictures)
         coverage = self.part("coverage", lambda: coverage_of(self.scene), Coverage())
         calibration = self.part("calibration", self._calibration, ())
-        fusion = self.part("fusion", lambda: self._fusion(album), None)
+        with counting_left_out() as left:
+            fusion = self.part("fusion", lambda: self._fusion(album), None)
+            labels = self.part("annotations", lambda: self._labels(start_ns, album), None)
+        self.sampling += left.lines
         evidence = Evidence(
             summary=summary,
             timing=timing_of(self.scene, start_ns=start_ns),
@@ -139,7 +143,7 @@ class _Collector:
             coverage=coverage,
             calibration=calibration,
             fusion=fusion,
-            labels=self.part("annotations", lambda: self._labels(start_ns, album), None),
+            labels=labels,
             metrics=self.part("truth", self._metrics, Metrics(), required=self.settings.truth is not None),
             validation=validation,
             left_out=self.left_out,

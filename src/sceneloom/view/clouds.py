@@ -19,7 +19,7 @@ from sceneloom.view.places import Places
 from sceneloom.view.poses import pose_at, transform
 from sceneloom.view.sdk import sdk
 from sceneloom.view.settings import ColourBy
-from sceneloom.view.stream import Stream
+from sceneloom.view.stream import Stream, fits
 
 WORLD, SENSORS, CLOUDS = "world", "sensors", "clouds"
 """Entities below which things are: all that has a place, frames of sensors, points that are not in such a frame."""
@@ -30,7 +30,7 @@ _LONGEST_SWEEP = 3
 """Times of points spread over more sweep periods than that are not when they were measured."""
 
 _NEARING, _LEAVING = one_packed((255, 122, 69)), one_packed((82, 196, 255))
-_BEYOND = "is not shown: the ego's way does not reach its time"
+_BEYOND = "is not shown: the ego's way does not reach its time, or lies beyond the viewer's float32"
 _AS_MEASURED = "is shown as measured: the ego's way does not reach all of its points' times"
 
 
@@ -90,8 +90,12 @@ class LidarView:
             return time_ns, None
         positions = self._at_one_moment(frame, time_ns)
         above = self._heights(positions, shown_from_points, shown_from_sensor)
+        colours, held = self.painter.paint(frame.points, above), fits(positions)
+        self.stream.leave_out("lidar points", np.count_nonzero(~held))
         cloud = rr.Points3D(
-            positions, colors=self.painter.paint(frame.points, above), radii=ui_points(_POINT_SIZE)
+            positions[held],
+            colors=colours[held],
+            radii=ui_points(_POINT_SIZE),
         )
         placed = () if in_sensor else (transform(shown_from_points),)
         self.stream.log(time_ns, self.path, *placed, cloud, kind="sweeps", size=16 * len(positions))
@@ -190,6 +194,9 @@ class RadarView:
         vectors = _velocities(points.directions, points.lengths, len(points))
         turned = vectors if inside is None else inside.rotate(vectors)
         positions = points.positions if inside is None else inside.apply(points.positions)
+        held = fits(positions) & fits(turned)
+        self.stream.leave_out("radar points", np.count_nonzero(~held))
+        positions, turned = positions[held], turned[held]
         colours = np.where((turned * positions).sum(axis=1) < 0, _NEARING, _LEAVING).astype(np.uint32)
         shown = rr.Points3D(positions, colors=colours, radii=ui_points(_RADAR_SIZE))
         self.stream.log(time_ns, f"{entity}/points", shown, kind="radar cycles", size=16 * len(points))
@@ -220,7 +227,13 @@ def _velocities(directions: Float32Array | None, lengths: Float32Array | None, c
 def show_map(stream: Stream, places: Places, sensor: PointsSensor) -> None:
     """Show a cloud without time."""
     colours = None if sensor.colors is None else packed(sensor.colors)
-    positions = (sensor.positions - places.origin_world).astype(np.float32)
-    cloud = sdk().Points3D(positions, colors=colours, radii=ui_points(_POINT_SIZE))
+    positions = sensor.positions - places.origin_world
+    held = fits(positions)
+    stream.leave_out("points of maps", np.count_nonzero(~held))
+    cloud = sdk().Points3D(
+        positions[held].astype(np.float32),
+        colors=None if colours is None else colours[held],
+        radii=ui_points(_POINT_SIZE),
+    )
     stream.static(stream.path(WORLD, CLOUDS, sensor.id), cloud)
     stream.counts["maps"] = stream.counts.get("maps", 0) + 1

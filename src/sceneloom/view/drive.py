@@ -266,7 +266,7 @@ def log_drive(view: DriveView, stream: Stream, *, progress: Progress | None = No
         if progress is not None:
             progress(done, total)
     run.annotations.finish()
-    log_remarks(stream, span_ns[0], told.notices, ())
+    log_remarks(stream, span_ns[0], (*told.notices, *stream.notices), ())
     return _shown(run, span_ns, findings)
 
 
@@ -277,7 +277,8 @@ def _log_lasting(run: _Run) -> None:
         if isinstance(sensor, PointsSensor):
             show_map(stream, view.places, sensor)
             path = stream.path("world", "clouds", sensor.id)
-            positions = (sensor.positions - view.places.origin_world).astype(np.float32)
+            with np.errstate(over="ignore"):  # what overflows is left out
+                positions = (sensor.positions - view.places.origin_world).astype(np.float32)
             run.labelled.log(sensor.id, None, path, None, positions)
     for kind, things in (("sensors", scene.sensors), ("annotations", scene.annotations)):
         for one in things:
@@ -316,7 +317,7 @@ def _shown(run: _Run, span_ns: tuple[int, int], findings: tuple[Finding, ...]) -
         colours={sensor_id: used.value for sensor_id, used in colours.items() if used is not None},
         logged=dict(sorted(run.stream.counts.items())),
         findings=dict(Counter(str(finding.severity) for finding in findings)),
-        notices=(*view.scene.notices, *view.places.notices, *view.told.notices),
+        notices=(*view.scene.notices, *view.places.notices, *view.told.notices, *run.stream.notices),
     )
 
 

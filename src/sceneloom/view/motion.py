@@ -15,7 +15,7 @@ from sceneloom.view.colours import colour_of_name, one_packed
 from sceneloom.view.places import Places
 from sceneloom.view.poses import transform_columns
 from sceneloom.view.sdk import sdk
-from sceneloom.view.stream import Stream
+from sceneloom.view.stream import Stream, fits
 
 EGO, WAYS, IMU, GNSS, MAP, EARTH = "ego", "ways", "imu", "gnss", "map", "earth"
 """Entities: the ego's frame, ways through the world, curves of both kinds of sensors, the plan, places on earth."""
@@ -57,18 +57,24 @@ def _show_ego(stream: Stream, places: Places) -> None:
     for name, way in places.scene.trajectories.items():
         if places.ego is not None and name == places.ego.name and path is not None:
             continue  # it is the way of the ego, drawn below
-        line = _line(way.positions - places.origin_world)
+        shifted = way.positions - places.origin_world
+        line = _line(shifted)
+        stream.leave_out("poses", np.count_nonzero(~fits(shifted)))
         stream.static(stream.path(WORLD, WAYS, name), _strips(line, colour_of_name(name), name))
     if path is None:
         return
     rows = _thinned(len(path.timestamps_ns), _MOST_POSES)
     samples = path.moved(places.origin_world).held(path.timestamps_ns[rows])
-    every = np.arange(len(rows))
-    entity = stream.path(WORLD, EGO)
-    stream.columns(path.timestamps_ns[rows], entity, transform_columns(samples, every), kind="ego poses")
+    held = fits(samples.positions)
+    stream.leave_out("ego poses", np.count_nonzero(~held))
+    entity, shown = stream.path(WORLD, EGO), np.flatnonzero(held)
+    stream.columns(
+        path.timestamps_ns[rows][shown], entity, transform_columns(samples, shown), kind="ego poses"
+    )
     stream.static(entity, rr.TransformAxes3D(1.5))
     stream.static(
-        stream.path(WORLD, WAYS, _way_name(places)), _strips(samples.positions, _WAY, _way_name(places))
+        stream.path(WORLD, WAYS, _way_name(places)),
+        _strips(samples.positions[shown], _WAY, _way_name(places)),
     )
 
 
@@ -87,7 +93,7 @@ def _strips(line: Float64Array, colour: Colour, name: str) -> object:
 
 
 def _line(positions: Float64Array) -> Float64Array:
-    finite = positions[np.isfinite(positions).all(axis=1)]
+    finite = positions[fits(positions)]
     return np.asarray(finite[_thinned(len(finite), _MOST_POSES)], np.float64)
 
 

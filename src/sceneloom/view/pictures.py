@@ -28,7 +28,7 @@ from sceneloom.view.feeds import Tell
 from sceneloom.view.places import Places, poses_within_reach
 from sceneloom.view.poses import pose_at, transform, transform_columns
 from sceneloom.view.sdk import sdk
-from sceneloom.view.stream import Stream
+from sceneloom.view.stream import Stream, fits
 
 PICTURE = "picture"
 """The entity of a camera's pictures, below that of the camera; its own space of pixels."""
@@ -160,6 +160,11 @@ class PlacedCamera:
             self.stream.log(time_ns, camera_path(self.stream, self.sensor.id), transform(pose))
         if self.has_pinhole and lens != self._lens:
             self._lens = lens
+            if not fits(lens.matrix).all():
+                self.tell(
+                    "lens-left", f"sensors[{self.sensor.id!r}]", "its lens is beyond the viewer's float32"
+                )
+                return
             self.stream.log(time_ns, picture_path(self.stream, self.sensor.id), pinhole(lens))
 
 

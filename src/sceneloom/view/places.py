@@ -28,6 +28,7 @@ from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.sensor_sources import Posed, needs_ego, sensor_source
 from sceneloom.scene.span import scene_period_ns
 from sceneloom.scene.types import Progress
+from sceneloom.view.stream import fits
 
 _FAR = 2_000.0
 _GRID = 100.0
@@ -134,6 +135,7 @@ def _own_poses(scene: Scene) -> list[PosePath]:
 
 
 def poses_within_reach(source: PoseSource, times_ns: Int64Array) -> tuple[PoseSamples, Int64Array]:
-    """Give the poses at times (M,) [ns], and the rows of those that the way reaches."""
+    """Give the poses at times (M,) [ns], and the rows of those that the way reaches and the viewer can hold."""
     poses = source.at(np.asarray(times_ns, np.int64))
-    return poses, np.flatnonzero(poses.coverage != OUT_OF_REACH)
+    held = fits(poses.positions) & fits(poses.quaternions_xyzw)
+    return poses, np.flatnonzero((poses.coverage != OUT_OF_REACH) & held)

@@ -29,7 +29,7 @@ def transform_columns(poses: PoseSamples, rows: Int64Array) -> Iterable[Any]:
 
 
 def pose_at(source: PoseSource, time_ns: int) -> RigidTransform | None:
-    """Give the pose at a time [ns]; None where the way does not reach it."""
+    """Give the pose at a time [ns]; None where the way does not reach it, or lies beyond float32."""
     poses, rows = poses_within_reach(source, np.array([time_ns], np.int64))
     if len(rows) == 0:
         return None

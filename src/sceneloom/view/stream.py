@@ -2,13 +2,13 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, SupportsInt
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sceneloom.arrays import Int64Array
-from sceneloom.scene import Identifier
+from sceneloom.arrays import AnyArray, BoolArray, Int64Array
+from sceneloom.scene import Identifier, Notice, NoticeKind
 from sceneloom.view.sdk import sdk
 
 TIME = "time"
@@ -38,6 +38,7 @@ class Stream:
         calendar: whether times are shown as times of day, else as seconds.
         reference_ns: (N,) int64 [ns], when each frame begins that is counted as a frame of the drive.
         counts: how many rows of which kind were logged.
+        left_out: how many of which kind were not, as the viewer cannot hold their numbers.
     """
 
     recording: Any
@@ -45,6 +46,7 @@ class Stream:
     calendar: bool
     reference_ns: Int64Array
     counts: dict[str, int] = field(default_factory=dict)
+    left_out: dict[str, int] = field(default_factory=dict)
     _pending: int = 0
 
     def path(self, *names: Identifier) -> str:
@@ -102,6 +104,26 @@ class Stream:
         """Count rows that were logged."""
         self.counts[kind] = self.counts.get(kind, 0) + rows
 
+    def leave_out(self, kind: str, rows: SupportsInt) -> None:
+        """Count what is not logged, since `fits` says no."""
+        count = int(rows)
+        if count:
+            self.left_out[kind] = self.left_out.get(kind, 0) + count
+
+    @property
+    def notices(self) -> tuple[Notice, ...]:
+        """What was left out so far."""
+        return tuple(
+            Notice(
+                kind=NoticeKind.SKIPPED,
+                code="beyond-the-viewer",
+                place=kind,
+                message="not shown: their numbers are not finite, or beyond the viewer's float32",
+                count=count,
+            )
+            for kind, count in self.left_out.items()
+        )
+
     def _note(self, kind: str | None, rows: int, size: int) -> None:
         if kind is not None:
             self.count(kind, rows)
@@ -109,6 +131,12 @@ class Stream:
         if self._pending > _PENDING_BYTES:
             self.recording.flush()
             self._pending = 0
+
+
+def fits(values: AnyArray) -> BoolArray:
+    """Say of the last axis of (..., D) numbers whether all of them are finite in the viewer's float32."""
+    largest = np.finfo(np.float32).max
+    return np.asarray(((values >= -largest) & (values <= largest)).all(axis=-1), np.bool_)
 
 
 def escaped(name: Identifier) -> str:

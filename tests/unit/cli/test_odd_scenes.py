@@ -1,6 +1,7 @@
 """Every verb on scenes that are odd: it is done, or one error says which file and what of it; never anything else."""
 
 import io
+import json
 import re
 import resource
 import signal
@@ -656,6 +657,18 @@ CASES: dict[str, tuple[str, ...]] = {
     "salvage": ("DRIVE", *SCENE),
     "report": ("DRIVE", "-o", "OUT.html", "--numbers", "OUT.json"),
     "diff": ("DRIVE", "SOUND"),
+    "view --colour-by ring": (
+        "DRIVE",
+        "--save",
+        "OUT.rrd",
+        "--every",
+        "2",
+        "--sensor",
+        "lidar",
+        "--colour-by",
+        "ring",
+    ),
+    "info --pictures --at": ("DRIVE", "--pictures", "OUT", "--at", "0.01", "--no-corrections"),
     "diff of the same": ("DRIVE", "DRIVE"),
     "batch fuse": ("DRIVE", "-o", "OUT", "--workers", "1"),
     "batch convert": ("DRIVE", "-o", "OUT", "--workers", "1", "--to", "kitti-tracking"),
@@ -876,3 +889,78 @@ def test_a_verb_ends_well_on_an_odd_scene(
 def test_every_verb_ends_well_on_an_odd_scene(fault_of: Callable[[str, str], str | None], name: str) -> None:
     faults = {case: fault_of(case, name) for case in CASES}
     assert {case: fault for case, fault in faults.items() if fault is not None} == {}
+
+
+LEFT_OUT = (
+    ("view", "a_point_of_nan", "lidar points", 1),
+    ("view", "a_point_of_infinity", "lidar points", 1),
+    ("view", "only_points_of_nan", "lidar points", 120),
+    ("view", "a_cuboid_of_1e300_m", "cuboid moments", 4),
+    ("view", "a_pose_of_ego_at_1e+300", "ego poses", 1),
+    ("view", "huge_shapes", "shapes", 1),
+    ("view", "huge_shapes", "boxes in pictures", 1),
+    ("view", "keypoints_that_no_camera_sees", "named points", 1),
+    ("fuse", "a_point_of_nan", "points", 3),
+    ("track", "only_points_of_nan", "points", 60),
+    ("colour", "a_point_of_nan", "points", 1),
+    ("depth", "a_point_of_nan", "points", 1),
+    ("info --pictures --at", "only_points_of_nan", "points", 60),
+    ("info --pictures", "a_cuboid_from_end_to_end_of_float64", "annotations", 4),
+)
+
+
+@pytest.mark.parametrize(("case", "name", "kind", "count"), LEFT_OUT)
+def test_what_an_image_or_a_view_cannot_show_is_counted(
+    call: Callable[..., Any],
+    encode_sfs: Callable[..., bytes],
+    lists: dict[str, str],
+    tmp_path: Path,
+    case: str,
+    name: str,
+    kind: str,
+    count: int,
+) -> None:
+    header = base()
+    ODD[name](header)
+    drive = tmp_path / "drive.sfs"
+    drive.write_bytes(encode_sfs(header))
+    given = {"DRIVE": str(drive), **lists}
+    words = [given.get(word, word.replace("OUT", str(tmp_path / "out"))) for word in CASES[case]]
+    outcome = call(*words_of(case), *words, "--json")
+    assert outcome.code == 0, outcome
+    told = json.loads(outcome.out)
+    notices = [*told.get("notices", ()), *(one for d in told.get("drives", ()) for one in d["notices"])]
+    found = [one for one in notices if one["code"] in {"not-drawn", "beyond-the-viewer"}]
+    counted = {
+        one["message"].split(" whose")[0] if one["place"] == "images" else one["place"]: one["count"]
+        for one in found
+    }
+    assert counted[kind] == count
+    assert "not finite" in found[0]["message"]
+
+
+@pytest.mark.parametrize("case", ["view", "fuse", "info --pictures", "track"])
+def test_of_a_sound_scene_nothing_is_left_out(
+    call: Callable[..., Any],
+    encode_sfs: Callable[..., bytes],
+    lists: dict[str, str],
+    tmp_path: Path,
+    case: str,
+) -> None:
+    drive = tmp_path / "drive.sfs"
+    drive.write_bytes(encode_sfs(base()))
+    given = {"DRIVE": str(drive), **lists}
+    words = [given.get(word, word.replace("OUT", str(tmp_path / "out"))) for word in CASES[case]]
+    outcome = call(*words_of(case), *words)
+    assert outcome.code == 0
+    assert "finite" not in outcome.out + outcome.err
+
+
+def test_a_report_says_how_many_points_are_not_drawn(
+    call: Callable[..., Any], encode_sfs: Callable[..., bytes], tmp_path: Path
+) -> None:
+    header = base()
+    ODD["a_point_of_nan"](header)
+    (tmp_path / "drive.sfs").write_bytes(encode_sfs(header))
+    assert call("report", tmp_path / "drive.sfs", "-o", tmp_path / "page.html", "--quick").code == 0
+    assert "points whose coordinates are not finite are not drawn" in (tmp_path / "page.html").read_text()

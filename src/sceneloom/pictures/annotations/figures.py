@@ -10,7 +10,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.geometry.boxes import EDGES, box_corners
-from sceneloom.pictures.canvas import Colour
+from sceneloom.pictures.canvas import Colour, leave_out
 from sceneloom.scene import (
     Annotation,
     Box2DAnnotation,
@@ -54,6 +54,12 @@ class Figure:
     marks: Float64Array | None = None
     anchor: Float64Array | None = None
 
+    @property
+    def is_finite(self) -> bool:
+        """Whether all of it has a place."""
+        parts = (*self.lines, *self.areas, *(() if self.marks is None else (self.marks,)))
+        return all(bool(np.isfinite(part).all()) for part in parts)
+
 
 def colour_of(annotation: Annotation) -> Colour:
     """Give annotations of one label one colour."""
@@ -84,6 +90,7 @@ def figures_in_world(
         else:
             figure = None if draw is None else draw(annotation, timestamp_ns, angles)
         if figure is not None:
+            leave_out("annotations", not figure.is_finite)
             yield annotation, figure
 
 
@@ -95,6 +102,7 @@ def figures_in_picture(
         draw = _IN_PICTURE.get(_key(annotation))
         figure = None if draw is None else draw(annotation, sensor_id, timestamp_ns)
         if figure is not None:
+            leave_out("annotations", not figure.is_finite)
             yield annotation, figure
 
 

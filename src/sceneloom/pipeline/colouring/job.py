@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from sceneloom.arrays import BoolArray
@@ -20,6 +21,7 @@ from sceneloom.formats.label_folders import LabelFolder
 from sceneloom.fusion import FusionConfiguration, FusionSystem
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_motion import placeable_lidars
+from sceneloom.pictures.canvas import counting_left_out
 from sceneloom.pipeline.colouring.outputs import ColourSinks, open_colour_sinks
 from sceneloom.pipeline.colouring.report import ColourReport, ExposureReport, LabelReport
 from sceneloom.pipeline.colouring.settings import ColourOutputs, ColourSettings
@@ -84,7 +86,7 @@ def colour(
     scene = scene.corrected()
     woven = weave(scene, trajectory=trajectory, heading=heading, start=start, stop=stop, lenient=lenient)
     job = _Job(woven, scene, chosen, Skips() if lenient else None, progress)
-    with telling(job.skips), ExitStack() as stack:
+    with telling(job.skips), counting_left_out() as left, ExitStack() as stack:
         labels = None if chosen.labels is None else LabelFolder.of(chosen.labels, scene.cameras)
         gains = job.compare_exposures() if chosen.exposure and len(scene.cameras) else None
         colouring = SweepColouring(scene, chosen.blend, gains, labels)
@@ -92,7 +94,8 @@ def colour(
         sinks = open_colour_sinks(woven, wanted, chosen, colouring, stack, rest)
         job.run(colouring, sinks)
         sinks.finish()
-    return _report(job, wanted, colouring, sinks, gains, seconds=time.perf_counter() - begun)
+    report = _report(job, wanted, colouring, sinks, gains, seconds=time.perf_counter() - begun)
+    return msgspec.structs.replace(report, notices=(*report.notices, *left.notices))
 
 
 @dataclass(slots=True)

@@ -14,6 +14,7 @@ from sceneloom.formats.loss import LossReport
 from sceneloom.fusion import FusionConfiguration, FusionSystem
 from sceneloom.fusion.algorithms import AlgorithmChoice, FusionType, chosen_algorithm
 from sceneloom.motion.ego_motion import placeable_lidars
+from sceneloom.pictures.canvas import counting_left_out
 from sceneloom.pipeline.fusing.outputs import FusionOutputs, Sinks, checked_outputs, open_sinks
 from sceneloom.pipeline.fusing.report import CameraTally, FrameCounts, FusionReport, FusionTally, told_once
 from sceneloom.pipeline.needed_lidar import check_has_lidar
@@ -186,7 +187,7 @@ def write_fused(
     """
     tally = _tally(woven)
     total = sum(len(lidar.frames) for lidar in woven.scene.lidars)
-    with telling(skips), stage("writing"), ExitStack() as stack:
+    with telling(skips), stage("writing"), counting_left_out() as left, ExitStack() as stack:
         sinks = open_sinks(woven, wanted, stack, skips)
         with stage("fusing"):
             for done, (frame, counts) in enumerate(frames, start=1):
@@ -197,7 +198,8 @@ def write_fused(
         _refuse_nothing_fused(woven.scene, tally)
         losses = sinks.finish()
     seconds = time.perf_counter() - begun
-    return _report(woven, wanted, tally, sinks, skips, seconds=seconds, losses=losses)
+    report = _report(woven, wanted, tally, sinks, skips, seconds=seconds, losses=losses)
+    return msgspec.structs.replace(report, notices=(*report.notices, *left.notices))
 
 
 def _write(sinks: Sinks, frame: FusedFrame) -> None:

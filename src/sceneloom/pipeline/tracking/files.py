@@ -17,6 +17,7 @@ from sceneloom.formats.kitti import KittiSequence, KittiTracking, sequence_scene
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import check_output, filling, replacing
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.pictures.canvas import counting_left_out
 from sceneloom.pipeline.detections.detected import DetectedDrive, calibration_notices, kitti_drive
 from sceneloom.pipeline.detections.files import read_fused
 from sceneloom.pipeline.tracking.job import TrackingSettings, track, track_observations
@@ -344,8 +345,9 @@ def _track_into(
     place = folder / (name or f"{source.drive.name}{suffix}")
     with stage("writing"):
         losses = write(tracked, source, place, box2d, scene_options)
-    if pictures is not None:
-        save_tracking_pictures(source.scene, source.drive, tracked.moments, pictures)
+    with counting_left_out() as left:
+        if pictures is not None:
+            save_tracking_pictures(source.scene, source.drive, tracked.moments, pictures)
     labels = {
         number: label for m in tracked.moments for number, label in zip(m.ids.tolist(), m.labels, strict=True)
     }
@@ -357,7 +359,7 @@ def _track_into(
         tracks={str(label): int(count) for label, count in counts.items()},
         states=sum(map(len, tracked.moments)),
         seconds=tracked.seconds,
-        notices=(*source.drive.notices, *calibration_notices(source.drive)),
+        notices=(*source.drive.notices, *calibration_notices(source.drive), *left.notices),
     )
     return report, losses
 

@@ -12,7 +12,7 @@ from sceneloom.view.pictures import camera_path, pinhole, straight_lens
 from sceneloom.view.places import Places
 from sceneloom.view.poses import transform_columns
 from sceneloom.view.sdk import sdk
-from sceneloom.view.stream import Stream
+from sceneloom.view.stream import Stream, fits
 
 _WIDTH = -2.0
 
@@ -34,8 +34,11 @@ def _show_adjustment(stream: Stream, places: Places, annotation: LocalizationAdj
         held = poses.held(way.timestamps_ns)
         positions = rotate_vectors(held.quaternions_xyzw, way.positions) + held.positions
     colour = one_packed(colour_of_name(annotation.id))
+    shifted = positions - places.origin_world
+    shown = fits(shifted)
+    stream.leave_out("poses of corrected ways", np.count_nonzero(~shown))
     line = sdk().LineStrips3D(
-        [positions - places.origin_world],
+        [shifted[shown]],
         colors=np.array([colour], np.uint32),
         radii=np.array([_WIDTH], np.float32),
         labels=["corrected way"],
@@ -53,8 +56,10 @@ def _show_calibration(stream: Stream, annotation: CameraCalibration, tell: Tell)
             turn = sdk().Quaternion(xyzw=poses.quaternions_xyzw[0])
             stream.static(entity, sdk().Transform3D(translation=poses.positions[0], quaternion=turn))
         else:
-            rows = np.arange(len(poses.positions))
-            stream.columns(annotation.poses.timestamps_ns, entity, transform_columns(poses, rows))
+            held = fits(poses.positions)
+            stream.leave_out("poses of calibrations", np.count_nonzero(~held))
+            rows = np.flatnonzero(held)
+            stream.columns(annotation.poses.timestamps_ns[rows], entity, transform_columns(poses, rows))
     if annotation.intrinsics is not None:
         try:
             stream.static(f"{entity}/lens", pinhole(straight_lens(annotation.intrinsics)))

@@ -1,6 +1,7 @@
 """Cuboids with the way that each has come."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -8,9 +9,10 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.scene import CuboidAnnotation
 from sceneloom.scene.angles import CuboidAngles
-from sceneloom.scene.at import cuboid_poses
+from sceneloom.scene.at import CuboidPoses, cuboid_poses
 from sceneloom.view.annotations.rows import Group, by_moment, chosen_by_moment, name_of
 from sceneloom.view.sdk import sdk
+from sceneloom.view.stream import fits
 
 HISTORY_NS = 3_000_000_000
 """So much of an object's way trails behind it [ns]."""
@@ -48,7 +50,10 @@ class CuboidLayer:
         """Log boxes and trails at times (M,) [ns]."""
         group = self.group
         poses = [cuboid_poses(one, times_ns, angles=self.angles) for one in group.annotations]
-        there = np.array([p.there & np.isfinite(p.centers_world).all(axis=1) for p in poses])
+        held = np.array([_held(p, self.origin) for p in poses])
+        there = np.array([p.there for p in poses])
+        group.stream.leave_out("cuboid moments", np.count_nonzero(there & ~held))
+        there &= held
         centers = by_moment(np.array([p.centers_world for p in poses]) - self.origin, there)
         boxes = sdk().Boxes3D.columns(
             centers=centers,
@@ -68,20 +73,27 @@ class CuboidLayer:
         counts = np.zeros(len(times_ns), np.int64)
         for m, time_ns in enumerate(times_ns.tolist()):
             trails = [self._trail(a, time_ns) for a in moving if there[a, m]]
-            long = [strip - self.origin for strip in trails if len(strip) > 1]
+            lines = [strip - self.origin for strip in trails]
+            long = [line for line in (line[fits(line)] for line in lines) if len(line) > 1]
             strips += long
             counts[m] = len(long)
         if moving:
-            lines = sdk().LineStrips3D.columns(
+            drawn = sdk().LineStrips3D.columns(
                 strips=strips,
                 colors=np.full(len(strips), self.group.colour, np.uint32),
                 radii=np.full(len(strips), TRAIL_WIDTH, np.float32),
             )
-            self.group.stream.columns(times_ns, f"{self.group.path}/trails", lines.partition(counts))
+            self.group.stream.columns(times_ns, f"{self.group.path}/trails", drawn.partition(counts))
 
     def _trail(self, a: int, time_ns: int) -> Float64Array:
         path = self.group.annotations[a].path
         return trail(path.timestamps_ns, path.values[:, 3:6], time_ns)
+
+
+def _held(poses: CuboidPoses, origin: Float64Array) -> BoolArray:
+    """Which moments the viewer can hold, (M,)."""
+    turned = fits(poses.quaternions_xyzw)
+    return np.asarray(fits(poses.centers_world - origin) & fits(poses.sizes_lwh) & turned, np.bool_)
 
 
 def _moves(annotation: CuboidAnnotation) -> bool:
@@ -115,6 +127,12 @@ def show_standing(group: Group, angles: CuboidAngles, origin: Float64Array) -> N
     """Show cuboids that stand."""
     stamps = [one.path.timestamps_ns[:1] for one in group.annotations]
     poses = [cuboid_poses(one, t, angles=angles) for one, t in zip(group.annotations, stamps, strict=True)]
+    held = [bool(_held(p, origin).all()) for p in poses]
+    group.stream.leave_out("standing cuboids", held.count(False))
+    group = replace(group, annotations=tuple(compress(group.annotations, held)))
+    poses = list(compress(poses, held))
+    if not poses:
+        return
     boxes = sdk().Boxes3D(
         centers=np.concatenate([p.centers_world for p in poses]) - origin,
         half_sizes=np.concatenate([p.sizes_lwh for p in poses]) / 2,

@@ -11,6 +11,7 @@ from sceneloom.scene import PointProjection, Projection, ShapeAnnotation, ShapeT
 from sceneloom.scene.at import box_2d_at, shape_at
 from sceneloom.view.annotations.rows import Group, by_moment, chosen_by_moment, name_of
 from sceneloom.view.sdk import sdk
+from sceneloom.view.stream import fits
 
 _SAME_NS = 1_000
 """A place in a picture belongs to the picture of that stamp, which a file in microseconds may have rounded [ns]."""
@@ -46,8 +47,10 @@ class ProjectionLayer:
 def log_boxes(group: Group, times_ns: Int64Array, boxes: Sequence[Float64Array], kind: str) -> None:
     """Log boxes: for each annotation (M, 4) `left top width height` [px], NaN where it is not there."""
     values = np.array(boxes)
-    there = np.asarray(np.isfinite(values).all(axis=2), np.bool_)
-    rows = by_moment(values, there)
+    half_sizes = values[..., 2:] / 2
+    held = fits(values) & fits(values[..., :2] + half_sizes)
+    group.stream.leave_out(kind, np.count_nonzero(~held & ~np.isnan(values).any(axis=2)))
+    rows = by_moment(values, there := held)
     columns = sdk().Boxes2D.columns(
         centers=rows[:, :2] + rows[:, 2:] / 2,
         half_sizes=rows[:, 2:] / 2,
@@ -69,7 +72,9 @@ class PointProjectionLayer:
     def log(self, times_ns: Int64Array) -> None:
         """Log the points at times (M,) [ns]."""
         values = np.array([_rows_at(one.timestamps_ns, one.points, times_ns) for one in self.projections])
-        there = np.asarray(np.isfinite(values).all(axis=2), np.bool_)
+        there = fits(values)
+        lost = np.count_nonzero(~there & ~np.isnan(values).any(axis=2))
+        self.group.stream.leave_out("points in pictures", lost)
         rows = by_moment(values, there)
         columns = sdk().Points2D.columns(
             positions=rows,
@@ -114,7 +119,9 @@ class ShapeLayer:
         """Log the shapes at times (M,) [ns]."""
         rr, group = sdk(), self.group
         found = [shape_at(one, times_ns) for one in group.annotations]
-        there = np.array([[_is_whole(vertices) for vertices in one] for one in found])
+        told = np.array([[vertices is not None and len(vertices) > 0 for vertices in one] for one in found])
+        there = np.array([[_is_whole(vertices, self.origin) for vertices in one] for one in found])
+        group.stream.leave_out("shapes", np.count_nonzero(told & ~there))
         chosen = [found[a][m] - self.origin for m, a in np.argwhere(there.T).tolist()]  # type: ignore[operator]
         owners = chosen_by_moment(group.annotations, there)
         marks, flat = is_mark(group.annotations[0].type), len(self.origin) == 2
@@ -151,8 +158,8 @@ def closed(annotation: ShapeAnnotation, vertices: Float64Array) -> Float64Array:
     return vertices
 
 
-def _is_whole(vertices: Float64Array | None) -> bool:
-    return vertices is not None and len(vertices) > 0 and bool(np.isfinite(vertices).all())
+def _is_whole(vertices: Float64Array | None, origin: Float64Array) -> bool:
+    return vertices is not None and len(vertices) > 0 and bool(fits(vertices - origin).all())
 
 
 def _sums(sizes: Sequence[int], counts: Int64Array) -> Int64Array:

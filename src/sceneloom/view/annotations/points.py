@@ -14,7 +14,7 @@ from sceneloom.scene.types import Key, key_of
 from sceneloom.view.annotations.rows import Group, label_of, name_of
 from sceneloom.view.colours import colour_of_name
 from sceneloom.view.sdk import sdk
-from sceneloom.view.stream import Stream
+from sceneloom.view.stream import Stream, fits
 
 _MARK = -4.0
 _LABELLED = -2.4
@@ -43,7 +43,9 @@ class PointsLayer:
                 if len(path.timestamps_ns) == 0:
                     continue
                 rows = found.blend(places_of(path.values))
-                for m in np.flatnonzero(found.there & np.isfinite(rows).all(axis=(1, 2))).tolist():
+                held = fits(rows - self.origin).all(axis=1)
+                self.group.stream.leave_out("named points", np.count_nonzero(found.there & ~held))
+                for m in np.flatnonzero(found.there & held).tolist():
                     places[m].append(rows[m])
                     names[m] += [point_name(annotation, k)] * len(rows[m])
         counts = np.array([len(one) for one in names], np.int64)
@@ -121,6 +123,7 @@ class LabelledPoints:
             np.array([number for number, _ in found], np.uint16), [len(rows) for _, rows in found]
         )
         there = rows < len(positions)
+        there[there] = fits(positions[rows[there]])
         shown = sdk().Points3D(
             positions[rows[there]], class_ids=classes[there], radii=np.float32(_LABELLED), show_labels=False
         )

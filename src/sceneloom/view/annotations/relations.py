@@ -23,7 +23,7 @@ from sceneloom.view.annotations.rows import Group, label_of, name_of
 from sceneloom.view.colours import colour_of_name, one_packed
 from sceneloom.view.feeds import Tell
 from sceneloom.view.sdk import sdk
-from sceneloom.view.stream import Stream
+from sceneloom.view.stream import Stream, fits
 
 _WIDTH = -2.0
 _MOST_NODES = 400
@@ -50,7 +50,9 @@ class LinkLayer:
         """Log the links at times (M,) [ns] at which both ends are there."""
         starts = np.array([self._places(one.from_id, times_ns) for one in self.group.annotations])
         stops = np.array([self._places(one.to_id, times_ns) for one in self.group.annotations])
-        there = np.isfinite(starts).all(axis=2) & np.isfinite(stops).all(axis=2)
+        known = ~(np.isnan(starts) | np.isnan(stops)).any(axis=2)
+        there = fits(starts - self.origin) & fits(stops - self.origin) & fits(stops - starts)
+        self.group.stream.leave_out("links", np.count_nonzero(known & ~there))
         origins = np.swapaxes(starts, 0, 1)[there.T] - self.origin
         arrows = sdk().Arrows3D.columns(
             origins=origins,

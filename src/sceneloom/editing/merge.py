@@ -19,7 +19,13 @@ from sceneloom.editing.references import (
     with_sensor_ids,
     with_sensor_parent,
 )
-from sceneloom.editing.same_world import different_drives, in_words_of, in_world_of, merged_metadata
+from sceneloom.editing.same_world import (
+    different_drives,
+    in_words_of,
+    in_world_of,
+    merged_metadata,
+    nothing_relates,
+)
 from sceneloom.editing.sameness import contradicting, differing_fields, is_same
 from sceneloom.errors import OptionError
 from sceneloom.scene import (
@@ -79,9 +85,15 @@ def merge_scenes(
                 f"{scene.source}: of another drive than {merged.source}: {'; '.join(reasons)}; expected parts of one "
                 "drive in one world; say `--force` to merge them all the same"
             )
+        unrelated = not reasons and nothing_relates(merged, placed)
         placed = in_words_of(placed, merged)
-        forced = [assumed("different-drives", scene.source, f"merged all the same: {why}") for why in reasons]
-        placed = with_notices(placed, forced)
+        told = [assumed("different-drives", scene.source, f"merged all the same: {why}") for why in reasons]
+        if unrelated:
+            what = (
+                "no city, satellite fixes or ego poses to compare with the others; taken to be of one drive"
+            )
+            told.append(assumed("drives-unrelated", scene.source, what))
+        placed = with_notices(placed, told)
         merged = _Merger(merged, rename=rename, join=join).with_scene(placed)
     return replace(
         merged,

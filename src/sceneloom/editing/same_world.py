@@ -14,7 +14,19 @@ from sceneloom.editing.sameness import is_same
 from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.geometry.geodesy import ecef_from_geodetic
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Annotation, CuboidAnnotation, CuboidPath, GnssSensor, Scene
+from sceneloom.scene import (
+    Annotation,
+    CameraSensor,
+    Coordinates,
+    CuboidAnnotation,
+    CuboidPath,
+    GnssSensor,
+    LidarSensor,
+    PosePath,
+    RadarSensor,
+    Scene,
+    Trajectory,
+)
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations_frame import annotations_frame
 from sceneloom.scene.span import frame_times
@@ -79,6 +91,16 @@ def different_drives(first: Scene, second: Scene) -> list[str]:
     return reasons
 
 
+def nothing_relates(first: Scene, second: Scene) -> bool:
+    """Whether `different_drives` had nothing to compare but times, which of clocks that begin at 0 say nothing."""
+    pairs = (
+        (_cities(first.metadata), _cities(second.metadata)),
+        (_fixes(first), _fixes(second)),
+        (_ego(first), _ego(second)),
+    )
+    return not any(here and there for here, there in pairs)
+
+
 def _cities(metadata: Mapping[str, Any], depth: int = 0) -> set[str]:
     """What metadata call the place, in words without case."""
     found: set[str] = set()
@@ -118,10 +140,20 @@ def _fixes(scene: Scene) -> Track:
 
 
 def _ego(scene: Scene) -> Track:
-    way = next(iter(scene.trajectories.values()), None)
-    if way is None or not len(way.timestamps_ns) or not np.isfinite(way.positions).all():
-        return None
-    return way.timestamps_ns, way.positions
+    """The ego's trajectory, else that of the first sensor whose poses in the world are known, which is close to it."""
+    found: list[Trajectory | PosePath] = list(scene.trajectories.values())[:1]
+    found += [
+        one.poses
+        for one in scene.sensors
+        if isinstance(one, LidarSensor | RadarSensor | CameraSensor)
+        and one.poses is not None
+        and not one.poses.endless
+        and one.coordinates is Coordinates.WORLD
+    ]
+    for way in found[:1]:
+        if len(way.timestamps_ns) and np.isfinite(way.positions).all():
+            return way.timestamps_ns, way.positions
+    return None
 
 
 def _apart(first: Track, second: Track) -> float | None:

@@ -457,4 +457,21 @@ def test_parts_that_are_days_apart_are_of_two_drives(drive):
         merge_scenes([only(scene, "radar"), later(scene, 864_001)])
 
 
+def test_poses_of_sensors_stand_in_for_an_ego_that_is_not_known(drive):
+    scene = drive.scene()
+    lidar = replace(to_world(only(scene, "lidar")), trajectories={})
+    sensor = lidar.sensor("lidar")
+    away = replace(sensor, id="other", poses=replace(sensor.poses, positions=sensor.poses.positions + 5000.0))
+    with pytest.raises(OptionError, match="their egos are 8,660 m apart at one time"):
+        merge_scenes([lidar, replace(lidar, sensors=(away,))])
+
+
+def test_scenes_that_nothing_relates_are_merged_with_a_notice(drive):
+    scene = drive.scene()
+    first, second = only(scene, "lidar"), only(scene, "radar")
+    bare = replace(second, trajectories={}, sensors=tuple(replace(one, poses=None) for one in second.sensors))
+    assert "drives-unrelated" not in {n.code for n in merge_scenes([first, second]).notices}
+    assert "drives-unrelated" in {n.code for n in merge_scenes([first, bare]).notices}
+
+
 STAMPS = np.array([0, 10**8], np.int64)

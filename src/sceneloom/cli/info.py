@@ -112,6 +112,19 @@ def _trajectories_title(summary: SceneSummary) -> str:
     return "no trajectory" + ("; one can be found from the lidar (`--trajectory lidar`)" if placeable else "")
 
 
+def _lens_range(sensor: SensorSummary) -> str | None:
+    """How the lenses of single images differ; None where all images have the same."""
+    found = sensor.intrinsics
+    if found is None or found.lenses < 2:
+        return None
+    ranges = {"fx": found.fx, "fy": found.fy, "cx": found.cx, "cy": found.cy}
+    differing = [
+        f"{name} {least:.6g} to {most:.6g}" for name, (least, most) in ranges.items() if least != most
+    ]
+    px = f": {' '.join(differing)} px" if differing else ""
+    return f"{found.lenses} lenses among {several(sensor.count, 'image')}{px}"
+
+
 def _sensor_row(sensor: SensorSummary, mounting: str | None) -> list[str]:
     """One line of the table; what a sensor does not have is left blank."""
     rate = "" if sensor.rate_hz is None else f"{sensor.rate_hz:.4g} Hz"
@@ -119,6 +132,7 @@ def _sensor_row(sensor: SensorSummary, mounting: str | None) -> list[str]:
     gaps = f"{several(sensor.gap_count, 'gap')}, first at {sensor.gaps[0].start:.3f} s" if sensor.gaps else ""
     details = [
         sensor.lens,
+        _lens_range(sensor),
         sensor.video,
         None
         if sensor.first_frame_points is None

@@ -1,9 +1,12 @@
 """What is in a scene, in numbers: for people who open a drive that they did not record."""
 
+from contextlib import suppress
+
 import msgspec
 import numpy as np
 
 from sceneloom.arrays import Int64Array
+from sceneloom.errors import DataError
 from sceneloom.scene.annotations.corrections import effect_of
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor
@@ -26,6 +29,22 @@ class Gap(msgspec.Struct, frozen=True, kw_only=True):
     stop: float
 
 
+class Intrinsics(msgspec.Struct, frozen=True, kw_only=True):
+    """The lenses of a camera's images, which can have one each: how many different ones, and from what to what.
+
+    Attributes:
+        lenses: how many different ones.
+        fx, fy: least and greatest focal lengths [px].
+        cx, cy: least and greatest coordinates of the principal point [px].
+    """
+
+    lenses: int
+    fx: tuple[float, float]
+    fy: tuple[float, float]
+    cx: tuple[float, float]
+    cy: tuple[float, float]
+
+
 class SensorSummary(msgspec.Struct, frozen=True, kw_only=True):
     """One sensor.
 
@@ -39,6 +58,7 @@ class SensorSummary(msgspec.Struct, frozen=True, kw_only=True):
         gap_count: all of them.
         first_frame_points: points of the first frame, for lidars and maps.
         lens: projection model and picture size, for cameras and depth cameras.
+        intrinsics: what its images' lenses are, for cameras and depth cameras.
         video: codec, where the pictures come from a video.
         poses: how many, None where there are none.
         coordinates: frame of the poses, and of the points of a lidar.
@@ -55,6 +75,7 @@ class SensorSummary(msgspec.Struct, frozen=True, kw_only=True):
     gap_count: int
     first_frame_points: int | None = None
     lens: str | None = None
+    intrinsics: Intrinsics | None = None
     video: str | None = None
     poses: int | None = None
     coordinates: str | None = None
@@ -129,7 +150,10 @@ def summarise(scene: Scene, *, size_bytes: int | None = None) -> SceneSummary:
         start_ns=None if span is None else span[0],
         duration=0.0 if span is None else (span[1] - span[0]) / 1e9,
         size_bytes=size_bytes,
-        sensors=tuple(_summarise_sensor(sensor, start_ns) for sensor in scene.sensors),
+        sensors=tuple(
+            _summarise_sensor(sensor, start_ns, each_lens=_has_lenses_at_hand(scene))
+            for sensor in scene.sensors
+        ),
         trajectories=tuple(
             TrajectorySummary(
                 name=name,
@@ -149,7 +173,12 @@ def summarise(scene: Scene, *, size_bytes: int | None = None) -> SceneSummary:
     )
 
 
-def _summarise_sensor(sensor: Sensor, start_ns: int) -> SensorSummary:
+def _has_lenses_at_hand(scene: Scene) -> bool:
+    """Whether the lens of each image costs no image: `.sfs` files have one a camera, and others may lie far away."""
+    return scene.format != "sfs" and "://" not in scene.source
+
+
+def _summarise_sensor(sensor: Sensor, start_ns: int, *, each_lens: bool) -> SensorSummary:
     times = frame_times(sensor)
     paced = _longest_stream(sensor) if isinstance(sensor, ImuSensor) else times
     gaps = gaps_of(paced, start_ns)
@@ -165,6 +194,7 @@ def _summarise_sensor(sensor: Sensor, start_ns: int) -> SensorSummary:
         gap_count=len(gaps),
         first_frame_points=_first_frame_points(sensor),
         lens=_lens(sensor),
+        intrinsics=_intrinsics(sensor, each_lens=each_lens),
         video=_codec(sensor),
         poses=None if poses is None else len(poses.timestamps_ns),
         coordinates=_coordinates(sensor),
@@ -212,6 +242,21 @@ def _lens(sensor: Sensor) -> str | None:
     if not isinstance(sensor, CameraSensor | DepthCameraSensor):
         return None
     return f"{sensor.camera.model} {sensor.camera.width}x{sensor.camera.height}"
+
+
+def _intrinsics(sensor: Sensor, *, each_lens: bool) -> Intrinsics | None:
+    """The lenses of the images, as far as they can be read: what no image can be made of has none."""
+    if not isinstance(sensor, CameraSensor | DepthCameraSensor):
+        return None
+    images = sensor.pictures if isinstance(sensor, CameraSensor) else sensor.frames
+    lenses = set()
+    for k in range(len(images) if each_lens else 0):
+        with suppress(DataError):
+            lenses.add(images[k].camera)
+    lenses = lenses or {sensor.camera}
+    table = np.array([(lens.fx, lens.fy, lens.cx, lens.cy) for lens in lenses])
+    fx, fy, cx, cy = zip(table.min(axis=0).tolist(), table.max(axis=0).tolist(), strict=True)
+    return Intrinsics(lenses=len(lenses), fx=fx, fy=fy, cx=cx, cy=cy)
 
 
 def _codec(sensor: Sensor) -> str | None:

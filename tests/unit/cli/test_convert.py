@@ -1,11 +1,14 @@
 """`sceneloom convert` tells people and programs what became of every field."""
 
 import json
+import re
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
+import sceneloom
 from sceneloom import convert
 from sceneloom import open as open_drive
 from sceneloom.formats.table import format_named, written_formats
@@ -205,3 +208,34 @@ def test_channels_of_nuscenes_are_named_on_the_command_line(call, recording, tmp
     unknown = call(*words, "nix=LIDAR_TOP", "--overwrite")
     assert unknown.code == 2
     assert "nix" in unknown.err
+def test_b_frames_in_mcap_are_told_with_a_remedy_that_works(recording, call, tmp_path):
+    drive = tmp_path / "drive"
+    with sceneloom.open(recording) as scene:
+        sceneloom.write(scene, drive, pictures="h264")
+    found = call("convert", drive, tmp_path / "copied.mcap")
+    assert found.code == 0
+    assert "B frames" in found.err
+    remedy = re.search("`(--set pictures=.*?)`", found.err)[1].split()
+    again = call("convert", drive, tmp_path / "anew.mcap", *remedy)
+    assert (again.code, "B frames" in again.err) == (0, False)
+    with sceneloom.open(tmp_path / "anew.mcap") as scene:
+        (camera,) = scene.cameras
+        assert camera.video is None
+        assert all(picture.encoded is not None for picture in camera.pictures)
+
+
+def test_info_shows_the_intrinsics_of_single_images(recording, call, tmp_path):
+    drive = tmp_path / "drive"
+    shutil.copytree(recording, drive)
+    lines = [json.loads(line) for line in (drive / "data.jsonl").read_text().splitlines()]
+    entries = [entry for line in lines for entry in line.get("frames", ())]
+    for k, entry in enumerate(entries):
+        entry["cameraParameters"] = {"focalLengthX": 60.0 + k, "focalLengthY": 61.0}
+    (drive / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    assert (
+        f"{len(entries)} lenses among {len(entries)} images: fx 60 to {59 + len(entries)} px"
+        in call("info", drive).out
+    )
+    (camera,) = [s for s in json.loads(call("info", drive, "--json").out)["sensors"] if s["type"] == "camera"]
+    assert camera["intrinsics"]["fx"] == [60.0, 59.0 + len(entries)]
+    assert camera["intrinsics"]["fy"] == [61.0, 61.0]

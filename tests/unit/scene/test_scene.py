@@ -1,5 +1,7 @@
 """A scene: ids, parts in time, and its summary."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -91,6 +93,15 @@ def test_a_summary_counts_rates_and_gaps() -> None:
     assert (camera.lens, camera.rate_hz, camera.video) == ("pinhole 4x2", None, "h264")
     assert (summary.trajectories[0].metres, summary.trajectories[0].oriented) == (5.0, False)
     assert summary.duration == pytest.approx(2.2)
+
+
+def test_a_summary_says_from_what_to_what_the_lenses_of_single_images_go() -> None:
+    lenses = [replace(CAMERA, fx=fx) for fx in (3.0, 2.5, 3.0, 4.5)]
+    images = [Picture.of(k, lens, np.zeros((2, 4, 3), np.uint8)) for k, lens in enumerate(lenses)]
+    varied = CameraSensor("varied", CAMERA, LazyFrames.of(images, range(4)))
+    found, same = summarise(Scene((varied, camera_at([0, 1])))).sensors
+    assert (found.intrinsics.lenses, found.intrinsics.fx, found.intrinsics.cx) == (3, (2.5, 4.5), (1.5, 1.5))
+    assert (same.intrinsics.lenses, same.intrinsics.fx) == (1, (3.0, 3.0))
 
 
 def test_the_reference_time_of_a_sweep_is_the_median_of_its_points() -> None:

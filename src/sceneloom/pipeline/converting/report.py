@@ -90,15 +90,21 @@ def fate_rows(fields: Iterable[FieldFate]) -> list[tuple[str, str, str]]:
 
 
 def short_rows(fields: Iterable[FieldFate]) -> list[tuple[str, str, str]]:
-    """As `fate_rows`, with one row for all fields of a kind to which the same happened, by what their names share."""
+    """As `fate_rows`, with one row for all fields of a kind to which the same happened, by what their names share.
+
+    Rows that name an option as a remedy come first: the others may not be shown.
+    """
     together: dict[tuple[str, str], list[FieldFate]] = {}
     for field in fields:
         kind = ".".join(field.field.split(".")[:2])
         together.setdefault((kind, explained(field)), []).append(field)
-    return [
-        fate_rows(same)[0] if len(same) == 1 else (f"{_beginning(same)}.*", f"{len(same)} fields", told)
-        for (_, told), same in together.items()
-    ]
+    return sorted(
+        (
+            fate_rows(same)[0] if len(same) == 1 else (f"{_beginning(same)}.*", f"{len(same)} fields", told)
+            for (_, told), same in together.items()
+        ),
+        key=lambda row: "`--" not in row[2],
+    )
 
 
 def _beginning(fields: Iterable[FieldFate]) -> str:

@@ -208,6 +208,8 @@ def test_channels_of_nuscenes_are_named_on_the_command_line(call, recording, tmp
     unknown = call(*words, "nix=LIDAR_TOP", "--overwrite")
     assert unknown.code == 2
     assert "nix" in unknown.err
+
+
 def test_b_frames_in_mcap_are_told_with_a_remedy_that_works(recording, call, tmp_path):
     drive = tmp_path / "drive"
     with sceneloom.open(recording) as scene:

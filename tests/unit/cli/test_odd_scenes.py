@@ -901,7 +901,6 @@ LEFT_OUT = (
     ("view", "huge_shapes", "boxes in pictures", 1),
     ("view", "keypoints_that_no_camera_sees", "named points", 1),
     ("fuse", "a_point_of_nan", "points", 3),
-    ("track", "only_points_of_nan", "points", 60),
     ("colour", "a_point_of_nan", "points", 1),
     ("depth", "a_point_of_nan", "points", 1),
     ("info --pictures --at", "only_points_of_nan", "points", 60),

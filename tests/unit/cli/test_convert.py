@@ -72,6 +72,10 @@ def test_pictures_are_placed_along_the_way_that_is_named(
 ) -> None:
     done = call("convert", recording, tmp_path / "model", "--to", "colmap", "--trajectory", "groundTruth")
     assert (done.code, (tmp_path / "model" / "sparse").is_dir()) == (0, True), done.err
+    stands = call(
+        "convert", recording, tmp_path / "tables", "--to", "nuscenes", "--trajectory", "identity", "--json"
+    )
+    assert "the ego is taken to stand" in stands.out, stands.err
     unknown = call("convert", recording, tmp_path / "none", "--to", "colmap", "--trajectory", "nix")
     assert (unknown.code == 0, "nix" in unknown.err) == (False, True)
 

@@ -281,3 +281,61 @@ def test_a_camera_that_moves_on_the_vehicle_does_so_in_the_target_or_is_a_loss(n
     with open_scene(target) as read:
         np.testing.assert_allclose(mountings(read.corrected(), planted), right, atol=1e-5)
     assert not lost
+
+
+def shared(loss_field, report):
+    return [loss for loss in report if loss.field == loss_field and loss.fate is Fate.APPROXIMATED]
+
+
+@pytest.mark.parametrize("kind", ["correction", "poses", "mountings"])
+def test_openlabel_lists_how_far_poses_at_its_frames_are_off_at_the_images_times(kind, tmp_path):
+    planted = corrected_over_time(kind)
+    report = write_scene(planted, tmp_path / "d.json", format="openlabel")
+    (loss,) = shared("sensors[camera0].poses", report)
+    left = [one for one in report if one.field == "sensors[camera0].poses" and one.fate is Fate.DROPPED]
+    times = planted.cameras[0].pictures.timestamps_ns
+    with open_scene(tmp_path / "d.json") as read:
+        found = read.cameras[0].poses.interpolate(times)
+    right = planted.corrected().cameras[0].poses.interpolate(times)
+    off = np.linalg.norm(found.positions - right.positions, axis=1)
+    assert loss.largest_error == pytest.approx(np.nanmax(off), abs=1e-9)
+    assert loss.largest_error > 1e-3
+    assert [one.count for one in left] == [np.isnan(off).sum()] == [1]
+
+
+def test_openlabel_with_frames_at_the_images_times_has_their_poses(tmp_path):
+    planted = corrected_over_time("poses")
+    planted = replace(planted, sensors=planted.cameras)
+    report = write_scene(planted, tmp_path / "d.json", format="openlabel")
+    assert not shared("sensors[camera0].poses", report)
+    with open_scene(tmp_path / "d.json") as read:
+        np.testing.assert_allclose(mountings(read, planted), expected_mountings(), atol=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["correction", "poses", "mountings"])
+@pytest.mark.parametrize("name", ["colmap", "nerfstudio"])
+def test_images_of_a_camera_that_moves_on_the_vehicle_stand_where_each_was(name, kind, tmp_path):
+    planted = corrected_over_time(kind)
+    report = write_scene(planted, tmp_path / "out", format=name)
+    assert not shared("sensors[camera0].poses", report)
+    if name == "colmap":
+        lines = (tmp_path / "out/sparse/0/images.txt").read_text().splitlines()
+        rows = [line.split() for line in lines if line.endswith(".jpg")]
+        numbers = [list(map(float, row[1:8])) for row in sorted(rows, key=lambda row: row[9])]
+        found = [
+            RigidTransform.from_quaternion(np.array(row[4:]), np.array([*row[1:4], row[0]])).inverse().matrix
+            for row in numbers
+        ]
+    else:
+        told = json.loads((tmp_path / "out/transforms.json").read_text())["frames"]
+        frames = sorted(told, key=lambda frame: frame["file_path"])
+        # its camera axes are x right, y up, z back
+        found = [np.array(frame["transform_matrix"]) @ np.diag([1, -1, -1, 1]) for frame in frames]
+    times = planted.cameras[0].pictures.timestamps_ns
+    held = next(iter(planted.trajectories.values())).poses.held(times)
+    egos = [
+        RigidTransform.from_quaternion(*pair).matrix
+        for pair in zip(held.positions, held.quaternions_xyzw, strict=True)
+    ]
+    mounts = np.linalg.inv(egos) @ np.array(found)
+    np.testing.assert_allclose(np.linalg.inv(mounts[0]) @ mounts, expected_mountings(), atol=1e-5)

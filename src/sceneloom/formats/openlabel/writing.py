@@ -106,6 +106,7 @@ class _Writer:
                 self._relation(annotation)
         self.draft.close()
         self._tell_way()
+        self.losses += self.streams.losses(self.draft.times)
         kept = self.scene.metadata.get("openlabel")
         kept = {name: kept[name] for name in KEPT if name in kept} if isinstance(kept, Mapping) else {}
         count = len(self.draft.times)

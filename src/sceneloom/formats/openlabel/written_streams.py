@@ -1,16 +1,18 @@
 """Sensors as streams, and where they are as coordinate systems and transforms."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from sceneloom.arrays import Int64Array
+from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.openlabel.lenses import lens_properties
 from sceneloom.formats.openlabel.words import EGO, OURS, WORLD
 from sceneloom.formats.recording.written_times import seconds_text
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import angle_between
 from sceneloom.scene import (
     CameraSensor,
     Coordinates,
@@ -36,6 +38,8 @@ STREAM_TYPES: Mapping[type[Any], str] = {
     ImuSensor: "gps_imu",
     GnssSensor: "gps_imu",
 }
+_EXACT_M, _EXACT_DEG = 1e-6, 1e-4
+"""Poses this near to where they were count as exact."""
 _WITHIN = 0.5
 """A frame belongs to the one of the file that is nearer than this part of its sensor's median interval."""
 
@@ -114,12 +118,8 @@ class Streams:
     def transforms(self, time_ns: int) -> dict[str, Any]:
         """The transforms of the frame of a time: of the ego, and of sensors with ways of their own."""
         moving = {} if self.way is None else {EGO: self.way}
-        for name, sensor in self.sensors.items():
-            placed, poses = self._parent_and_pose(sensor), getattr(sensor, "poses", None)
-            if placed is not None and placed[1] is None and poses is not None:
-                moving[name] = poses
         found = {}
-        for name, path in moving.items():
+        for name, path in (moving | self._moving_sensors()).items():
             samples = path.interpolate(np.array([time_ns], np.int64))
             if np.isfinite(samples.positions[0]).all():
                 matrix = RigidTransform.from_quaternion(
@@ -131,6 +131,32 @@ class Streams:
                     "transform_src_to_dst": {"matrix4x4": matrix.reshape(-1).tolist()},
                 }
         return found
+
+    def _moving_sensors(self) -> dict[str, PosePath]:
+        """`world_from_sensor` of the sensors that have transforms of their own, by the names of their streams."""
+        found: dict[str, PosePath] = {}
+        for name, sensor in self.sensors.items():
+            placed, poses = self._parent_and_pose(sensor), getattr(sensor, "poses", None)
+            if placed is not None and placed[1] is None and poses is not None:
+                found[name] = poses
+        return found
+
+    def losses(self, times_ns: Int64Array) -> Iterator[Loss]:
+        """How far the poses that transforms at the times of the file's frames tell are off.
+
+        Of a sensor at the times of its own frames, of the ego at those of its trajectory's poses; and how many of these
+        lie beyond the file's frames.
+        """
+        if self.way is not None:
+            yield from _sampled(
+                self.way, self.way.timestamps_ns, times_ns, "trajectories.positions", "its poses"
+            )
+        for name, path in self._moving_sensors().items():
+            sensor = self.sensors[name]
+            own = _times(sensor)
+            own_times = own if len(own) else path.timestamps_ns
+            told = "its frames" if len(own) else "its poses"
+            yield from _sampled(path, own_times, times_ns, f"sensors[{sensor.id}].poses", told)
 
     def syncs(self, time_ns: int) -> dict[str, Any]:
         """Which frame of each sensor is the nearest to a time, and when it is of."""
@@ -149,6 +175,35 @@ class Streams:
                     properties |= {key: value for key, value in lens_properties(lens).items() if key != OURS}
                 found[name] = {"stream_properties": properties}
         return found
+
+
+def _sampled(
+    path: PosePath, own_ns: Int64Array, times_ns: Int64Array, field: str, own: str
+) -> Iterator[Loss]:
+    """How far a path is off between the times that it is written at, and how many of its own lie beyond them."""
+    written = path.interpolate(times_ns)
+    known = np.isfinite(written.positions).all(axis=1)
+    right = path.interpolate(own_ns)
+    wanted = np.isfinite(right.positions).all(axis=1)
+    reached = np.zeros(len(own_ns), bool)
+    if known.any():
+        read = PosePath(times_ns[known], written.positions[known], written.quaternions_xyzw[known])
+        found = read.interpolate(own_ns)
+        reached = wanted & np.isfinite(found.positions).all(axis=1)
+        moved = np.linalg.norm(found.positions[reached] - right.positions[reached], axis=1)
+        turned = np.degrees(angle_between(found.quaternions_xyzw[reached], right.quaternions_xyzw[reached]))
+        off, turn = float(moved.max(initial=0.0)), float(turned.max(initial=0.0))
+        if off > _EXACT_M or turn > _EXACT_DEG:
+            what = (
+                f"written at the times of the frames; at the times of {own} they are up to {round(off, 4):g} m and "
+                f"{round(turn, 3):g} degrees off"
+            )
+            count = int(reached.sum())
+            yield Loss(field=field, what=what, count=count, fate=Fate.APPROXIMATED, largest_error=off)
+    beyond = int((wanted & ~reached).sum())
+    if beyond:
+        what = f"left out at times of {own} that lie beyond the file's frames"
+        yield Loss(field=field, what=what, count=beyond)
 
 
 def _times(sensor: Sensor) -> Int64Array:

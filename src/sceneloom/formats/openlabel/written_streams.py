@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Int64Array
+from sceneloom.arrays import BoolArray, Int64Array
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.openlabel.lenses import lens_properties
 from sceneloom.formats.openlabel.words import EGO, OURS, WORLD
@@ -185,7 +185,7 @@ def _sampled(
     known = np.isfinite(written.positions).all(axis=1)
     right = path.interpolate(own_ns)
     wanted = np.isfinite(right.positions).all(axis=1)
-    reached = np.zeros(len(own_ns), bool)
+    reached: BoolArray = np.zeros(len(own_ns), bool)
     if known.any():
         read = PosePath(times_ns[known], written.positions[known], written.quaternions_xyzw[known])
         found = read.interpolate(own_ns)

@@ -166,7 +166,7 @@ def _counts_change(subject: Subject) -> Iterator[Hit]:
 
 
 def _pairs_as_triples(subject: Subject) -> Iterator[Hit]:
-    """Outlines in space whose rows fit pairs as well: smoother lines then, or beside others that are pairs."""
+    """Outlines in space whose rows fit pairs as well: smoother, whole, or beside others that are pairs."""
     others = any(notice.code == "no-height" for notice in subject.remarks)
     for path, shape in _shapes(subject):
         if shape.type not in _OUTLINES_IN_SPACE or not shape.path.vertices:
@@ -178,10 +178,13 @@ def _pairs_as_triples(subject: Subject) -> Iterator[Hit]:
             continue  # pairs that were read as such
         as_triples = sum(_bends(row.reshape(-1, 3)) for row in rows)
         as_pairs = sum(_bends(row.reshape(-1, 2)) for row in rows)
-        if not (others or as_pairs < _SMOOTHER * as_triples):
+        least = LEAST_VERTICES[shape.type]
+        few = any(row.size // 3 < least <= row.size // 2 for row in rows)
+        if not (others or few or as_pairs < _SMOOTHER * as_triples):
             continue
         count = rows[0].size
         why = "as in other annotations of the file" if others else "as which they are smoother"
+        why = f"as triples they are too few for a {shape.type}" if few else why
         read = f"{count} numbers, read as {count // 3} x, y, z triples"
         yield Hit(f"{path}.path.values", f"{read}; they may be {count // 2} x, y pairs, {why}")
 

@@ -22,10 +22,8 @@ from sceneloom.scene import (
     CuboidPath,
     GnssSensor,
     LidarSensor,
-    PosePath,
     RadarSensor,
     Scene,
-    Trajectory,
 )
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations_frame import annotations_frame
@@ -141,19 +139,14 @@ def _fixes(scene: Scene) -> Track:
 
 def _ego(scene: Scene) -> Track:
     """The ego's trajectory, else that of the first sensor whose poses in the world are known, which is close to it."""
-    found: list[Trajectory | PosePath] = list(scene.trajectories.values())[:1]
-    found += [
-        one.poses
-        for one in scene.sensors
-        if isinstance(one, LidarSensor | RadarSensor | CameraSensor)
-        and one.poses is not None
-        and not one.poses.endless
-        and one.coordinates is Coordinates.WORLD
-    ]
-    for way in found[:1]:
-        if len(way.timestamps_ns) and np.isfinite(way.positions).all():
-            return way.timestamps_ns, way.positions
-    return None
+    found = [(way.timestamps_ns, way.positions) for way in scene.trajectories.values()]
+    for one in scene.sensors:
+        if isinstance(one, LidarSensor | RadarSensor | CameraSensor) and one.coordinates is Coordinates.WORLD:
+            path = one.poses
+            found += [] if path is None or path.endless else [(path.timestamps_ns, path.positions)]
+    if not found or not len(found[0][0]) or not np.isfinite(found[0][1]).all():
+        return None
+    return found[0]
 
 
 def _apart(first: Track, second: Track) -> float | None:

@@ -229,3 +229,12 @@ def test_of_an_annotation_of_an_unknown_type_nothing_is_required(found, kind):
     content["annotations"] = [{"id": "a", "type": kind, "path": path(1, 1, 1, 0, 0, 0, 0, 0, 0)}]
     about = [rule for rule, place, _ in found(content) if place.startswith("annotations")]
     assert about == ["annotation-type-known"]
+
+
+@pytest.mark.parametrize("kind", ["polygon", "polygon_topdown"])
+def test_an_outline_of_six_numbers_is_told_to_be_of_pairs(found, kind):
+    content = header()
+    content["annotations"] = [shape("a", kind, 10, 10, 14, 10, 12, 13)]
+    said = [(place, message) for rule, place, message in found(content) if rule == "shape-vertices-pairs"]
+    read = "6 numbers, read as 2 x, y, z triples; they may be 3 x, y pairs"
+    assert said == [("annotations[0].path.values", f"{read}, as triples they are too few for a {kind}")]

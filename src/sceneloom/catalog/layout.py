@@ -13,6 +13,7 @@ from typing import Any
 
 from sceneloom.catalog.tables import TABLES
 from sceneloom.errors import DataError, OutputError
+from sceneloom.formats.files import read_bytes
 
 MARKER = "catalog.json"
 VERSION = 2
@@ -48,8 +49,10 @@ class Layout:
             DataError: there is none, or one of another version.
         """
         try:
-            told: Any = json.loads((folder / MARKER).read_text("utf-8"))
-        except (FileNotFoundError, NotADirectoryError) as error:
+            told: Any = json.loads(read_bytes(folder / MARKER))
+        except DataError as error:
+            if not isinstance(error.__cause__, FileNotFoundError | NotADirectoryError):
+                raise
             raise DataError(folder, "", "holds no catalogue; `sceneloom catalog build` makes one") from error
         except (ValueError, RecursionError) as error:
             raise DataError(folder / MARKER, "", f"is no JSON: {error}") from error

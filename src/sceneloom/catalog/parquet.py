@@ -6,6 +6,7 @@ from typing import Any
 
 from sceneloom.catalog.tables import Kind
 from sceneloom.errors import DataError, MissingExtraError, how_to_install
+from sceneloom.formats.files import check_regular, check_unpacked
 
 _ROWS_OF_GROUP = 131_072
 _SCENES = b"sceneloom.scenes"
@@ -44,8 +45,11 @@ def read_part(path: Path) -> Any:
     """
     pa, parquet = pyarrow()
     try:
+        check_regular(path)
         # one file, not a data set: the folder's name is no column here
-        return parquet.ParquetFile(path).read().replace_schema_metadata(None)
+        file = parquet.ParquetFile(path)
+        _check_unpacked(path, file.metadata)
+        return file.read().replace_schema_metadata(None)
     except (pa.ArrowException, OSError) as error:
         raise DataError(path, "", _problem(error)) from error
 
@@ -59,7 +63,9 @@ def read_footer(path: Path) -> tuple[int, Any]:
     """
     pa, parquet = pyarrow()
     try:
+        check_regular(path)
         footer = parquet.read_metadata(path)
+        _check_unpacked(path, footer)
         return footer.num_rows, json.loads((footer.metadata or {})[_SCENES])
     except (pa.ArrowException, OSError) as error:
         raise DataError(path, "", _problem(error)) from error
@@ -67,6 +73,12 @@ def read_footer(path: Path) -> tuple[int, Any]:
         raise DataError(
             path, "", "does not tell which scenes it holds; expected a file of a catalogue"
         ) from error
+
+
+def _check_unpacked(path: Path, footer: Any) -> None:
+    """Refuse a file whose rows would take far more memory than its bytes: by what it declares, and 8 bytes a number."""
+    groups = sum(max(footer.row_group(k).total_byte_size, 0) for k in range(footer.num_row_groups))
+    check_unpacked(path, "", path.stat().st_size, max(groups, 8 * footer.num_rows * footer.num_columns))
 
 
 def arrow_type(kind: Kind) -> Any:

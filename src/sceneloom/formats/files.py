@@ -63,6 +63,17 @@ def check_regular(path: Path) -> None:
         raise OSError(errno.EINVAL, problem, str(path))
 
 
+def why_no_file(path: Path) -> str:
+    """Why there is no file to be read at a path: "no such file", or what is there in its place."""
+    try:
+        check_regular(path)
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
+        return "no such file"
+    except OSError as error:
+        return error.strerror or str(error)
+    return "no such file"
+
+
 def open_file(path: Path, *, buffering: int = -1) -> BinaryIO:
     """Open a file of a drive for reading bytes.
 

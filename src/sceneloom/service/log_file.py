@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from sceneloom.errors import DataError, OutputError
+from sceneloom.formats.files import open_file
 from sceneloom.formats.mcap.schemas import schema_bytes
 from sceneloom.formats.mcap.writer import McapWriter
 from sceneloom.formats.output import check_output
@@ -204,7 +205,7 @@ def is_log(path: Path) -> bool:
     """Whether a file begins as an MCAP file does."""
     if not path.is_file():
         return False
-    with path.open("rb") as file:
+    with open_file(path) as file:
         return file.read(6) == b"\x89MCAP0"
 
 
@@ -212,7 +213,7 @@ def is_complete(path: Path) -> bool:
     """Whether a log was closed, rather than cut off by a crash."""
     if not is_log(path) or path.stat().st_size < 2 * _MAGIC_BYTES:
         return False
-    with path.open("rb") as file:
+    with open_file(path) as file:
         start = file.read(_MAGIC_BYTES)
         file.seek(-_MAGIC_BYTES, os.SEEK_END)
         return file.read() == start
@@ -265,7 +266,7 @@ def _records(path: Path) -> Iterator[Any]:
 
     if not is_log(path):
         raise DataError(path, "", "no MCAP file")
-    with path.open("rb") as file:
+    with open_file(path) as file:
         try:
             yield from StreamReader(file, record_size_limit=path.stat().st_size).records
         except (EndOfFile, RecordLengthLimitExceeded, struct.error):

@@ -8,7 +8,9 @@ import pytest
 
 from sceneloom.catalog import TABLES, opened, query, update
 from sceneloom.catalog.database import Database
+from sceneloom.catalog.parquet import read_part
 from sceneloom.errors import DataError, OptionError
+from sceneloom.formats import files
 
 
 @pytest.fixture
@@ -128,6 +130,13 @@ def test_a_damaged_file_is_named_and_made_anew_by_an_update(copied, drives):
     report = update(copied)
     assert (len(report.changed), report.unchanged) == (3, 0)
     assert query(copied, "SELECT count(*) FROM annotations").rows == whole
+
+
+def test_a_file_that_declares_far_more_rows_than_its_bytes_is_refused(copied, monkeypatch):
+    monkeypatch.setattr(files, "ALWAYS_UNPACKED", 1)
+    monkeypatch.setattr(files, "LARGEST_RATIO", 0)
+    with pytest.raises(DataError, match="bytes that unpack to"):
+        read_part(next(copied.glob("annotations/*.parquet")))
 
 
 @pytest.mark.parametrize("content", [None, "", "{", "[]", '{"version": 99}'])

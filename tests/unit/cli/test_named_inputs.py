@@ -1,11 +1,13 @@
 """Inputs that options name: a pipe, a device or an endless file in their place is an error at once."""
 
 import os
+import shutil
 
 import pytest
 
 from sceneloom.batch import inputs
 from sceneloom.calibrate.conventions.reading import read_extrinsics
+from sceneloom.catalog import query
 from sceneloom.detections.detector_files import read_detectors
 from sceneloom.errors import DataError
 from sceneloom.evaluate.fused_objects import fused_files
@@ -34,6 +36,23 @@ def test_an_input_that_is_a_pipe_is_named_and_not_waited_for(tmp_path, what):
     os.mkfifo(path)
     with pytest.raises(DataError, match=r"input\.jsonl.*is a named pipe; expected a regular file"):
         READERS[what](path)
+
+
+def test_a_pipe_among_the_sweeps_of_a_recording_is_named_as_what_it_is(recording, call, tmp_path):
+    drive = tmp_path / "drive"
+    shutil.copytree(recording, drive)
+    sweep = drive / "lidar" / "000001.bin"
+    sweep.unlink()
+    os.mkfifo(sweep)
+    outcome = call("convert", drive, tmp_path / "drive.sfs")
+    assert outcome.code == 1
+    assert "'lidar/000001.bin': is a named pipe; expected a regular file" in outcome.err
+
+
+def test_the_marker_of_a_catalogue_that_is_a_pipe_is_named(tmp_path):
+    os.mkfifo(tmp_path / "catalog.json")
+    with pytest.raises(DataError, match=r"catalog\.json: cannot be read: is a named pipe"):
+        query(tmp_path, "SELECT 1")
 
 
 @pytest.mark.parametrize("what", sorted(READERS.keys() - {"losses", "fused detections"}))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import sceneloom
+from sceneloom.errors import DataError
 from sceneloom.report.numbers.metrics import metrics_of
 from sceneloom.scene import Scene, Trajectory
 
@@ -38,7 +39,8 @@ def test_a_truth_beside_the_drive_gives_tracks_and_ways(short, tmp_path):
     assert all(scores.combined.hota.hota == pytest.approx(1.0) for scores in found.tracks.classes.values())
 
 
-def test_what_cannot_be_compared_is_told(short):
-    found = metrics_of(replace(short, trajectories={}), source=None, truth=None, compare=("lidar",))
-    assert found.trajectories == ()
-    assert "no trajectory" in found.skipped[0]
+@pytest.mark.parametrize(("way", "problem"), [("lidar", "has no trajectory"), ("gnss", "gnss")])
+def test_what_is_to_be_compared_and_cannot_be_is_an_error(short, way, problem):
+    scene = replace(short, trajectories={}) if way == "lidar" else ways(short)
+    with pytest.raises(DataError, match=rf"{problem}.*leave `--compare {way}` out"):
+        metrics_of(scene, source=None, truth=None, compare=(way,))

@@ -1,7 +1,9 @@
 """Columns of feather files, by pyarrow."""
 
 import os
-from collections.abc import Mapping
+import struct
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +11,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array
 from sceneloom.errors import DataError, MissingExtraError, how_to_install
-from sceneloom.formats.files import check_regular, file_faults
+from sceneloom.formats.files import check_length, check_unpacked, file_faults, open_file
 from sceneloom.formats.quaternion_lengths import lengths_of
 from sceneloom.geometry.rotations import normalise_quaternion
 
@@ -38,7 +40,7 @@ def read_columns(path: Path, columns: Columns) -> dict[str, AnyArray]:
         raise DataError(path, "", "is not there; expected a feather file")
     try:
         with file_faults(path):
-            check_regular(path)
+            _check_unpacked(path)
         table = feather.read_table(os.fspath(path), memory_map=False)
         # without it a damaged file would be read beyond its end
         table.validate(full=True)
@@ -49,6 +51,76 @@ def read_columns(path: Path, columns: Columns) -> dict[str, AnyArray]:
         problem = f"no column {', '.join(missing)}; it has {', '.join(table.column_names) or 'none'}"
         raise DataError(path, "", problem)
     return {name: _column(path, table[name], name, kind) for name, kind in columns.items()}
+
+
+def _check_unpacked(path: Path) -> None:
+    """Refuse a file whose compressed columns declare to become far more than its bytes.
+
+    Source: Apache Arrow, columnar format, "Serialization and Interprocess Communication": messages follow eight bytes
+    at the beginning, and a compressed buffer begins with its own length, int64, -1 for what is not compressed.
+
+    Raises:
+        DataError: they do.
+        OSError: it is no regular file, or cannot be opened.
+    """
+    import pyarrow as pa
+
+    size, declared = check_length(path), 0
+    with open_file(path) as file:
+        file.seek(_MAGIC)
+        # what is no message is left to the reader of the whole file, which says so
+        with suppress(pa.ArrowException, StopIteration, OSError, struct.error, IndexError):
+            messages = pa.ipc.MessageReader.open_stream(pa.PythonFile(file, mode="r"))
+            while True:
+                message = messages.read_next_message()
+                body = memoryview(message.body or b"")
+                for start, length in _buffers(memoryview(message.metadata)):
+                    if length >= _LENGTH.size:
+                        declared += max(*_LENGTH.unpack_from(body, start), length)
+                        check_unpacked(path, "", size, declared)
+
+
+_MAGIC, _LENGTH = 8, struct.Struct("<q")
+_RECORD_BATCH, _DICTIONARY = 3, 2
+
+
+def _buffers(head: memoryview) -> Iterator[tuple[int, int]]:
+    """Where the compressed buffers of a message lie in its body: byte and length; nothing of other messages.
+
+    Source: Apache Arrow, Message.fbs; FlatBuffers internals: a table begins with the distance back to its vtable, which
+    holds its own size, the table's, and where each field is, 0 for one that is not there.
+    """
+
+    def pointed(at: int) -> int:
+        return at + int(struct.unpack_from("<I", head, at)[0])
+
+    def field(table: int, number: int) -> int | None:
+        vtable = table - struct.unpack_from("<i", head, table)[0]
+        place = 4 + 2 * number
+        if vtable < 0 or place >= struct.unpack_from("<H", head, vtable)[0]:
+            return None
+        offset = int(struct.unpack_from("<H", head, vtable + place)[0])
+        return table + offset if offset else None
+
+    root = pointed(0)
+    kind, header = field(root, 1), field(root, 2)
+    if kind is None or header is None or head[kind] not in {_RECORD_BATCH, _DICTIONARY}:
+        return
+    batch = pointed(header)
+    if head[kind] == _DICTIONARY:
+        data = field(batch, 1)
+        if data is None:
+            return
+        batch = pointed(data)
+    buffers, compression = field(batch, 2), field(batch, 3)
+    if buffers is None or compression is None:
+        return
+    rows = pointed(buffers)
+    for k in range(struct.unpack_from("<I", head, rows)[0]):
+        start, length = struct.unpack_from("<qq", head, rows + 4 + 16 * k)
+        if start < 0:
+            return
+        yield start, length
 
 
 def _column(path: Path, column: Any, name: str, kind: type[Any]) -> AnyArray:

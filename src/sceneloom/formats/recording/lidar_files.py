@@ -10,7 +10,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, read_only
 from sceneloom.errors import DataError
-from sceneloom.formats.files import open_file
+from sceneloom.formats.files import open_file, why_no_file
 from sceneloom.formats.recording.columns import FARTHEST_TIME
 from sceneloom.scene import LidarPoints
 
@@ -48,7 +48,7 @@ def find_file(folder: Path, name: str, file: object, place: str) -> Path:
             file, place, f"lidar.dataFile: {name!r} leads out of the recording's folder by a link"
         )
     if not there:
-        raise DataError(file, place, f"lidar.dataFile: {name!r}: no such file")
+        raise DataError(file, place, f"lidar.dataFile: {name!r}: {why_no_file(path)}")
     return path
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from sceneloom.errors import DataError
+from sceneloom.formats.files import why_no_file
 
 _DIGITS = re.compile(r"(\d+)")
 
@@ -31,7 +32,7 @@ class Root:
         """
         path = self.folder / self._checked(name, place)
         if not path.is_file():
-            raise DataError(self.manifest, place, f"{name!r}: no such file in {self.folder}")
+            raise DataError(self.manifest, place, f"{name!r}: {why_no_file(path)} in {self.folder}")
         self._check_inside([path], place)
         return path
 
@@ -39,12 +40,14 @@ class Root:
         """Find the files of some patterns, in the order in which people number them: 2 before 10.
 
         Raises:
-            DataError: there is none, or one lies outside the folder.
+            DataError: there is none, one is no regular file, or one lies outside the folder.
         """
         found: set[Path] = set()
         for pattern in patterns:
             try:
-                matches = [path for path in self.folder.glob(self._checked(pattern, place)) if path.is_file()]
+                matches = [
+                    path for path in self.folder.glob(self._checked(pattern, place)) if not path.is_dir()
+                ]
             except (ValueError, NotImplementedError, IndexError, re.error) as error:
                 raise DataError(self.manifest, place, f"{pattern!r} is no pattern: {error}") from error
             if not matches:
@@ -53,6 +56,9 @@ class Root:
                 )
             found.update(matches)
         files = sorted(found, key=natural_key)
+        odd = next((path for path in files if not path.is_file()), None)
+        if odd is not None:
+            raise DataError(self.manifest, place, f"{self.relative(odd)!r}: {why_no_file(odd)}")
         self._check_inside(files, place)
         return files
 

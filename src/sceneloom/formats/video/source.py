@@ -14,7 +14,7 @@ from av.video.stream import VideoStream
 
 from sceneloom.errors import DataError
 from sceneloom.formats.byte_stream import ByteStream
-from sceneloom.formats.files import check_pixels, check_regular, file_faults, open_file
+from sceneloom.formats.files import check_pixels, check_regular, file_faults, open_file, why_no_file
 from sceneloom.formats.processors import processors
 
 VideoSource = Path | str | bytes | bytearray | memoryview | Callable[[], BinaryIO]
@@ -88,7 +88,9 @@ class OpenVideo:
         """
         if isinstance(source, Path | str):
             if not as_path(source).is_file():
-                raise DataError(name, "", "not a file" if as_path(source).exists() else "no such file")
+                raise DataError(
+                    name, "", "not a file" if as_path(source).is_dir() else why_no_file(as_path(source))
+                )
             with file_faults(as_path(source)):
                 check_regular(as_path(source))
         self._file: BinaryIO | None = None

@@ -12,6 +12,7 @@ import numpy as np
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, DataError, OptionError
+from sceneloom.formats.files import read_bytes
 from sceneloom.formats.output import replacing
 from sceneloom.formats.table import format_for_output
 from sceneloom.fusion.calibration.axes import DeclaredAxes
@@ -184,8 +185,8 @@ def _calibration_of(scene: Scene) -> dict[str, Any]:
     """
     file = Path(scene.source) / CALIBRATION_FILE
     try:
-        content = json.loads(file.read_text("utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        content = json.loads(read_bytes(file))
+    except (DataError, ValueError, RecursionError) as error:
         raise DataError(
             scene.source,
             CALIBRATION_FILE,

@@ -41,7 +41,8 @@ def metrics_of(
         compare: ways to be found and compared, too: "lidar", "gnss".
 
     Raises:
-        DataError: neither the drive's trajectory nor its objects can be compared with `truth`.
+        DataError: neither the drive's trajectory nor its objects can be compared with `truth`, or nothing can be found
+            and compared of `compare`.
     """
     collected = _Collected()
     true_way = scene.trajectories.get(TRUTH)
@@ -51,9 +52,6 @@ def metrics_of(
             if name != TRUTH and not same_way(way, true_way):
                 collected.compare(way, true_way)
     for name in compare:
-        if reference is None:
-            collected.skipped.append(f"{name}: the drive has no trajectory to be compared with")
-            continue
         collected.find_and_compare(scene, name, reference)
     if truth is not None:
         collected.against(scene, source, truth)
@@ -63,7 +61,7 @@ def metrics_of(
 
 
 class _Collected:
-    """Comparisons so far; what cannot be compared is told, not raised, but for a truth that was named."""
+    """Comparisons so far; what cannot be compared is told, not raised, but for what was asked for by name."""
 
     def __init__(self) -> None:
         self.trajectories: list[TrajectoryReport] = []
@@ -76,13 +74,18 @@ class _Collected:
         except SceneloomError as error:
             self.skipped.append(f"{estimate.name}: {error}")
 
-    def find_and_compare(self, scene: Scene, name: str, reference: Trajectory) -> None:
+    def find_and_compare(self, scene: Scene, name: str, reference: Trajectory | None) -> None:
         try:
+            if reference is None:
+                raise DataError(scene.source, "", "the drive has no trajectory to be compared with")
             path = find_ego_motion(scene, name=name).path
+            found = Trajectory(name, path.timestamps_ns, path.positions, path.quaternions_xyzw)
+            self.trajectories.append(evaluate_trajectory(found, reference))
         except SceneloomError as error:
-            self.skipped.append(f"{name}: {error}")
-            return
-        self.compare(Trajectory(name, path.timestamps_ns, path.positions, path.quaternions_xyzw), reference)
+            problem = (
+                f"nothing can be compared with what is found from {name}: {getattr(error, 'problem', error)}"
+            )
+            raise DataError(scene.source, "", f"{problem}; leave `--compare {name}` out") from error
 
     def against(self, scene: Scene, source: Path | str | None, truth: Path | str) -> None:
         """Hold the drive's way, and its objects, against a truth that may have one of both only."""

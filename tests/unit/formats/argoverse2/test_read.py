@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 
 import sceneloom
 from sceneloom.errors import DataError, MissingExtraError, OptionError
+from sceneloom.formats import files
+from sceneloom.formats.argoverse2.feather import read_columns
 from sceneloom.formats.drives import drives_of
 from sceneloom.scene.angles import CuboidAngles
 
@@ -326,3 +328,22 @@ def test_a_lenient_reading_does_without_calibration(log, gone, how):
         assert len(scene.cameras) == int(LENSES not in gone)
         codes = {notice.code for notice in scene.notices}
         assert codes >= {"mountings-missing" if name == MOUNTINGS else "lenses-missing" for name in gone}
+
+
+@pytest.mark.parametrize("compression", ["lz4", "zstd"])
+def test_columns_that_declare_far_more_than_their_bytes_are_refused_before_they_are_unpacked(
+    tmp_path, monkeypatch, compression
+):
+    feather = pytest.importorskip("pyarrow.feather")
+    path = tmp_path / "table.feather"
+    words = pa.DictionaryArray.from_arrays(pa.array(np.zeros(10**6, np.int32)), ["car"])
+    table = pa.table({"x": np.zeros(10**6), "word": words})
+    feather.write_feather(table, path, compression=compression)
+    assert len(read_columns(path, {"x": np.float64})["x"]) == 10**6
+    monkeypatch.setattr(files, "ALWAYS_UNPACKED", 10**6)
+    monkeypatch.setattr(feather, "read_table", lambda *_, **__: pytest.fail("it was unpacked"))
+    with pytest.raises(DataError, match="bytes that unpack to"):
+        read_columns(path, {"x": np.float64})
+    monkeypatch.undo()
+    feather.write_feather(pa.table({"x": np.arange(10.0)}), path, compression="uncompressed")
+    assert read_columns(path, {"x": np.float64})["x"].tolist() == list(range(10))

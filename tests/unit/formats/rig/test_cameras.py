@@ -1,6 +1,7 @@
 """Cameras: lenses in all their spellings, and pictures from files and videos."""
 
 import io
+import os
 import pickle
 
 import av
@@ -162,6 +163,12 @@ def test_a_picture_of_another_size_is_told(opened, folder):
     scene = opened()
     with pytest.raises(DataError, match=r"1\.png: is 6x8; expected 8x6"):
         _ = scene.cameras[0].pictures[1].rgb
+
+
+def test_a_pipe_among_the_images_is_named_and_not_passed_over(opened, folder):
+    os.mkfifo(folder / "front" / "9.png")
+    with pytest.raises(DataError, match=r"'front/9\.png': is a named pipe; expected a regular file"):
+        opened()
 
 
 def test_a_file_of_another_kind_among_the_pictures_is_refused(opened, folder):

@@ -1,4 +1,4 @@
-"""Readers, and all else, open the files of a drive by `sceneloom.formats.files`, which waits for no pipe and reads no device."""
+"""Files are opened by `sceneloom.formats.files`, which waits for no pipe and reads no device."""
 
 import ast
 

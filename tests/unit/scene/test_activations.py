@@ -206,6 +206,19 @@ def test_exports_write_boxes_while_they_are_active_and_list_what_they_cannot_car
     assert any(loss.field.endswith("cuboid.activations") for loss in losses)
 
 
+@pytest.mark.parametrize("to", ["kitti-object", "kitti-tracking", "kitti-raw"])
+def test_labels_of_sweeps_hold_what_is_active_at_any_time_of_them(to: str, tmp_path: Path) -> None:
+    scene = simulate_street(1, frames=4, lidar=LidarSpec(beams=8, steps=90), cameras=()).scene
+    stamps = scene.lidars[0].frames.timestamps_ns
+    path = CuboidPath(np.array([0, 10**10]), np.tile([3.0, 2.0, 2.0, 15.0, 0.0, 1.0, 0.0, 0.0, 0.0], (2, 1)))
+    early = Activation("lidar", stamps[1:2], (10 * MS,))
+    box = CuboidAnnotation("box", path, label="car", activations=(early,))
+    sceneloom.write(replace(scene, annotations=(box,)), tmp_path / "out", format=to)
+    with sceneloom.open(tmp_path / "out") as found:
+        boxes = [a for a in found.annotations if isinstance(a, CuboidAnnotation)]
+        assert sum(len(a.path.timestamps_ns) for a in boxes) == 1
+
+
 def test_a_table_of_boxes_asks_only_the_sensor_that_is_named() -> None:
     table = BoxTable(still_scene(SEEN))
     rows, boxes = table.find(800 * MS)

@@ -101,7 +101,7 @@ def write_raw(
             times, told = _write_extract(choice, timeline.timestamps_ns, folder)
         losses += told
         losses += _write_oxts(scene, choice, _oxts_times(choice, times, kind), folder / "oxts")
-        losses += _write_tracklets(choice, times, folder)
+        losses += _write_tracklets(choice, times, timeline, folder)
     return LossReport.of(losses)
 
 
@@ -222,13 +222,14 @@ def _write_oxts(scene: Scene, choice: Choice, times: Int64Array, folder: Path) -
     return list(lines.losses)
 
 
-def _write_tracklets(choice: Choice, times: Int64Array, folder: Path) -> list[Loss]:
+def _write_tracklets(choice: Choice, times: Int64Array, timeline: Timeline, folder: Path) -> list[Loss]:
     """Write the boxes in their frames; those of an `extract` are the sweeps."""
     if not any(isinstance(annotation, CuboidAnnotation) for annotation in choice.scene.annotations):
         return []
     tracklets, losses = tracklets_of(
         choice.scene,
         times,
+        np.minimum(timeline.starts_ns(choice.lidar), times),
         None if choice.lidar is None else choice.lidar.id,
         lambda stamps: [ego @ choice.ego_from_lidar for ego in egos_at(choice, stamps)],
     )

@@ -23,6 +23,7 @@ _LABELLED = 2.0
 def tracklets_of(
     scene: Scene,
     timestamps_ns: Int64Array,
+    starts_ns: Int64Array,
     lidar_id: Identifier | None,
     world_from_lidar_at: Callable[[Int64Array], Sequence[RigidTransform]],
 ) -> tuple[list[Tracklet], list[Loss]]:
@@ -31,6 +32,7 @@ def tracklets_of(
     Args:
         scene: whose cuboids are taken.
         timestamps_ns: of the frames, (F,) int64 [ns].
+        starts_ns: when their sweeps began, (F,) int64 [ns].
         lidar_id: by whose activations boxes are there, and by whose own computed cuboids.
         world_from_lidar_at: gives where the lidar was at some times.
 
@@ -44,7 +46,7 @@ def tracklets_of(
     boxes = [a for a in scene.annotations if isinstance(a, CuboidAnnotation)]
     for annotation in boxes:
         frames, times = _frames(annotation, timestamps_ns)
-        active = active_at(annotation, lidar_id, timestamps_ns[frames])
+        active = active_at(annotation, lidar_id, timestamps_ns[frames], since_ns=starts_ns[frames])
         if not active.all():
             what = "left out in frames in which it is not active for the lidar"
             lost = int((~active).sum())

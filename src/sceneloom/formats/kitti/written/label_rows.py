@@ -138,8 +138,11 @@ class LabelRows:
             self.losses.append(Loss(field="annotations.cuboid", what=what))
             return
         seeing = self._seeing
-        stamps = self._timeline.timestamps_ns if self._camera is None else self._stamps_ns
-        active = active_at(annotation, seeing, stamps[frames])
+        stamps, starts = self._stamps_ns, self._stamps_ns
+        if self._camera is None:
+            stamps = self._timeline.timestamps_ns
+            starts = self._timeline.starts_ns(next(iter(self._scene.lidars), None))
+        active = active_at(annotation, seeing, stamps[frames], since_ns=starts[frames])
         if not active.all():
             what = "left out in frames in which it is not active for the sensor of the labels"
             lost = int((~active).sum())

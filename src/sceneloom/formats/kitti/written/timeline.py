@@ -52,6 +52,14 @@ class Timeline:
     def __len__(self) -> int:
         return len(self.timestamps_ns)
 
+    def starts_ns(self, lidar: LidarSensor | None) -> Int64Array:
+        """When the sweep of each frame began, (F,) int64 [ns]; the frame's own time where it has none."""
+        found = self.timestamps_ns.copy()
+        if lidar is not None:
+            swept = self.sweeps != NONE
+            found[swept] = lidar.frames.timestamps_ns[self.sweeps[swept]]
+        return found
+
 
 def timeline_of(choice: Choice, *, one_time: bool = True) -> Timeline:
     """Put sweeps and pictures into frames: a frame for each sweep, with the pictures nearest to its moment.

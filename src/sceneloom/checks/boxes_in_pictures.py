@@ -80,6 +80,15 @@ def _partly_finite(subject: Subject) -> Iterator[Hit]:
             return f"{boxes[row].tolist()}; expected finite numbers"
 
         yield from table.hits(subject, np.asarray(bad), say, within=name)
+    points = point_projections(subject)
+    spots = points.rows(lambda part: _or_nan(part.points, len(part.timestamps_ns), 2), 2)
+    bad = ~np.isfinite(spots).all(axis=1) & ~_null(spots)
+    yield from points.hits(
+        subject,
+        np.asarray(bad),
+        lambda row: f"{spots[row].tolist()}; expected finite numbers",
+        within=".points",
+    )
 
 
 def _null_confirmed(subject: Subject) -> Iterator[Hit]:

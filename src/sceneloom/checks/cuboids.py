@@ -40,7 +40,17 @@ _TURN_WITHIN_NS = 600_000_000
 def _not_finite(subject: Subject) -> Iterator[Hit]:
     rows = cuboid_rows(subject)
     bad = _in_any(~np.isfinite(rows))
-    return _hits(subject, bad, lambda row: f"{_numbers(rows[row])}; expected finite numbers")
+    yield from _hits(subject, bad, lambda row: f"{_numbers(rows[row])}; expected finite numbers")
+    for path, annotation in subject.annotations():
+        for k, activation in enumerate(getattr(annotation, "activations", ())):
+            if activation.cuboids is None:
+                continue
+            seen = activation.cuboids
+            # a cuboid that is not told is null as a whole
+            partly = ~np.isfinite(seen).all(axis=1) & ~np.isnan(seen).all(axis=1)
+            for row in np.flatnonzero(partly).tolist():
+                where = f"{path}.activations[{k}].cuboids[{row}]"
+                yield Hit(where, f"{_numbers(seen[row])}; expected finite numbers")
 
 
 def _hits(subject: Subject, bad: BoolArray, say: Callable[[int], str]) -> Iterator[Hit]:

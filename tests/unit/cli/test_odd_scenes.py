@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.cli.main import sceneloom as command_line
 from sceneloom.formats.table import written_formats
@@ -963,3 +964,106 @@ def test_a_report_says_how_many_points_are_not_drawn(
     (tmp_path / "drive.sfs").write_bytes(encode_sfs(header))
     assert call("report", tmp_path / "drive.sfs", "-o", tmp_path / "page.html", "--quick").code == 0
     assert "points whose coordinates are not finite are not drawn" in (tmp_path / "page.html").read_text()
+
+
+NO_NUMBERS = ("Infinity", "-Infinity", "NaN", "1e999")
+TOKEN = "@" * 12
+"""Stands where one of them goes; its length stays, and with it the offsets of what follows the header."""
+
+
+def of_all_annotations() -> Header:
+    """The sound scene with every kind of annotation and most kinds of sensors."""
+    header = base()
+    header["time_offset"] = 0
+    for name in (
+        "keypoints_that_no_camera_sees",
+        "activations",
+        "corrections",
+        "labelled_points_beyond_the_cloud",
+        "attributes_of_extreme_numbers",
+        "links_to_nobody",
+        "a_radar_and_a_map_at_the_ends_of_float32",
+    ):
+        ODD[name](header)
+    event = next(one for one in header["annotations"] if one["type"] == "event")
+    event.update(start=0, duration=1)  # microseconds in 32 bits hold no more than an hour before the sweeps
+    return header
+
+
+def numbers_in(node: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """The places of all numbers in a header."""
+    if isinstance(node, dict | list):
+        for key, value in node.items() if isinstance(node, dict) else enumerate(node):
+            yield from numbers_in(value, (*place, key))
+    elif isinstance(node, int | float) and not isinstance(node, bool):
+        yield place
+
+
+def with_token(node: Any, place: tuple[Any, ...]) -> Any:
+    """A copy with the token at a place."""
+    if not place:
+        return TOKEN
+    changed = node.copy()
+    changed[place[0]] = with_token(node[place[0]], place[1:])
+    return changed
+
+
+def spelled_as(content: bytes, spelling: str) -> bytes:
+    quoted = f'"{TOKEN}"'.encode()
+    assert content.count(quoted) == 1
+    return content.replace(quoted, spelling.encode().ljust(len(quoted)))
+
+
+def test_what_is_no_finite_number_is_an_error_in_every_field_of_a_header(
+    encode_sfs: Callable[..., bytes], tmp_path: Path
+) -> None:
+    header, path = of_all_annotations(), tmp_path / "drive.sfs"
+    fields: dict[tuple[Any, ...], tuple[Any, ...]] = {}
+    for place in numbers_in(header):
+        if "attributes" in place and "values" in place:
+            continue  # they are anything
+        fields.setdefault(tuple(key for k, key in enumerate(place) if k == 1 or isinstance(key, str)), place)
+    assert len(fields) > 40
+    path.write_bytes(encode_sfs(header))
+    known = {(one.rule, one.path) for one in sceneloom.validate(path, frames=False).findings}
+    passed = {}
+    for number, place in enumerate(fields.values()):
+        spelling = NO_NUMBERS[number % len(NO_NUMBERS)]
+        path.write_bytes(spelled_as(encode_sfs(with_token(header, place)), spelling))
+        findings = sceneloom.validate(path, frames=False).findings
+        new = [one for one in findings if one.severity == "error" and (one.rule, one.path) not in known]
+        if not any(NUMBER.search(one.message) for one in new):
+            passed[place] = spelling
+    assert passed == {}
+
+
+NUMBER = re.compile("finite|number|inf|nan|range", re.IGNORECASE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("spelling", NO_NUMBERS)
+@pytest.mark.parametrize(
+    ("verb", "further"), [("validate", ()), ("info", ()), ("convert", ("OUT.sfs", "--overwrite"))]
+)
+def test_no_verb_breaks_on_what_is_no_finite_number(
+    call: Callable[..., Any],
+    encode_sfs: Callable[..., bytes],
+    tmp_path: Path,
+    verb: str,
+    further: tuple[str, ...],
+    spelling: str,
+) -> None:
+    header, path = of_all_annotations(), tmp_path / "drive.sfs"
+    words = [word.replace("OUT", str(tmp_path / "out")) for word in further]
+    faults = {}
+    for place in numbers_in(header):
+        path.write_bytes(spelled_as(encode_sfs(with_token(header, place)), spelling))
+        with bounded():
+            outcome = call(verb, path, *words)
+        said = outcome.out + outcome.err
+        # `info` looks at no values of annotations, and those of attributes are anything
+        passed = verb == "info" or (verb == "convert" and "attributes" in place)
+        named = "drive.sfs" in said and not re.search(UNFORESEEN, said)
+        if outcome.code not in ({0, 1} if passed else {1}) or not named:
+            faults[place] = outcome
+    assert faults == {}

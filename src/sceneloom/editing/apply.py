@@ -166,7 +166,12 @@ def _adjusted(
     left = _without(scene, adjustment)
     if _frame(scene) is Coordinates.EGO:
         return _led_to_world(left, poses, annotations_in)
-    return moved_world(left, FrameChange(PoseSource(poses, RigidTransform.identity()), held=True))
+    moved = moved_world(left, FrameChange(PoseSource(poses, RigidTransform.identity()), held=True))
+    if len(poses.timestamps_ns) == 1 or not _only_mounted(scene):
+        return moved
+    # all sensors are on the ego, from which it leads to the world
+    way = Trajectory(str(EGO_ID), poses.timestamps_ns, poses.positions, poses.quaternions_xyzw)
+    return replace(moved, trajectories={way.name: way})
 
 
 def _frame(scene: Scene) -> Coordinates:
@@ -193,6 +198,18 @@ def _frame(scene: Scene) -> Coordinates:
             "`sceneloom edit to-world`"
         )
     return next(iter(frames), Coordinates.WORLD)
+
+
+def _only_mounted(scene: Scene) -> bool:
+    """Whether sensors are mounted on the ego, and nothing says where it or any of them was in the world."""
+    placed = any(
+        isinstance(sensor, OdometrySensor) or getattr(sensor, "poses", None) is not None
+        for sensor in scene.sensors
+    )
+    clouds = [sensor for sensor in scene.sensors if isinstance(sensor, LidarSensor | RadarSensor)]
+    in_world = any(sensor.points_frame is PointsFrame.WORLD for sensor in clouds)
+    mounted = any(getattr(sensor, "mount", None) is not None for sensor in scene.sensors)
+    return mounted and not (placed or in_world or scene.trajectories)
 
 
 def _led_to_world(scene: Scene, world_from_ego: PosePath, annotations_in: Coordinates | str | None) -> Scene:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sceneloom import convert, fuse
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.formats import open_scene, write_scene
@@ -20,7 +21,9 @@ from sceneloom.scene import (
     LidarFrame,
     LidarPoints,
     LidarSensor,
+    LocalizationAdjustment,
     Picture,
+    PosePath,
     Scene,
     Trajectory,
 )
@@ -179,3 +182,38 @@ def test_cuboids_in_the_world_are_seen_from_a_standing_ego_which_is_reported(nam
         format=name,
     )
     assert [loss for loss in losses if loss.field == "trajectories.positions"] == [standing_ego()]
+
+
+def drifted(*, recorded):
+    """The drive with an adjustment: of a recorded trajectory that drifts aside, else from the ego to the world."""
+    times = np.array([0, 600_000_000])
+    straight, still = np.array([[0.0, 0.0, 0.0, 1.0]] * 2), np.zeros(2)
+    drift = np.array([0.0, 0.9])
+    if recorded:
+        way = np.stack([np.array([100.0, 101.2]), 50.0 + drift, still], axis=1)
+        mend = PosePath(times, np.stack([still, -drift, still], axis=1), straight)
+        ways = {"recorded": Trajectory("recorded", times, way, straight)}
+    else:
+        mend, ways = PosePath(times, np.array([[100.0, 50.0, 0.0], [101.2, 50.0, 0.0]]), straight), {}
+    return replace(moving(), trajectories=ways, annotations=(LocalizationAdjustment("mend", mend),))
+
+
+@pytest.mark.parametrize("recorded", [True, False])
+@pytest.mark.parametrize("trajectory", ["lidar", None])
+def test_lidar_odometry_begins_on_the_adjusted_trajectory_and_needs_no_adjustment_itself(
+    trajectory, recorded, tmp_path
+):
+    write_scene(drifted(recorded=recorded), tmp_path / "drive.sfs")
+    report = convert(tmp_path / "drive.sfs", tmp_path / "out", to="nuscenes", trajectory=trajectory)
+    assert "correction-applied" in [notice.code for notice in report.notices]
+    computed = [loss.what for loss in told(report.losses) if "not known" in loss.what]
+    assert computed == (["not known: computed by lidar odometry"] if trajectory else [])
+    way = open_scene(tmp_path / "out").trajectories["pose"]
+    np.testing.assert_allclose(way.positions[[0, -1]], [[100.0, 50.0, 0.0], [101.0, 50.0, 0.0]], atol=0.03)
+    fuse(drifted(recorded=recorded), tmp_path / "fused.sfs", trajectory=trajectory)
+    with open_scene(tmp_path / "fused.sfs") as scene:
+        way = next(iter(scene.trajectories.values()))
+        ours = scene.metadata["sceneloom"]
+        assert [one["id"] for one in ours["applied"]] == ["mend"]
+        found = way.poses.interpolate(np.array([0, 500_000_000])).positions
+        np.testing.assert_allclose(found[1] - found[0], [1.0, 0.0, 0.0], atol=0.03)

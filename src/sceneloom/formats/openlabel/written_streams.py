@@ -189,7 +189,7 @@ def _sampled(
     if known.any():
         read = PosePath(times_ns[known], written.positions[known], written.quaternions_xyzw[known])
         found = read.interpolate(own_ns)
-        reached = wanted & np.isfinite(found.positions).all(axis=1)
+        reached = np.asarray(wanted & np.isfinite(found.positions).all(axis=1), np.bool_)
         moved = np.linalg.norm(found.positions[reached] - right.positions[reached], axis=1)
         turned = np.degrees(angle_between(found.quaternions_xyzw[reached], right.quaternions_xyzw[reached]))
         off, turn = float(moved.max(initial=0.0)), float(turned.max(initial=0.0))

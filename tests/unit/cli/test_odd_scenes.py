@@ -5,6 +5,8 @@ import json
 import re
 import resource
 import signal
+import subprocess
+import sys
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -1067,3 +1069,13 @@ def test_no_verb_breaks_on_what_is_no_finite_number(
         if outcome.code not in ({0, 1} if passed else {1}) or not named:
             faults[place] = outcome
     assert faults == {}
+
+
+def test_only_programs_and_not_imports_change_how_numpy_warns() -> None:
+    script = (
+        "import warnings, numpy as np; before = list(warnings.filters), np.geterr(); "
+        "import sceneloom, sceneloom.cli.main, sceneloom.batch.working, sceneloom.view; "
+        "told = [f for f in warnings.filters if f not in before[0] and 'encountered' in str(f[1])]; "
+        "assert told == [], told; assert np.geterr() == before[1]"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)

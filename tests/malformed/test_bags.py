@@ -84,3 +84,9 @@ def _turned(message, number):
         message.w = number
         return 1
     return sum(_turned(part, number) for part in getattr(message, "__dict__", {}).values())
+
+
+def test_metadata_nested_without_end_are_refused_before_they_are_parsed(tmp_path):
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: " + "[" * 100_000)
+    with pytest.raises(DataError, match=r"metadata\.yaml.*nested deeper than 64 levels"):
+        open_scene(tmp_path, format="ros2")

@@ -1,5 +1,6 @@
 """The files of a bag: a `.bag` of ROS 1, a folder of ROS 2 with its `metadata.yaml`, or a file of such a folder."""
 
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -19,6 +20,9 @@ from sceneloom.scene import NoticeKind
 STORAGES: Mapping[str, Callable[[Path, Ledger], Bag]] = MappingProxyType(
     {".bag": Ros1Bag, ".db3": SqliteBag, ".mcap": McapBag}
 )
+
+_TOO_DEEP = re.compile(r"(?:[\[{]\s*|- ){65}")
+"""Collections in one another without anything between them; rosbag2 writes six, thousands take the parser seconds."""
 
 
 def open_bags(path: Path, ledger: Ledger) -> list[Bag]:
@@ -65,7 +69,10 @@ def _metadata(folder: Path, ledger: Ledger) -> Mapping[str, Any]:
     except ImportError as missing:
         raise MissingExtraError(f"{missing}; install the extra: {how_to_install('ros')}") from missing
     try:
-        root = YAML(typ="safe").load(read_bytes(path).decode())[ROOT_KEY]
+        text = read_bytes(path).decode()
+        if _TOO_DEEP.search(text):
+            raise ValueError("nested deeper than 64 levels")  # noqa: TRY301 - one place for all that can be wrong
+        root = YAML(typ="safe").load(text)[ROOT_KEY]
         if not isinstance(root, dict):
             raise TypeError(f"{ROOT_KEY} is no mapping")  # noqa: TRY301 - one place for all that can be wrong
     except (YAMLError, OSError, ValueError, RecursionError, KeyError, TypeError) as error:

@@ -36,6 +36,7 @@ from sceneloom.cameras.formulas import (
 )
 from sceneloom.cameras.loops import look_off_axis, pick_points, place_points
 from sceneloom.cameras.off_axis import pixel_off_axis
+from sceneloom.kernels.cache import kernel
 
 
 class FisheyeLens(NamedTuple):
@@ -80,19 +81,19 @@ def _lens(numbers):  # type: ignore[no-untyped-def]
     return FisheyeLens(*first_numbers(numbers, _COUNT))
 
 
-@njit(PICTURE_SIGNATURE, **KERNEL)
+@kernel(PICTURE_SIGNATURE, **KERNEL)
 def project_into_picture(points_world, camera_from_world, lens, width, height, kept):  # type: ignore[no-untyped-def]
     """Keep the points that fall into the picture; see `compiled`."""
     return pick_points(points_world, camera_from_world, _lens(lens), width, height, kept)
 
 
-@njit(ROWS_SIGNATURE, **KERNEL)
+@kernel(ROWS_SIGNATURE, **KERNEL)
 def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
     """Give a pixel for every point; see `compiled`."""
     place_points(points_camera, _lens(lens), pixels)
 
 
-@njit(ROWS_SIGNATURE, **KERNEL)
+@kernel(ROWS_SIGNATURE, **KERNEL)
 def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
     """Give a unit ray for every pixel; see `compiled`."""
     look_off_axis(pixels, _lens(lens), rays)

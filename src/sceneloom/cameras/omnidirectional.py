@@ -45,6 +45,7 @@ from sceneloom.cameras.formulas import (
     use_formulas,
 )
 from sceneloom.cameras.loops import look_through_chart, pick_points, place_points
+from sceneloom.kernels.cache import kernel
 
 
 class OmnidirectionalLens(NamedTuple):
@@ -102,25 +103,25 @@ def _lens(numbers):  # type: ignore[no-untyped-def]
     return OmnidirectionalLens(*first_numbers(numbers, _COUNT))
 
 
-@njit(PICTURE_SIGNATURE, **KERNEL)
+@kernel(PICTURE_SIGNATURE, **KERNEL)
 def project_into_picture(points_world, camera_from_world, lens, width, height, kept):  # type: ignore[no-untyped-def]
     """Keep the points that fall into the picture; see `compiled`."""
     return pick_points(points_world, camera_from_world, _lens(lens), width, height, kept)
 
 
-@njit(ROWS_SIGNATURE, **KERNEL)
+@kernel(ROWS_SIGNATURE, **KERNEL)
 def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
     """Give a pixel for every point; see `compiled`."""
     place_points(points_camera, _lens(lens), pixels)
 
 
-@njit(ROWS_SIGNATURE, **KERNEL)
+@kernel(ROWS_SIGNATURE, **KERNEL)
 def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
     """Give a unit ray for every pixel; see `compiled`."""
     look_through_chart(pixels, _lens(lens), rays)
 
 
-@njit(FOLD_SIGNATURE, **KERNEL)
-def fold_radius(lens):  # type: ignore[no-untyped-def]
+@kernel(FOLD_SIGNATURE, **KERNEL)
+def fold_radius(lens: Any) -> Any:
     """Give the radius of the chart's disk up to which nothing folds, the given limit at most."""
     return radius_without_fold(_lens(lens))

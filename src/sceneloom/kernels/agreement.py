@@ -4,6 +4,7 @@ import numba
 from numba import float32, float64, int16, int64, types, uint8, void
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
+from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.pixel_numbers import PART
 
 _IDS = types.Array(int64, 1, "C", readonly=True)
@@ -29,7 +30,7 @@ def _between(image, u, v):  # type: ignore[no-untyped-def]
     return upper + b * (lower - upper)
 
 
-@numba.njit(
+@kernel(
     void(_IDS, _PIXELS, _KINDS, _NUMBERS, _CELLS, _STACK, float64[::1], float64[::1]),
     cache=True, nogil=True, error_model="numpy",
 )  # fmt: skip
@@ -62,9 +63,7 @@ def sum_edges(
         totals[cells[point]] += weight
 
 
-@numba.njit(
-    void(_IDS, _PIXELS, _NUMBERS, _IMAGE, float64[:, ::1]), cache=True, nogil=True, error_model="numpy"
-)
+@kernel(void(_IDS, _PIXELS, _NUMBERS, _IMAGE, float64[:, ::1]), cache=True, nogil=True, error_model="numpy")
 def fill_histogram(
     point_ids: Int64Array,
     pixels: Float32Array,
@@ -93,7 +92,7 @@ def fill_histogram(
         histogram[row + 1, column + 1] += p * q
 
 
-@numba.njit(
+@kernel(
     void(_IDS, _PIXELS, _NUMBERS, _CELLS, _IMAGE, _TABLE, float64[::1], float64[::1]),
     cache=True, nogil=True, error_model="numpy",
 )  # fmt: skip

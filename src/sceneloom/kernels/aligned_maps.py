@@ -1,8 +1,9 @@
 """What maps say at pixels that move with a few numbers, and how that changes with them."""
 
-from numba import float32, float64, int32, njit, types, void
+from numba import float32, float64, int32, types, void
 
 from sceneloom.arrays import AnyArray, Float32Array, Float64Array
+from sceneloom.kernels.cache import kernel
 
 _PIXELS = types.Array(float32, 2, "C", readonly=True)
 _SLOPES = types.Array(float32, 3, "C", readonly=True)
@@ -12,7 +13,7 @@ _MAPS = types.Array(float32, 3, "C", readonly=True)
 _STEP = types.Array(float64, 1, "C", readonly=True)
 
 
-@njit(
+@kernel(
     void(
         _PIXELS, _SLOPES, _STEP, _NUMBERS, _ROWS, _ROWS, _MAPS,
         float64[::1], float64[::1], float64[:, ::1],

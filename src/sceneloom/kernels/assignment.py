@@ -4,9 +4,10 @@ import numpy as np
 from numba import njit
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 
-@njit(
+@kernel(
     "int64(float64[:,::1], int64, float64[::1], float64[::1], int64[::1], int64[::1], float64[::1], boolean[::1], "
     "boolean[::1], int64[::1])",
     nogil=True,
@@ -55,7 +56,7 @@ def _shortest_path(
         row = owners[column]
 
 
-@njit("int64[::1](float64[:,::1])", nogil=True, cache=True, error_model="numpy")
+@kernel("int64[::1](float64[:,::1])", nogil=True, cache=True, error_model="numpy")
 def _cheapest(costs: Float64Array) -> Int64Array:
     """Give each row its column; there are at least as many columns as rows."""
     rows, columns = costs.shape
@@ -93,7 +94,7 @@ def _cheapest(costs: Float64Array) -> Int64Array:
     return owned
 
 
-@njit("int64[::1](float64[:,::1])", nogil=True, cache=True, error_model="numpy")
+@kernel("int64[::1](float64[:,::1])", nogil=True, cache=True, error_model="numpy")
 def best_columns(gains: Float64Array) -> Int64Array:
     """Pair rows with columns so that the sum of their gains is the largest, as many pairs as can be.
 
@@ -157,7 +158,7 @@ def _groups(rows, columns, row_count, column_count):  # type: ignore[no-untyped-
     return order, starts
 
 
-@njit(
+@kernel(
     "int64[::1](int64[::1], int64[::1], float64[::1], int64, int64)",
     nogil=True,
     cache=True,
@@ -207,7 +208,7 @@ def best_pairs(
     return paired
 
 
-@njit("Tuple((int64[::1], int64[::1]))(float64[:,::1])", nogil=True, cache=True, error_model="numpy")
+@kernel("Tuple((int64[::1], int64[::1]))(float64[:,::1])", nogil=True, cache=True, error_model="numpy")
 def best_partners(gains: Float64Array) -> tuple[Int64Array, Int64Array]:
     """Pair the rows of a table with its columns as `best_pairs` does.
 

@@ -2,11 +2,11 @@
 
 import math
 
-import numba
 import numpy as np
 from numba import boolean, float64, int64, types
 
 from sceneloom.arrays import Float64Array
+from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.surface_map import INNER
 
 _M = float64[:, ::1]
@@ -14,7 +14,7 @@ _READ_2D = types.Array(float64, 2, "C", readonly=True)
 _READ_3D = types.Array(float64, 3, "C", readonly=True)
 
 
-@numba.njit(boolean(_M), **INNER)
+@kernel(boolean(_M), **INNER)
 def _factor(matrix: Float64Array) -> bool:
     """Put the Cholesky factor into the lower half; False where the matrix is not positive definite."""
     n = matrix.shape[0]
@@ -34,7 +34,7 @@ def _factor(matrix: Float64Array) -> bool:
     return True
 
 
-@numba.njit(types.void(_M, _M), **INNER)
+@kernel(types.void(_M, _M), **INNER)
 def _solve_columns(factor: Float64Array, right: Float64Array) -> None:
     """Put the solution of L Lᵀ X = B in place of B, (n, m)."""
     n, m = right.shape
@@ -56,7 +56,7 @@ def _solve_columns(factor: Float64Array, right: Float64Array) -> None:
             right[i, j] *= scale
 
 
-@numba.njit(
+@kernel(
     int64(_READ_3D, _READ_3D, _READ_2D, float64, float64[:, :, ::1], float64[:, :, ::1], _M),
     cache=True,
     nogil=True,
@@ -119,7 +119,7 @@ def solve_chain(
     return -1
 
 
-@numba.njit(
+@kernel(
     types.void(_READ_3D, _READ_3D, float64[:, :, ::1], float64[:, :, ::1]),
     cache=True,
     nogil=True,

@@ -1,9 +1,10 @@
 """Blurs of whole pictures: Gaussians, and boxes whose cost does not depend on their width."""
 
 import numpy as np
-from numba import float32, int64, njit, types
+from numba import float32, int64, types
 
 from sceneloom.arrays import Float32Array
+from sceneloom.kernels.cache import kernel
 
 _IMAGE = types.Array(float32, 2, "C", readonly=True)
 _TAPS = types.Array(float32, 1, "C", readonly=True)
@@ -38,7 +39,7 @@ def box_means(image: Float32Array, size: int) -> Float32Array:
     return _boxed(np.ascontiguousarray(image, np.float32), size // 2)
 
 
-@njit(float32[:, ::1](_IMAGE, _TAPS), cache=True, nogil=True)
+@kernel(float32[:, ::1](_IMAGE, _TAPS), cache=True, nogil=True)
 def _blurred(image: Float32Array, taps: Float32Array) -> Float32Array:
     height, width = image.shape
     radius = taps.shape[0] // 2
@@ -65,7 +66,7 @@ def _blurred(image: Float32Array, taps: Float32Array) -> Float32Array:
     return done
 
 
-@njit(float32[:, ::1](_IMAGE, int64), cache=True, nogil=True)
+@kernel(float32[:, ::1](_IMAGE, int64), cache=True, nogil=True)
 def _boxed(image: Float32Array, radius: int) -> Float32Array:
     height, width = image.shape
     scale = 1.0 / (2 * radius + 1) ** 2

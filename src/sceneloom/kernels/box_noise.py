@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 LOW, HIGH, BASE = 0, 1, 2
 """The first columns of the table: how low and how high scores count, as logarithms of odds, and the logarithms of the
@@ -87,7 +88,7 @@ def _take(told, row, n, found, lower):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(
+@kernel(
     f"Tuple((float64[:,:,::1], float64[::1], boolean[::1]))(float64[:,::1], float64[::1], {_TOLD}, int64[::1], "
     f"int64[::1], {_TABLE})",
     nogil=True,
@@ -129,7 +130,7 @@ def box_covariances(
     return found, of_yaws, own
 
 
-@njit(
+@kernel(
     f"void(float64[:,:,::1], int64[::1], boolean[::1], int64[::1], {_TABLE})",
     nogil=True,
     cache=True,

@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 _FLAT = 1e-12
 """An edge that covers no more than this angle points at the camera [rad]."""
@@ -29,7 +30,7 @@ def _arc(units, first, last):  # type: ignore[no-untyped-def]
     return tx, ty, tz, np.arctan2(sine, cosine)
 
 
-@njit(
+@kernel(
     "Tuple((float64[:,::1], int64[::1]))(float64[:,:,::1], Array(int64, 2, 'C', readonly=True), "
     "Array(float64, 1, 'C', readonly=True), Array(int64, 1, 'C', readonly=True))",
     nogil=True,
@@ -124,7 +125,7 @@ def _bulge(before, middle, after):  # type: ignore[no-untyped-def]
     return middle
 
 
-@njit(
+@kernel(
     "Tuple((float64[:,::1], float64[::1], int64[:,::1]))(float64[:,::1], int64[::1], int64, float64, float64)",
     nogil=True,
     cache=True,
@@ -181,7 +182,7 @@ def bound_edges(
     return extents, shares, leaving[:lost].copy()
 
 
-@njit(
+@kernel(
     "void(float64[:,::1], int64[:,::1], float64[:,::1], float64[:,::1], float64, float64)",
     nogil=True,
     cache=True,
@@ -207,7 +208,7 @@ def extend_bounds(
         _extend(extents, leaving[k, 0], begin[k, 0], begin[k, 1], end[k, 0], end[k, 1], width, height)
 
 
-@njit(
+@kernel(
     "void(float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1])",
     nogil=True,
     cache=True,
@@ -232,7 +233,7 @@ def halve_steps(
         middles[k, 0], middles[k, 1], middles[k, 2] = x, y, z
 
 
-@njit(
+@kernel(
     "void(float64[:,::1], float64[:,:,::1], Array(float64, 2, 'C', readonly=True), "
     "Array(float64, 2, 'C', readonly=True))",
     nogil=True,

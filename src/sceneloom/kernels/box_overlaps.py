@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
@@ -19,7 +20,7 @@ def _area(a, i):  # type: ignore[no-untyped-def]
     return (a[i, 2] - a[i, 0]) * (a[i, 3] - a[i, 1])
 
 
-@njit(
+@kernel(
     "float64[:,::1](float64[:,::1], float64[:,::1], int64[::1], int64[::1], Array(int64, 1, 'C', readonly=True), "
     "float64[::1], float64[::1], float64, float64, float64, float64)",
     nogil=True,
@@ -83,7 +84,7 @@ def pair_gains(
     return gains
 
 
-@njit(
+@kernel(
     "void(float64[:,::1], float64[::1], float64[::1], float64[::1], float64[::1], float64, float64)",
     nogil=True,
     cache=True,

@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 
 @njit(nogil=True, error_model="numpy")
@@ -23,7 +24,7 @@ def _find_sides(pixels, n, box, limits, border, sides, m):  # type: ignore[no-un
         sides[m, axis], sides[m, axis + 2] = (low, high) if found else (-1, -1)
 
 
-@njit(
+@kernel(
     "Tuple((int64[::1], int64[:,::1], float64[:,::1]))(float64[:,:,::1], float64[:,:,::1], int64[::1], "
     "float64[:,::1], float64, float64, float64, float64)",
     nogil=True,
@@ -107,7 +108,7 @@ def _deviation(box, number, sigmas, n):  # type: ignore[no-untyped-def]
     return sigmas[n, 2 * number] + sigmas[n, 2 * number + 1] * scale
 
 
-@njit(
+@kernel(
     "void(float64[:,::1], float64[:,:,::1], Array(float64, 2, 'C', readonly=True), float64[:,:,::1], "
     "Array(float64, 2, 'C', readonly=True), float64[:,:,::1], int64[::1], int64[:,::1], float64[:,:,:,::1], float64, "
     "int64[::1], float64[:,::1], float64[:,::1], float64, float64)",

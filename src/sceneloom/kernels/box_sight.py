@@ -6,6 +6,7 @@ import numba
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 _PART: dict[str, Any] = {"nogil": True, "error_model": "numpy", "inline": "always"}
 _BEHIND = 1e-9
@@ -52,7 +53,7 @@ def _entry(x, y, z, centre, b, rotations, halves):  # type: ignore[no-untyped-de
     return np.inf
 
 
-@numba.njit(
+@kernel(
     "void(float64[:,::1], int64[::1], float64[:,::1], float64[:,:,::1], float64[:,::1], float64[:,::1], "
     "float64[:,::1], int64[::1], int64[::1], int64[::1], int64[::1])",
     nogil=True,
@@ -106,7 +107,7 @@ def count_sights(
                     break
 
 
-@numba.njit(
+@kernel(
     "void(float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1], "
     "float64[:,::1], float64[:,::1], float64, int64[:,::1])",
     nogil=True,

@@ -1,20 +1,86 @@
-"""Where compiled kernels are kept, and how many of them are there: found without compiling or loading any."""
+"""Kernels: functions compiled at their first call, where the compiled ones are kept, and how many there are."""
 
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.abc import MetaPathFinder
-from importlib.machinery import ModuleSpec
 from pathlib import Path
 from tempfile import TemporaryFile
-from types import ModuleType
+from typing import Any, TypeVar, cast
 
-_DECORATED = re.compile(r"cache=True|\*\*_?(KERNEL|COMPILED)\b")
+_DECORATED = re.compile(r"^@kernel\(", re.MULTILINE)
 _PACKAGE = Path(__file__).parents[1]
 _ROOMS = ("kernels", "cameras")
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+_declared: dict[str, list[Callable[[], None]]] = {}
+"""What compiles each kernel of the modules that are imported, by the module's name."""
+
+_reports: list[Callable[[str], None]] = []
+"""Who hears of kernels that are compiled."""
+
+
+def kernel(signatures: Any, **options: Any) -> Callable[[_Function], _Function]:
+    """Declare a function that is compiled for these types, and no others, at its first call.
+
+    Importing a module compiles and loads nothing, so what a program never calls costs it nothing. Compiled kernels
+    are kept for the next process.
+
+    Args:
+        signatures: one signature, or a list of them, as `numba.njit` takes them.
+        **options: the same of `numba.njit`; `cache` is set.
+
+    Source: Numba's manual, "Eager compilation": with signatures other types are converted or refused, never
+    compiled for.
+    """
+    import numba
+
+    options["cache"] = True
+    all_signatures = signatures if isinstance(signatures, list) else [signatures]
+
+    def declare(function: _Function) -> _Function:
+        dispatcher: Any = numba.njit(**options)(function)
+        template = dispatcher.get_call_template
+
+        def compile_now() -> None:
+            if dispatcher._can_compile:  # noqa: SLF001
+                if _reports and not _is_kept(function):
+                    for report in tuple(_reports):
+                        report(f"{function.__module__}.{function.__name__}")
+                for signature in all_signatures:
+                    dispatcher.compile(signature)
+                dispatcher.disable_compile()
+
+        def compile_for_arguments(*_: Any, **__: Any) -> Any:
+            compile_now()
+            return dispatcher
+
+        def call_template(arguments: Any, named: Any) -> Any:
+            compile_now()
+            return template(arguments, named)
+
+        # What Numba asks for where it knows no version yet: what to call from Python, and what a kernel calls.
+        dispatcher._compile_for_args = compile_for_arguments  # noqa: SLF001
+        dispatcher.get_call_template = call_template
+        _declared.setdefault(function.__module__, []).append(compile_now)
+        return cast("_Function", dispatcher)
+
+    return declare
+
+
+def declaring_modules() -> list[str]:
+    """Name the imported modules that have kernels."""
+    return list(_declared)
+
+
+def compile_kernels(modules: Iterable[str]) -> None:
+    """Compile, or load, all kernels of modules that are imported."""
+    for module in modules:
+        for compile_now in _declared.get(module, ()):
+            compile_now()
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,21 +90,21 @@ class KernelCache:
     Attributes:
         folder: where those of this room are kept.
         writable: whether new ones can be kept.
-        modules: how many modules hold kernels.
-        compiled: of how many of them there are compiled ones, not older than their source.
+        kernels: how many there are.
+        compiled: how many of them are kept, not older than their source.
         usable: whether Numba finds any folder to keep them in; where it finds none, kernels cannot be imported.
     """
 
     folder: Path
     writable: bool
-    modules: int
+    kernels: int
     compiled: int
     usable: bool = True
 
     @property
     def is_warm(self) -> bool:
         """Whether nothing is left to be compiled."""
-        return self.compiled == self.modules
+        return self.compiled == self.kernels
 
 
 def find_kernel_cache() -> KernelCache:
@@ -47,16 +113,20 @@ def find_kernel_cache() -> KernelCache:
     Source: Numba's manual, "Cache Sharing" and NUMBA_CACHE_DIR: `__pycache__` beside the source where that can be
     written, else a folder of the user's; NUMBA_CACHE_DIR comes first.
     """
-    sources = [path for room in _ROOMS for path in sorted((_PACKAGE / room).glob("*.py"))]
-    kernels = [path for path in sources if _holds_kernels(path)]
+    counts = {
+        source: count
+        for room in _ROOMS
+        for source in sorted((_PACKAGE / room).glob("*.py"))
+        if (count := _count_kernels(source))
+    }
     elsewhere = os.environ.get("NUMBA_CACHE_DIR")
     beside = Path(__file__).parent / "__pycache__"
     folder = Path(elsewhere) if elsewhere else beside
     writable = _can_write(folder)
-    compiled = sum(_is_compiled(source, Path(elsewhere) if elsewhere else None) for source in kernels)
+    compiled = sum(min(count, _count_kept(source, elsewhere)) for source, count in counts.items())
     users = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "numba"
     usable = writable or any(map(_can_write, (beside, users)))
-    return KernelCache(folder, writable, len(kernels), compiled, usable)
+    return KernelCache(folder, writable, sum(counts.values()), compiled, usable)
 
 
 def _can_write(folder: Path) -> bool:
@@ -71,58 +141,42 @@ def _can_write(folder: Path) -> bool:
         return False
 
 
-def will_compile(module: str) -> bool:
-    """Whether a module, by its whole name, has kernels of which none is kept: importing it takes seconds then."""
+def lacks_kernels(module: str) -> bool:
+    """Whether a module, by its whole name, has kernels that are not kept yet: calling them takes seconds then."""
     package, _, room = module.rpartition(".")[0].rpartition(".")
     source = _PACKAGE / room / f"{module.rpartition('.')[2]}.py"
-    if package != _PACKAGE.name or room not in _ROOMS or not _holds_kernels(source):
+    if package != _PACKAGE.name or room not in _ROOMS:
         return False
-    elsewhere = os.environ.get("NUMBA_CACHE_DIR")
-    return not _is_compiled(source, Path(elsewhere) if elsewhere else None)
+    return _count_kept(source, os.environ.get("NUMBA_CACHE_DIR")) < _count_kernels(source)
 
 
 @contextmanager
 def reporting_compiling(report: Callable[[str], None]) -> Iterator[None]:
-    """Report each module whose kernels are compiled meanwhile, by its name, before it is imported."""
-    watch = _Watch(report)
-    sys.meta_path.insert(0, watch)
+    """Report each kernel that is compiled meanwhile, by its module and name, before it is."""
+    _reports.append(report)
     try:
         yield
     finally:
-        sys.meta_path.remove(watch)
+        _reports.remove(report)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Watch(MetaPathFinder):
-    """Finds no module, but sees which ones are asked for."""
-
-    report: Callable[[str], None]
-
-    def find_spec(
-        self,
-        fullname: str,
-        path: Sequence[str] | None,  # noqa: ARG002 - as importlib calls it
-        target: ModuleType | None = None,  # noqa: ARG002
-    ) -> ModuleSpec | None:
-        if will_compile(fullname):
-            self.report(fullname)
-        return None
+def _count_kernels(source: Path) -> int:
+    if not source.is_file() or source == Path(__file__):
+        return 0
+    return len(_DECORATED.findall(source.read_text("utf-8")))
 
 
-def _holds_kernels(source: Path) -> bool:
-    return (
-        source.is_file() and source != Path(__file__) and bool(_DECORATED.search(source.read_text("utf-8")))
-    )
-
-
-def _is_compiled(source: Path, elsewhere: Path | None) -> bool:
-    """Whether there is an index of compiled functions of a module that is not older than the module."""
+def _count_kept(source: Path, elsewhere: str | None, name: str = "*") -> int:
+    """Count the functions of a module of which an index of compiled versions is kept, not older than the module."""
     python = f"py{sys.version_info.major}{sys.version_info.minor}"
-    pattern = f"{source.stem}.*.{python}.nbi"
+    pattern = f"{source.stem}.{name}-*.{python}.nbi"
     kept = (
-        source.parent.joinpath("__pycache__").glob(pattern)
-        if elsewhere is None
-        else elsewhere.glob(f"**/{pattern}")
+        Path(elsewhere).glob(f"**/{pattern}") if elsewhere else source.parent.glob(f"__pycache__/{pattern}")
     )
-    written = source.stat().st_mtime
-    return any(index.stat().st_mtime >= written for index in kept)
+    written = source.stat().st_mtime if source.is_file() else 0.0
+    return len({index.name for index in kept if index.stat().st_mtime >= written})
+
+
+def _is_kept(function: Callable[..., Any]) -> bool:
+    source = Path(function.__code__.co_filename)
+    return _count_kept(source, os.environ.get("NUMBA_CACHE_DIR"), function.__qualname__) > 0

@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt32Array
+from sceneloom.kernels.cache import kernel
 
 _IN = tuple(f"Array(float64, {n}, 'C', readonly=True)" for n in (1, 2, 3))
 _SIGNATURE = (
@@ -70,7 +71,7 @@ def _sum_of_sizes(values):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(_SIGNATURE, nogil=True, cache=True, error_model="numpy")
+@kernel(_SIGNATURE, nogil=True, cache=True, error_model="numpy")
 def declare_objects(
     scores: Float64Array,
     centers: Float64Array,

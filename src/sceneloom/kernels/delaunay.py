@@ -14,6 +14,7 @@ import numpy as np
 from numba import int32, int64, types, void
 
 from sceneloom.arrays import AnyArray, Int64Array
+from sceneloom.kernels.cache import kernel
 
 MOST_EXTENT = 29_000
 """Largest difference of two coordinates, corners included: 12 times its fourth power stays below 2⁶³."""
@@ -124,7 +125,7 @@ def _close_hole(
     return count + edges - taken
 
 
-@numba.njit(int64(_IN_I64_2D, _IN_I64_1D, int32[:, ::1]), cache=True, nogil=True, error_model="numpy")
+@kernel(int64(_IN_I64_2D, _IN_I64_1D, int32[:, ::1]), cache=True, nogil=True, error_model="numpy")
 def triangulate(points: Int64Array, order: Int64Array, triangles: AnyArray) -> int:
     """Triangulate points so that no circumcircle holds another point.
 
@@ -160,7 +161,7 @@ def triangulate(points: Int64Array, order: Int64Array, triangles: AnyArray) -> i
     return count
 
 
-@numba.njit(void(_IN_I64_2D, int64[::1]), cache=True, nogil=True)
+@kernel(void(_IN_I64_2D, int64[::1]), cache=True, nogil=True)
 def hilbert_codes(points: Int64Array, codes: Int64Array) -> None:
     """Number points along a curve that fills the plane, so that neighbours in the order lie near each other.
 

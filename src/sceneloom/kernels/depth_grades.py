@@ -1,16 +1,16 @@
 """The confidence of each pixel of a dense depth image, out of a table."""
 
-import numba
 import numpy as np
 from numba import float32, types, void
 
 from sceneloom.arrays import Float32Array
+from sceneloom.kernels.cache import kernel
 
 _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
 _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
 
 
-@numba.njit(
+@kernel(
     void(
         _IN_F32_2D, _IN_F32_2D, _IN_F32_2D, _IN_F32_2D, float32, float32, float32, float32,
         _IN_F32_1D, _IN_F32_1D, _IN_F32_2D, float32[:, ::1],

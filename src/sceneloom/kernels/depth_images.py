@@ -7,6 +7,7 @@ import numpy as np
 from numba import boolean, float32, int32, int64, types, void
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Int32Array
+from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.crew import ALONE, Crew
 from sceneloom.kernels.fetching import fetch
 from sceneloom.kernels.pixel_numbers import BLOCK, PART
@@ -41,7 +42,7 @@ def _draw(places: AnyArray, depths: Float32Array, coming: AnyArray, rows: Float3
             rows[p] = depth if (there == _NOTHING) | (depth < there) else there
 
 
-@numba.njit(
+@kernel(
     void(_IN_I32_1D, _IN_F32_1D, _IN_BOOL_1D, int64, int64, float32[:, ::1]),
     cache=True,
     nogil=True,
@@ -91,9 +92,7 @@ def draw_depths(
     )
 
 
-@numba.njit(
-    void(_IN_I32_1D, _IN_F32_1D, _IN_F32_2D, boolean[::1]), cache=True, nogil=True, error_model="numpy"
-)
+@kernel(void(_IN_I32_1D, _IN_F32_1D, _IN_F32_2D, boolean[::1]), cache=True, nogil=True, error_model="numpy")
 def mark_nearest(
     pixel_numbers: Int32Array, depths: Float32Array, depth_image: Float32Array, visible: BoolArray
 ) -> None:

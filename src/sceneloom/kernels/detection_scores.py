@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 _NONE = -1
 
@@ -27,7 +28,7 @@ def _most_overlapping(overlaps, i, chosen, taken, ignored, least):  # type: igno
     return best if best >= 0 else spare
 
 
-@njit(
+@kernel(
     "Tuple((int64, int64, int64))(float64[:,::1], boolean[::1], boolean[::1], boolean[::1], boolean[::1], float64, "
     "boolean[::1])",
     nogil=True,
@@ -59,7 +60,7 @@ def _counted(
     return right, wrong, passed
 
 
-@njit("boolean[::1](float64[:,::1], float64)", nogil=True, cache=True)
+@kernel("boolean[::1](float64[:,::1], float64)", nogil=True, cache=True)
 def _near_something(overlaps: Float64Array, least: float) -> BoolArray:
     """Say which detections of a frame overlap a true object by more than `least`."""
     near = np.zeros(overlaps.shape[1], np.bool_)
@@ -70,7 +71,7 @@ def _near_something(overlaps: Float64Array, least: float) -> BoolArray:
     return near
 
 
-@njit(
+@kernel(
     "void(int64[:,::1], int64[::1], float64[:,::1], boolean[::1], boolean[::1], boolean[::1], float64[::1], float64)",
     nogil=True,
     cache=True,
@@ -103,7 +104,7 @@ def _step_through(
         before = now
 
 
-@njit(
+@kernel(
     "int64[:,::1](float64[::1], int64[::1], int64[::1], int64[::1], boolean[::1], boolean[::1], boolean[::1], "
     "float64[::1], float64)",
     nogil=True,
@@ -155,7 +156,7 @@ def score_steps(
     return steps
 
 
-@njit(
+@kernel(
     "int64[::1](float64[::1], int64[::1], int64[::1], int64[::1], float64[::1], float64)",
     nogil=True,
     cache=True,

@@ -8,6 +8,7 @@ import numpy as np
 from numba import float32, float64, int64, types, void
 
 from sceneloom.arrays import AnyArray, Float32Array
+from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.crew import ALONE, Crew
 
 INNER: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
@@ -59,9 +60,7 @@ def _order(bits: Any) -> Any:
     return np.int32(bits ^ np.int32(np.int32(bits >> _SIGN) & _GREATEST))
 
 
-@numba.njit(
-    void(_IN_F32_1D, _IN_F32_1D, _IN_F32_1D, float32[::1]), cache=True, nogil=True, error_model="numpy"
-)
+@kernel(void(_IN_F32_1D, _IN_F32_1D, _IN_F32_1D, float32[::1]), cache=True, nogil=True, error_model="numpy")
 def _measure_extent(
     rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, extent: Float32Array
 ) -> None:
@@ -126,7 +125,7 @@ def fit_grid(extent: Float32Array, cell: float, border: int) -> tuple[Any, Any, 
     return per_cell, np.int32(left - border), np.int32(top - border), columns, rows
 
 
-@numba.njit(void(_IN_F32_1D, float64, int64, int64[::1]), cache=True, nogil=True, error_model="numpy")
+@kernel(void(_IN_F32_1D, float64, int64, int64[::1]), cache=True, nogil=True, error_model="numpy")
 def _place_grid(extent: Float32Array, cell: float, border: int, grid: AnyArray) -> None:
     _, grid[0], grid[1], grid[2], grid[3] = fit_grid(extent, cell, border)
 

@@ -8,6 +8,7 @@ import numpy as np
 from numba import float32, float64, int64, types, void
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.crew import ALONE, Crew
 
 _IN_F64_2D = types.Array(float64, 2, "C", readonly=True)
@@ -70,7 +71,7 @@ def turn_to_directions(
         inverse_ranges[i] = shared * ahead if known else _NOTHING
 
 
-@numba.njit(
+@kernel(
     void(_IN_F64_2D, _IN_I64_1D, _IN_F64_2D, float32[::1], float32[::1], float32[::1]),
     cache=True,
     nogil=True,

@@ -10,11 +10,11 @@ Source: Min et al. 2014, "Fast Global Image Smoothing Based on Weighted Least Sq
 
 from typing import Any
 
-import numba
 import numpy as np
 from numba import float32, int64, types, uint8, void
 
 from sceneloom.arrays import Float32Array, UInt8Array
+from sceneloom.kernels.cache import kernel
 
 _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
 _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
@@ -28,7 +28,7 @@ _KERNEL: dict[str, Any] = {
 _LANES = 16
 
 
-@numba.njit(void(_IN_U8_3D, _IN_F32_1D, float32[:, ::1], float32[:, ::1]), cache=True, nogil=True)
+@kernel(void(_IN_U8_3D, _IN_F32_1D, float32[:, ::1], float32[:, ::1]), cache=True, nogil=True)
 def link_pixels(
     rgb: UInt8Array, link_of_difference: Float32Array, rightward: Float32Array, downward: Float32Array
 ) -> None:
@@ -57,7 +57,7 @@ def link_pixels(
                 downward[row, column] = 0
 
 
-@numba.njit(void(_IN_F32_2D, float32, float32[:, ::1], float32[:, ::1], float32[:, ::1]), **_KERNEL)
+@kernel(void(_IN_F32_2D, float32, float32[:, ::1], float32[:, ::1], float32[:, ::1]), **_KERNEL)
 def smooth_downward(
     links: Float32Array, strength: float, first: Float32Array, second: Float32Array, room: Float32Array
 ) -> None:
@@ -90,7 +90,7 @@ def smooth_downward(
             second[row, column] += room[row, column] * second[row + 1, column]
 
 
-@numba.njit(void(_IN_F32_2D, float32, float32[:, ::1], float32[:, ::1]), **_KERNEL)
+@kernel(void(_IN_F32_2D, float32, float32[:, ::1], float32[:, ::1]), **_KERNEL)
 def smooth_rightward(links: Float32Array, strength: float, first: Float32Array, second: Float32Array) -> None:
     """Smooth two images along axis 1: some rows at a time are laid side by side.
 

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 (
     PRIOR,
@@ -148,7 +149,7 @@ def _overlap(one, i, other, j):  # type: ignore[no-untyped-def]
     return common / (both - common) if both > common else 0.0
 
 
-@njit(
+@kernel(
     f"Tuple((float64[::1], float64[::1], float64[::1]))({_TOLD}, int64[::1], boolean, boolean, int64[::1], {_TABLE})",
     nogil=True,
     cache=True,
@@ -185,7 +186,7 @@ def told_odds(
     return told, odds, shares
 
 
-@njit(
+@kernel(
     "float64[::1](float64[:,::1], float64[::1], int64[::1], float64[::1], float64[::1], float64[:,::1], float64[::1], "
     f"int64[::1], {_TABLE})",
     nogil=True,
@@ -239,7 +240,7 @@ def scores_of_sweep(
     return scores
 
 
-@njit(
+@kernel(
     f"float64[::1](int64[::1], float64[::1], float64[::1], int64[::1], {_TABLE})",
     nogil=True,
     cache=True,

@@ -7,11 +7,12 @@ import numpy as np
 from numba import boolean, float32, int64, types, void
 
 from sceneloom.arrays import BoolArray, Float32Array
+from sceneloom.kernels.cache import kernel
 
 _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
 
 
-@numba.njit(void(_IN_F32_2D, int64, float32[:, ::1]), cache=True, nogil=True, error_model="numpy")
+@kernel(void(_IN_F32_2D, int64, float32[:, ::1]), cache=True, nogil=True, error_model="numpy")
 def corner_strengths(grey: Float32Array, half: int, strengths: Float32Array) -> None:
     """Tell how well a window around each pixel can be told from its neighbours, in both directions.
 
@@ -68,7 +69,7 @@ def _holds(grey: Float32Array, u: float, v: float, half: int) -> bool:
     return bool((u >= reach) & (v >= reach) & (u < width - reach - 1) & (v < height - reach - 1))
 
 
-@numba.njit(
+@kernel(
     void(_IN_F32_2D, _IN_F32_2D, _IN_F32_2D, int64, int64, float32[:, ::1], boolean[::1]),
     cache=True,
     nogil=True,

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 _NEAR_HALF_TURN = math.radians(179.0)
 """Which way is the shorter one is for rounding to say beyond this [rad]."""
@@ -37,7 +38,9 @@ def _tells(times, boxes, place, turn, a, b):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit("int64[::1](int64[::1], float64[:,::1], float64, float64)", nogil=True, cache=True, error_model="numpy")
+@kernel(
+    "int64[::1](int64[::1], float64[:,::1], float64, float64)", nogil=True, cache=True, error_model="numpy"
+)
 def fewest_keyframes(times: Int64Array, boxes: Float64Array, place: float, turn: float) -> Int64Array:
     """Choose the fewest rows of a box over time from which interpolation gives all others within tolerances.
 

@@ -8,12 +8,13 @@ import numpy as np
 from numba import njit
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 _NOTHING = float(np.finfo(np.float64).eps)
 """Areas up to this are none, as in the evaluations that results are compared with."""
 
 
-@njit("int64[::1](int64[::1], int64[::1])", nogil=True, cache=True)
+@kernel("int64[::1](int64[::1], int64[::1])", nogil=True, cache=True)
 def pair_starts(first_starts: Int64Array, second_starts: Int64Array) -> Int64Array:
     """Say where the pairs of each frame begin, (F + 1,) int64."""
     starts = np.zeros(len(first_starts), np.int64)
@@ -33,7 +34,7 @@ def _areas(first, i, second, j):  # type: ignore[no-untyped-def]
     return own, other, wide * high if wide > 0.0 and high > 0.0 else 0.0
 
 
-@njit(
+@kernel(
     "float64[::1](float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1])",
     nogil=True,
     cache=True,
@@ -67,7 +68,7 @@ def picture_overlaps(
     return overlaps
 
 
-@njit(
+@kernel(
     "float64[::1](float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1])",
     nogil=True,
     cache=True,
@@ -101,7 +102,7 @@ def picture_shares(
     return shares
 
 
-@njit(
+@kernel(
     "float64[::1](float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1], float64)",
     nogil=True,
     cache=True,

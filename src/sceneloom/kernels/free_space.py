@@ -8,6 +8,7 @@ import numpy as np
 from numba import float32, float64, int32, types, uint8, void
 
 from sceneloom.arrays import AnyArray, Float32Array, Float64Array, UInt8Array
+from sceneloom.kernels.cache import kernel
 
 _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
 _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
@@ -25,9 +26,7 @@ def _cell(x: float, y: float, z: float, distance: float, rows: int, columns: int
     return min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)
 
 
-@numba.njit(
-    void(_IN_F32_2D, _IN_F32_1D, _IN_F64_2D, int32[:, ::1]), cache=True, nogil=True, error_model="numpy"
-)
+@kernel(void(_IN_F32_2D, _IN_F32_1D, _IN_F64_2D, int32[:, ::1]), cache=True, nogil=True, error_model="numpy")
 def fill_directions(
     points_world: Float32Array, fractions: Float32Array, ends_world: Float64Array, nearest: AnyArray
 ) -> None:
@@ -97,7 +96,7 @@ def _vote(
     return 1 if through and not stopped else 0
 
 
-@numba.njit(
+@kernel(
     void(
         _IN_F32_2D, _IN_F32_2D, _IN_F32_1D, _IN_F64_2D, _IN_I32_2D, _IN_F64_1D, uint8[::1], uint8[::1],
     ),

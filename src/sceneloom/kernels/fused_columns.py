@@ -1,14 +1,14 @@
 """The columns of fused boxes: of those of a sweep, then of those of a picture alone."""
 
 import numpy as np
-from numba import njit
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 _ROWS, _BLOCKS, _WHOLE = "float64[:,::1]", "float64[:,:,::1]", "int64[::1]"
 
 
-@njit(
+@kernel(
     f"Tuple(({_ROWS}, {_BLOCKS}, {_ROWS}, {_BLOCKS}, float64[::1]))({_ROWS}, {_BLOCKS}, {_ROWS}, {_BLOCKS}, {_ROWS}, "
     f"{_BLOCKS})",
     nogil=True,
@@ -49,7 +49,7 @@ def join_places(
     return joined, of_joined, lengths, of_lengths, yaws
 
 
-@njit(
+@kernel(
     f"Tuple(({_ROWS}, {_WHOLE}, {_WHOLE}))({_ROWS}, {_WHOLE}, {_WHOLE}, {_ROWS}, {_WHOLE}, {_WHOLE}, int64)",
     nogil=True,
     cache=True,

@@ -7,6 +7,7 @@ import numpy as np
 from numba import float32, int64, types, void
 
 from sceneloom.arrays import Float32Array
+from sceneloom.kernels.cache import kernel
 
 _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
 _KERNEL: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
@@ -21,7 +22,7 @@ _BEYOND = np.float32(0.3)
 """How far another surface may be, as a share of the depth, where only one side is known."""
 
 
-@numba.njit(void(_IN_F32_2D, int64, float32[:, ::1]), **_KERNEL)
+@kernel(void(_IN_F32_2D, int64, float32[:, ::1]), **_KERNEL)
 def widen_samples(sparse: Float32Array, slack: int, widened: Float32Array) -> None:
     """Widen each sample along its row, by at most `slack` pixels; what lies between two is shared out by halves.
 
@@ -47,7 +48,7 @@ def widen_samples(sparse: Float32Array, slack: int, widened: Float32Array) -> No
             last = column
 
 
-@numba.njit(void(_IN_F32_2D, float32[:, ::1], float32[:, ::1]), **_KERNEL)
+@kernel(void(_IN_F32_2D, float32[:, ::1], float32[:, ::1]), **_KERNEL)
 def look_up(widened: Float32Array, depths: Float32Array, distances: Float32Array) -> None:
     """Give the next sample above each pixel, itself included, and how many rows it is away.
 
@@ -81,7 +82,7 @@ def _join(near: float, to_near: float, other: float, to_other: float, steepest: 
     return (one - jump) / inverse + jump * (share * near + (one - share) * other), one - jump
 
 
-@numba.njit(
+@kernel(
     void(
         _IN_F32_2D, _IN_F32_2D, _IN_F32_2D, float32, float32, float32,
         float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1],
@@ -140,7 +141,7 @@ def fill_down(
             spread_image[row, column], gap_image[row, column] = spread, gap
 
 
-@numba.njit(
+@kernel(
     void(
         _IN_F32_2D, float32, float32, float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1],
     ),
@@ -182,7 +183,7 @@ def fill_across(
             last = column
 
 
-@numba.njit(void(_IN_F32_2D, float32[:, ::1], float32[:, ::1]), **_KERNEL)
+@kernel(void(_IN_F32_2D, float32[:, ::1], float32[:, ::1]), **_KERNEL)
 def blend_neighbours(depth_image: Float32Array, room: Float32Array, blended: Float32Array) -> None:
     """Average each filled pixel with the filled ones beside it, weighted 1 4 6 4 1 along both axes.
 

@@ -7,6 +7,7 @@ import numpy as np
 from numba import int16, int64, types, uint8, void
 
 from sceneloom.arrays import Int64Array, UInt8Array
+from sceneloom.kernels.cache import kernel
 
 FRACTION_BITS = 5
 """Of a level. With one more, the sum of brightness and colour would leave 16 bits."""
@@ -17,8 +18,8 @@ _READ_2D = types.Array(uint8, 2, "C", readonly=True)
 
 
 # compiled by itself: in place, the product becomes one of 64 bits
-@numba.njit(int16(int16, int16), nogil=True, error_model="numpy")
-def _high(a, b):  # type: ignore[no-untyped-def]
+@kernel(int16(int16, int16), nogil=True, error_model="numpy")
+def _high(a: Any, b: Any) -> Any:
     """The upper half of the product of two 16-bit numbers, rounded down: one instruction for many pixels."""
     return np.int16(np.int32(np.int32(a) * np.int32(b)) >> 16)
 
@@ -93,7 +94,7 @@ def _paint(luma, near, far, factors, line):  # type: ignore[no-untyped-def]
         line[3 * x + 2] = _level(bright, blues[x], far_blues[x])
 
 
-@numba.njit(
+@kernel(
     void(_READ_2D, _READ_2D, _READ_2D, int64[::1], int64, uint8[:, ::1]),
     cache=True,
     nogil=True,

@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 PLACES = 5
 """Rays through each box: through its middle, the middles of top and bottom, and those of left and right."""
@@ -12,7 +13,7 @@ _TABLE, _VECTOR = "Array(float64, 2, 'C', readonly=True)", "Array(float64, 1, 'C
 _ROWS, _BLOCKS = "float64[:,::1]", "float64[:,:,::1]"
 
 
-@njit("float64[:,::1](float64[:,::1], int64[::1], float64)", nogil=True, cache=True, error_model="numpy")
+@kernel("float64[:,::1](float64[:,::1], int64[::1], float64)", nogil=True, cache=True, error_model="numpy")
 def ray_places(corners_xyxy: Float64Array, rows: Int64Array, centre_to_corner: float) -> Float64Array:
     """Give the places in a picture through which rays are sent.
 
@@ -75,7 +76,7 @@ def _put(rays, first, rotation, translation, distance, spread, ray, n, centers, 
             covariances[n, i, k] = across * ((1.0 if i == k else 0.0) - outer) + along * outer
 
 
-@njit(
+@kernel(
     f"Tuple((int64[::1], {_ROWS}, {_BLOCKS}, {_ROWS}, {_BLOCKS}, float64[::1]))({_ROWS}, int64[::1], {_ROWS}, "
     f"int64[::1], {_TABLE}, {_TABLE}, {_VECTOR}, float64, UniTuple(float64, 4))",
     nogil=True,

@@ -2,11 +2,11 @@
 
 import math
 
-import numba
 import numpy as np
 from numba import boolean, float32, int64, types, uint16, void
 
 from sceneloom.arrays import BoolArray, Float32Array, Int64Array, UInt16Array
+from sceneloom.kernels.cache import kernel
 
 _IN_I64_1D = types.Array(int64, 1, "C", readonly=True)
 _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
@@ -16,7 +16,7 @@ _IN_U16_1D = types.Array(uint16, 1, "C", readonly=True)
 _IN_U16_2D = types.Array(uint16, 2, "C", readonly=True)
 
 
-@numba.njit(
+@kernel(
     void(_IN_I64_1D, _IN_F32_2D, _IN_F32_1D, _IN_U16_2D, uint16[::1], float32[::1]),
     cache=True,
     nogil=True,
@@ -48,7 +48,7 @@ def take_labels(
             trust[point_ids[i]] = weights[i]
 
 
-@numba.njit(
+@kernel(
     void(_IN_U16_2D, types.Array(float32, 2, "C", readonly=True), uint16, uint16[::1]),
     cache=True,
     nogil=True,
@@ -78,7 +78,7 @@ def count_votes(votes: UInt16Array, trust: Float32Array, none: int, labels: UInt
                 most, surest, labels[i] = count, sure, votes[a, i]
 
 
-@numba.njit(
+@kernel(
     void(
         _IN_I64_1D,
         _IN_F32_2D,

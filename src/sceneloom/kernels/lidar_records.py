@@ -5,6 +5,7 @@ import numpy as np
 from numba import float32, float64, int64, types, uint8, uint16, void
 
 from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array, UInt8Array, UInt16Array
+from sceneloom.kernels.cache import kernel
 
 _RECORD = numba.from_dtype(
     np.dtype(
@@ -14,7 +15,7 @@ _RECORD = numba.from_dtype(
 _RECORDS = types.Array(_RECORD, 1, "C", readonly=True)
 
 
-@numba.njit(
+@kernel(
     void(_RECORDS, float32[:, ::1], uint8[::1], uint16[::1], float64[::1], int64[::1]),
     cache=True,
     nogil=True,

@@ -1,10 +1,10 @@
 """LZF, the compression of `binary_compressed` PCD files."""
 
-import numba
 import numpy as np
 from numba import int64, types, uint8
 
 from sceneloom.arrays import UInt8Array
+from sceneloom.kernels.cache import kernel
 
 LARGEST_RATIO = 264 / 3
 """A back reference of three bytes stands for at most 264: no stream can unfold to more than this times its length."""
@@ -16,7 +16,7 @@ _SHORTEST = 2
 _IN_U8 = types.Array(uint8, 1, "C", readonly=True)
 
 
-@numba.njit(int64(_IN_U8, uint8[::1]), cache=True, nogil=True)
+@kernel(int64(_IN_U8, uint8[::1]), cache=True, nogil=True)
 def unfold(packed: UInt8Array, unpacked: UInt8Array) -> int:
     """Unfold an LZF stream into an array that has the length of what was packed.
 
@@ -70,7 +70,7 @@ def longest_fold(size: int) -> int:
     return size + (size + _LITERALS - 1) // _LITERALS + 8
 
 
-@numba.njit(int64(_IN_U8, uint8[::1]), cache=True, nogil=True)
+@kernel(int64(_IN_U8, uint8[::1]), cache=True, nogil=True)
 def fold(plain: UInt8Array, packed: UInt8Array) -> int:
     """Fold bytes into an LZF stream, which `unfold` describes: the last place of each three bytes is looked back to.
 

@@ -6,11 +6,11 @@ bias of the accelerometer: 15 numbers.
 
 from typing import Any
 
-import numba
 import numpy as np
 from numba import float64, int64, types
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.surface_map import INNER
 from sceneloom.kernels.turning import right_slope, times, transposed_times, turn, turn_vector
 
@@ -32,7 +32,7 @@ _PLACES = types.Array(int64, 1, "C", readonly=True)
 _COMPILED: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 
 
-@numba.njit(types.void(_M, _M, _READ_2D, _V, _T, _T, _M, int64), **INNER)
+@kernel(types.void(_M, _M, _READ_2D, _V, _T, _T, _M, int64), **INNER)
 def _add_pair(
     first: Float64Array, second: Float64Array, information: Float64Array, residual: Float64Array,
     blocks: Float64Array, couplings: Float64Array, right: Float64Array, i: int,
@@ -63,7 +63,7 @@ def _add_pair(
                     blocks[i + 1, r, c] += other * weighted_second[a, c]
 
 
-@numba.njit(types.void(_READ_2D, _READ_2D, _READ_2D, _READ_2D, _READ_1D, _V, _M, _M), **INNER)
+@kernel(types.void(_READ_2D, _READ_2D, _READ_2D, _READ_2D, _READ_1D, _V, _M, _M), **INNER)
 def _turn_residual(
     rotation: Float64Array, after: Float64Array, measured: Float64Array, slope: Float64Array, change: Float64Array,
     residual: Float64Array, first: Float64Array, second: Float64Array,
@@ -112,7 +112,7 @@ def _turn_residual(
             )
 
 
-@numba.njit(float64(_READ_2D, _READ_2D, _T, _T, _M), **_COMPILED)
+@kernel(float64(_READ_2D, _READ_2D, _T, _T, _M), **_COMPILED)
 def add_walk(
     biases: Float64Array,
     walk: Float64Array,
@@ -139,7 +139,7 @@ def add_walk(
     return cost
 
 
-@numba.njit(
+@kernel(
     float64(
         _READ_3D, _READ_2D, _READ_2D, _READ_2D, _READ_1D, float64, _PLACES, _READ_3D, _READ_2D, _READ_2D, _READ_3D,
         _READ_3D, _READ_2D, _T, _T, _M,
@@ -213,7 +213,7 @@ def add_inertial(
     return cost
 
 
-@numba.njit(
+@kernel(
     float64(
         _READ_3D, _READ_2D, _PLACES, _READ_3D, _READ_2D, _READ_3D, _T, _T, _M, _M,
     ),
@@ -266,7 +266,7 @@ def add_relative_poses(
     return cost
 
 
-@numba.njit(
+@kernel(
     float64(_READ_2D, _READ_2D, _READ_1D, _PLACES, float64, _T, _T, _M),
     **_COMPILED,
 )
@@ -312,7 +312,7 @@ def add_coasting(
     return cost
 
 
-@numba.njit(
+@kernel(
     float64(
         _READ_3D, _READ_2D, _READ_2D, _READ_2D, _PLACES, _READ_1D, _READ_2D, _READ_2D, _READ_1D, _READ_3D, _READ_2D,
         _READ_2D, _T, _M, _M,
@@ -375,7 +375,7 @@ def add_fixes(
     return cost
 
 
-@numba.njit(
+@kernel(
     float64(_READ_3D, _READ_2D, _PLACES, _READ_2D, _READ_1D, _READ_1D, _T, _M, _V),
     **_COMPILED,
 )

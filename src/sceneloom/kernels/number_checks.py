@@ -1,14 +1,14 @@
 """Whether small arrays hold what they should: numbers in range, edges in order, vectors that are not 0."""
 
 import numpy as np
-from numba import njit
 
 from sceneloom.arrays import AnyArray, Float32Array, UInt32Array
+from sceneloom.kernels.cache import kernel
 
 _TYPES = ("float32", "int32", "uint32")
 
 
-@njit(
+@kernel(
     [f"boolean(Array({name}, 1, 'C', readonly=True), float64, float64, boolean)" for name in _TYPES],
     nogil=True,
     cache=True,
@@ -29,7 +29,7 @@ def all_within(values: AnyArray, low: float, high: float, above: bool) -> bool: 
     return True
 
 
-@njit("int64(Array(float32, 2, 'C', readonly=True))", nogil=True, cache=True, error_model="numpy")
+@kernel("int64(Array(float32, 2, 'C', readonly=True))", nogil=True, cache=True, error_model="numpy")
 def first_zero(vectors: Float32Array) -> int:
     """Give the first row of (N, K) that is 0 all along; -1 where none is."""
     for n in range(len(vectors)):
@@ -41,7 +41,7 @@ def first_zero(vectors: Float32Array) -> int:
     return -1
 
 
-@njit("boolean(Array(uint32, 2, 'C', readonly=True))", nogil=True, cache=True, error_model="numpy")
+@kernel("boolean(Array(uint32, 2, 'C', readonly=True))", nogil=True, cache=True, error_model="numpy")
 def in_order(corners_xyxy: UInt32Array) -> bool:
     """Say whether no right edge of (N, 4) boxes is before the left one, and no lower edge above the upper one."""
     for n in range(len(corners_xyxy)):

@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
@@ -33,7 +34,7 @@ def _with_room(column, room):  # type: ignore[no-untyped-def]
     return wider
 
 
-@njit(
+@kernel(
     "Tuple((int64[::1], int64[::1], float64[::1]))(float64[:,::1], float64[:,:,::1], int64[:,::1], float64[::1], "
     "float64[:,::1], float64[:,:,::1], int64[:,::1], float64[::1], float64, float64, float64)",
     nogil=True,
@@ -116,7 +117,7 @@ def gains_in_space(
     return rows[:found].copy(), columns[:found].copy(), gains[:found].copy()
 
 
-@njit(
+@kernel(
     "void(int64[::1], int64[::1], float64[::1], float64[:,::1], float64[:,::1], boolean[::1], float64, float64, "
     "float64, float64)",
     nogil=True,

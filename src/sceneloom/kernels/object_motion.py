@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 SIZE, MEASURED = 11, 7
 _YAW, _TURN = 6, 10
@@ -69,7 +70,7 @@ def _shake(covariance, heading, seconds, variances):  # type: ignore[no-untyped-
     covariance[_TURN, _TURN] += turn * seconds
 
 
-@njit(
+@kernel(
     "Tuple((float64[:,::1], float64[:,:,::1], float64[:,:,::1]))(float64[:,::1], float64[:,:,::1], boolean[::1], "
     "float64, float64, float64[:,::1])",
     nogil=True,
@@ -186,7 +187,7 @@ def _read(mean, covariance, apart, root, crossed, gain):  # type: ignore[no-unty
     mean[_YAW] = _wrapped(mean[_YAW])
 
 
-@njit(
+@kernel(
     "void(float64[:,::1], float64[:,:,::1], int64[::1], float64[:,::1], float64[:,:,::1], int64[::1], float64)",
     nogil=True,
     cache=True,
@@ -226,7 +227,7 @@ def read_boxes(
             _read(means[n], covariances[n], apart, root, crossed, gain)
 
 
-@njit(
+@kernel(
     "void(float64[:,::1], float64[:,:,::1], boolean[::1], float64)",
     nogil=True,
     cache=True,

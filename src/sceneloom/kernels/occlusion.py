@@ -3,11 +3,11 @@
 import math
 from typing import Any
 
-import numba
 import numpy as np
 from numba import float32, float64, int32, int64, types, void
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.crew import ALONE, Crew
 from sceneloom.kernels.direction_grid import keep_nearest, place_grid, read_keys
 from sceneloom.kernels.lanes import LANES
@@ -20,7 +20,7 @@ _ROUNDS = 4
 _KERNEL: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 
 
-@numba.njit(
+@kernel(
     void(
         _IN_F32_1D, _IN_F32_1D, _IN_F32_1D, _IN_F32_1D, float64, int64, int64, int64, int64, int32[::1], int64[::1]
     ),
@@ -37,7 +37,7 @@ def _keep_nearest(
     keys[0] = 0
 
 
-@numba.njit(void(int64[:, ::1], int64, int64, float32[::1], float32[::1], float32[::1]), **_KERNEL)
+@kernel(void(int64[:, ::1], int64, int64, float32[::1], float32[::1], float32[::1]), **_KERNEL)
 def _read_keys(
     keys: AnyArray, start: int, stop: int, nearest: Float32Array, right: Float32Array, down: Float32Array
 ) -> None:
@@ -50,7 +50,7 @@ def _read_keys(
     read_keys(whole, nearest[start:stop], right[start:stop], down[start:stop])
 
 
-@numba.njit(
+@kernel(
     void(
         _IN_F32_1D, _IN_F32_1D, _IN_F32_1D, int64, int64, float64, float64, float64, float32[::1], float32[::1]
     ),

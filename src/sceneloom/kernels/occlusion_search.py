@@ -8,6 +8,7 @@ import numpy as np
 from numba import boolean, float32, float64, int32, int64, types, void
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.direction_grid import INNER, fraction
 from sceneloom.kernels.lanes import LANES, find_beside, find_nearing, find_quadrants
 
@@ -244,7 +245,7 @@ def _decide(
     )
 
 
-@numba.njit(
+@kernel(
     void(
         _IN_F32_1D, _IN_F32_1D, _IN_F32_1D, _IN_I32_1D, float64, int64, _IN_F32_1D, _IN_F32_1D, _IN_F32_1D,
         _IN_F32_1D, _IN_F32_1D, int64, int64, int64, _IN_F32_1D, _IN_F64_2D, _IN_I64_1D, _IN_F32_1D, boolean[::1],

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit, prange
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
+from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.raycast import (
     BOX,
     CYLINDER,
@@ -299,7 +300,7 @@ def _paint_chunk(
             colors[slot, i] = np.uint8(min(255.0, max(0.0, color[i] + (_HORIZON[i] - color[i]) * haze + 0.5)))
 
 
-@njit(
+@kernel(
     "void(float64[:,::1], int32[::1], float64[:,:,::1], float64[:,::1], int64[::1], float64[::1], int32[::1], "
     "uint8[::1], float64[:,:,::1], int32[::1], float64[:,:,:,::1], float64[:,::1], uint8[::1], float64[:,:,::1], "
     "float64[:,::1], int64[::1], float32[:,:,::1], float64[::1], float64, float64[:,::1], float64, "

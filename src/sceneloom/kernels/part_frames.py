@@ -5,6 +5,7 @@ import math
 from numba import njit, prange
 
 from sceneloom.arrays import BoolArray, Float64Array
+from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.raycast import INNER, Int32Array
 
 _FAR = 1e7
@@ -25,7 +26,7 @@ def _swing_back(frame: Float64Array, angle: float, x: float, z: float) -> None:
     frame[2, 3] += z
 
 
-@njit(
+@kernel(
     "void(float64[:,:,::1], boolean[:,::1], int32[::1], float64[:,::1], float64[::1], float64[::1], "
     "float64[:,:,:,::1])",
     parallel=True,

@@ -2,11 +2,11 @@
 
 import math
 
-import numba
 import numpy as np
 from numba import types
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 _IN_F32_2D = types.Array(types.float32, 2, "C", readonly=True)
 _IN_F64_2D = types.Array(types.float64, 2, "C", readonly=True)
@@ -14,7 +14,7 @@ _IN_I64_1D = types.Array(types.int64, 1, "C", readonly=True)
 _OUT_F64_2D = types.Array(types.float64, 2, "C")
 
 
-@numba.njit(
+@kernel(
     types.void(_IN_F32_2D, _IN_I64_1D, _IN_F64_2D, _IN_I64_1D, _IN_F64_2D, _IN_F64_2D, _OUT_F64_2D),
     cache=True,
     nogil=True,

@@ -2,11 +2,11 @@
 
 import math
 
-import numba
 import numpy as np
 from numba import boolean, float32, float64, int64, types, uint8, void
 
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from sceneloom.kernels.cache import kernel
 
 _IN_I64_1D = types.Array(int64, 1, "C", readonly=True)
 _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
@@ -24,7 +24,7 @@ _LEAST_DEPTH = np.float32(0.05)
 """Points beside the lens or behind it, which wide lenses show, too, have no inverse depth to compare [m]."""
 
 
-@numba.njit(
+@kernel(
     void(_IN_F32_2D, _IN_U8_3D, float32[:, ::1]),
     cache=True,
     nogil=True,
@@ -51,7 +51,7 @@ def sample_between_pixels(pixels: Float32Array, rgb: UInt8Array, colors: Float32
             colors[i, c] = (float32(1.0) - b) * upper + b * lower
 
 
-@numba.njit(
+@kernel(
     void(_IN_F32_2D, _IN_U8_3D, float32[::1]),
     cache=True,
     nogil=True,
@@ -81,7 +81,7 @@ def measure_contrasts(pixels: Float32Array, rgb: UInt8Array, contrasts: Float32A
         contrasts[i] = greatest
 
 
-@numba.njit(
+@kernel(
     void(_IN_F32_2D, _IN_F32_1D, _IN_BOOL_1D, int64, int64, float64, float64, float64, boolean[::1]),
     cache=True,
     nogil=True,
@@ -141,7 +141,7 @@ def mark_outlines(
         near_outline[i] = (high - inverse > step) | (inverse - low > step)
 
 
-@numba.njit(
+@kernel(
     void(
         _IN_F64_2D, _IN_I64_1D, _IN_F32_2D, _IN_BOOL_1D, _IN_BOOL_1D, _IN_F32_2D, _IN_I64_1D, _IN_F64_2D, int64, int64,
         int64, _IN_F64_1D, float32[::1],

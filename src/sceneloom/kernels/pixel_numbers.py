@@ -7,6 +7,7 @@ import numpy as np
 from numba import float32, int32, int64, types, void
 
 from sceneloom.arrays import AnyArray, Float32Array, Int32Array
+from sceneloom.kernels.cache import kernel
 
 PART: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 """Options of functions that are compiled, and cached, as parts of others."""
@@ -51,7 +52,7 @@ def number_pixels(flat_pixels: Float32Array, width: int, height: int, numbers: A
         numbers[i] = number if inside else np.int32(-1)
 
 
-@numba.njit(void(_IN_F32_2D, int64, int64, int32[::1]), cache=True, nogil=True, error_model="numpy")
+@kernel(void(_IN_F32_2D, int64, int64, int32[::1]), cache=True, nogil=True, error_model="numpy")
 def _number_pixels(pixels: Float32Array, width: int, height: int, numbers: AnyArray) -> None:
     number_pixels(pixels.reshape(pixels.size), width, height, numbers)
 

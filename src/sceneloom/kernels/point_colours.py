@@ -13,6 +13,7 @@ from sceneloom.arrays import (
     Int64Array,
     UInt8Array,
 )
+from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.fetching import fetch
 from sceneloom.kernels.pixel_numbers import BLOCK, PART
 
@@ -73,7 +74,7 @@ def _paint(
             camera_index[k] = camera
 
 
-@numba.njit(
+@kernel(
     void(
         _IN_I64_1D,
         _IN_F32_2D,

@@ -8,6 +8,7 @@ import numpy as np
 from numba import float32, float64, int64, types, void
 
 from sceneloom.arrays import Float64Array, FloatArray, Int64Array
+from sceneloom.kernels.cache import kernel
 
 _MOST_CELLS = 1 << 18
 _MOST_ENTRIES = 1 << 25
@@ -104,7 +105,7 @@ _ROWS_F64 = types.Array(float64, 2, "C", readonly=True)
 _REST = (float64[::1], float64[:, :, ::1], float64[:, :, :, ::1], float64[:, :, ::1], int64[::1], int64[::1])
 
 
-@numba.njit([void(_ROWS_F32, *_REST), void(_ROWS_F64, *_REST)], nogil=True, cache=True, error_model="numpy")
+@kernel([void(_ROWS_F32, *_REST), void(_ROWS_F64, *_REST)], nogil=True, cache=True, error_model="numpy")
 def find_points_in_boxes(
     points: FloatArray,
     places: Float64Array,

@@ -1,15 +1,15 @@
 """The points of a cloud that lie in any of several cones: what may be in boxes of a picture, before a lens is asked."""
 
 import numpy as np
-from numba import njit
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 _CLOUD, _TABLE = "Array(float32, 2, 'C', readonly=True)", "Array(float64, 2, 'C', readonly=True)"
 _VECTOR = "Array(float64, 1, 'C', readonly=True)"
 
 
-@njit(
+@kernel(
     f"int64[::1]({_CLOUD}, {_VECTOR}, {_TABLE}, {_VECTOR})",
     nogil=True,
     cache=True,

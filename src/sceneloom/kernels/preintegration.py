@@ -1,10 +1,10 @@
 """What an IMU measured between two moments, summed up in the frame of the first: turn, gain of speed, and way."""
 
-import numba
 import numpy as np
 from numba import float64, int64, types
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.surface_map import INNER
 from sceneloom.kernels.turning import times, times_cross, transposed_times, turn
 
@@ -17,7 +17,7 @@ _READ_1D = types.Array(float64, 1, "C", readonly=True)
 _READ_2D = types.Array(float64, 2, "C", readonly=True)
 
 
-@numba.njit(types.void(_V, _V, float64, _V, _M), **INNER)
+@kernel(types.void(_V, _V, float64, _V, _M), **INNER)
 def _turn_between(
     before: Float64Array, after: Float64Array, h: float, v: Float64Array, m: Float64Array
 ) -> None:
@@ -29,7 +29,7 @@ def _turn_between(
     turn(v, m)
 
 
-@numba.njit(types.void(_M, float64, _M, _M, _V, _V), **INNER)
+@kernel(types.void(_M, float64, _M, _M, _V, _V), **INNER)
 def _step(
     readings: Float64Array,
     h: float,
@@ -69,7 +69,7 @@ def _step(
             rotation[i, k] = at_end[i, k]
 
 
-@numba.njit(types.void(_M, float64, _M, _M), **INNER)
+@kernel(types.void(_M, float64, _M, _M), **INNER)
 def _carry_slopes(work: Float64Array, h: float, slopes: Float64Array, pull: Float64Array) -> None:
     """Carry the slopes by the biases, (9, 6), over one step; `pull` is written: how a turn turns the force, (3, 3).
 
@@ -96,7 +96,7 @@ def _carry_slopes(work: Float64Array, h: float, slopes: Float64Array, pull: Floa
             slopes[i, k] = turned[i, k] - (h if i == k else 0.0)
 
 
-@numba.njit(types.void(_M, float64, _M, _M, float64, float64), **INNER)
+@kernel(types.void(_M, float64, _M, _M, float64, float64), **INNER)
 def _carry_covariance(
     work: Float64Array,
     h: float,
@@ -139,7 +139,7 @@ def _carry_covariance(
         covariance[6 + i, 3 + i] += h * h / 2.0 * accelerometer
 
 
-@numba.njit(types.void(_TIMES, _READ_2D, int64, int64, _READ_1D, _V, _V), **INNER)
+@kernel(types.void(_TIMES, _READ_2D, int64, int64, _READ_1D, _V, _V), **INNER)
 def _reading_at(
     times_ns: Int64Array, samples: Float64Array, after: int, time_ns: int, bias: Float64Array,
     rate: Float64Array, force: Float64Array,
@@ -156,7 +156,7 @@ def _reading_at(
         )
 
 
-@numba.njit(
+@kernel(
     types.void(
         _TIMES, _READ_2D, _TIMES, _READ_2D, _READ_2D, float64[:, :, ::1], _M, _M, float64[:, :, ::1],
         float64[:, :, ::1],
@@ -220,7 +220,7 @@ def preintegrate(
                 after += 1
 
 
-@numba.njit(
+@kernel(
     types.void(
         _TIMES, _READ_2D, _TIMES, _READ_2D, _TIMES, _TIMES, float64[:, :, ::1], _M, _M, float64[:, :, ::1]
     ),

@@ -19,6 +19,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
+from sceneloom.kernels.cache import kernel
 
 Int32Array = NDArray[np.int32]
 
@@ -218,7 +219,7 @@ def _trace_bundle(
         hits[slots[k]] = hit
 
 
-@njit(
+@kernel(
     "void(float64[:,::1], int32[::1], float64[:,:,::1], float64[:,::1], int64[::1], int64[::1], "
     "uint8[::1], float64[:,:,::1], int32[::1], float64[:,:,:,::1], float64[:,::1], int32[::1], float64, "
     "float64[::1], int32[::1])",

@@ -1,16 +1,16 @@
 """Pictures on another grid: each new pixel is blended from the four old ones around its place."""
 
-import numba
 import numpy as np
 from numba import boolean, float32, types, uint8, void
 
 from sceneloom.arrays import BoolArray, Float32Array, UInt8Array
+from sceneloom.kernels.cache import kernel
 
 _IN_F32_3D = types.Array(float32, 3, "C", readonly=True)
 _IN_U8_3D = types.Array(uint8, 3, "C", readonly=True)
 
 
-@numba.njit(
+@kernel(
     void(_IN_U8_3D, _IN_F32_3D, uint8[:, :, ::1], boolean[:, ::1]),
     cache=True,
     nogil=True,

@@ -2,10 +2,10 @@
 
 import math
 
-import numba
 from numba import float64, int64, types, void
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 _IN_F64_1D = types.Array(float64, 1, "C", readonly=True)
 _IN_F64_2D = types.Array(float64, 2, "C", readonly=True)
@@ -15,7 +15,7 @@ _LEAST_NEARING = 0.05
 """By how much less than a line a picture moves from line to line; where that vanishes, steps would be endless."""
 
 
-@numba.njit(
+@kernel(
     int64(_IN_F64_2D, _IN_F64_2D, float64, float64, float64, int64[::1], float64[:, ::1]),
     cache=True,
     nogil=True,
@@ -62,7 +62,7 @@ def keep_in_reach(
     return count
 
 
-@numba.njit(
+@kernel(
     void(
         _IN_F64_2D,
         types.Array(int64, 1, "C", readonly=True),
@@ -113,7 +113,7 @@ def place_at_lines(
             )
 
 
-@numba.njit(
+@kernel(
     int64(
         _IN_F64_2D, int64, int64, float64, float64, int64[::1], float64[::1], float64[::1], float64[::1],
         int64[::1]

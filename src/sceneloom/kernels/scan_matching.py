@@ -2,11 +2,11 @@
 
 import math
 
-import numba
 import numpy as np
 from numba import float64, int32, int64, types
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.surface_map import INNER, find_cube, first_place, pack_key
 from sceneloom.kernels.turning import turn
 
@@ -16,7 +16,7 @@ _READ_F64_1D = types.Array(float64, 1, "C", readonly=True)
 _READ_F64_2D = types.Array(float64, 2, "C", readonly=True)
 
 
-@numba.njit(int64(_READ_F64_2D, float64, int64[::1]), cache=True, nogil=True)
+@kernel(int64(_READ_F64_2D, float64, int64[::1]), cache=True, nogil=True)
 def thin_points(points: Float64Array, leaf: float, chosen: Int64Array) -> int:
     """Choose one point of each cube of side `leaf` [m]: the first that fell into it.
 
@@ -48,7 +48,7 @@ def thin_points(points: Float64Array, leaf: float, chosen: Int64Array) -> int:
     return count
 
 
-@numba.njit(
+@kernel(
     types.void(
         _READ_F64_2D, _READ_F64_1D, _READ_F64_2D, _READ_F64_1D, _READ_F64_1D, _READ_F64_1D, float64[:, ::1],
         float64[:, ::1],
@@ -105,7 +105,7 @@ def move_points(
         points_world[i, 2] = position[2] + t * velocity[2] + half * cz + az
 
 
-@numba.njit(
+@kernel(
     types.void(
         float64, float64, float64, float64, float64, int32[::1], int64[::1], float64[:, ::1], float64[::1]
     ),
@@ -164,7 +164,7 @@ def _meet_surfaces(
         met[11] += near
 
 
-@numba.njit(types.void(float64[:, :, ::1]), **INNER)
+@kernel(types.void(float64[:, :, ::1]), **INNER)
 def _mirror(matrices: Float64Array) -> None:
     """Fill the lower halves of symmetric matrices."""
     for k in range(matrices.shape[0]):
@@ -173,7 +173,7 @@ def _mirror(matrices: Float64Array) -> None:
                 matrices[k, r, c] = matrices[k, c, r]
 
 
-@numba.njit(
+@kernel(
     types.void(
         _READ_F64_1D, float64, float64[::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1]
     ),
@@ -208,7 +208,7 @@ def _add_point(
             information[2, r, c] += t * t * h
 
 
-@numba.njit(
+@kernel(
     types.void(
         _READ_F64_2D, _READ_F64_2D, _READ_F64_1D, float64, float64, int32[::1], int64[::1], float64[:, ::1], float64,
         int32[::1], int64[::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1], float64[::1],

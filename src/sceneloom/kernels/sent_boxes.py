@@ -1,14 +1,14 @@
 """Boxes as detectors send them, in the numbers that are reckoned with."""
 
 import numpy as np
-from numba import njit
 
 from sceneloom.arrays import Float32Array, Float64Array
+from sceneloom.kernels.cache import kernel
 
 _LIST, _ROWS = (f"Array(float32, {n}, 'C', readonly=True)" for n in (1, 2))
 
 
-@njit(
+@kernel(
     "Tuple((float64[:,::1], float64[:,::1], float64[::1], float64[:,::1]))"
     f"({_ROWS}, {_ROWS}, {_ROWS}, {_LIST}, {_ROWS})",
     nogil=True,

@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit, prange
 
 from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
+from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.raycast import INNER, Int32Array, bundle_cone, cull, meet_shape, take_into_frame
 
 
@@ -41,7 +42,7 @@ def _count_bundle(
                 met = thing
 
 
-@njit(
+@kernel(
     "void(float64[:,::1], int32[::1], float64[:,:,::1], float64[:,::1], int64[::1], uint8[::1], float64[:,:,::1], "
     "int32[::1], int32[::1], float64[:,:,:,::1], float64[:,::1], int32[::1], float64, int64[:,::1])",
     parallel=True,

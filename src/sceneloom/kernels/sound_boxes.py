@@ -1,15 +1,15 @@
 """Which boxes have numbers that can be reckoned with, and those numbers side by side."""
 
 import numpy as np
-from numba import njit
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 _IN_1D, _IN_2D = (f"Array(float64, {n}, 'C', readonly=True)" for n in (1, 2))
 _OUT = "Tuple((float64[:,::1], int64[::1]))"
 
 
-@njit(f"{_OUT}({_IN_2D}, {_IN_2D}, {_IN_1D})", nogil=True, cache=True, error_model="numpy")
+@kernel(f"{_OUT}({_IN_2D}, {_IN_2D}, {_IN_1D})", nogil=True, cache=True, error_model="numpy")
 def boxes_with_place(
     centers: Float64Array, sizes: Float64Array, yaws: Float64Array
 ) -> tuple[Float64Array, Int64Array]:
@@ -33,7 +33,7 @@ def boxes_with_place(
     return boxes[:count], rows[:count]
 
 
-@njit(f"{_OUT}({_IN_2D})", nogil=True, cache=True, error_model="numpy")
+@kernel(f"{_OUT}({_IN_2D})", nogil=True, cache=True, error_model="numpy")
 def boxes_with_area(corners: Float64Array) -> tuple[Float64Array, Int64Array]:
     """Take those boxes in a picture that have finite edges, right and lower ones beyond left and upper ones.
 

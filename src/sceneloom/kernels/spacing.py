@@ -7,6 +7,7 @@ import numpy as np
 from numba import float32, float64, int32, int64, types, void
 
 from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int32Array, Int64Array
+from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.crew import ALONE, Crew
 from sceneloom.kernels.direction_grid import BLOCK, INNER, fit_grid, number_cells, place_grid
 
@@ -20,7 +21,7 @@ _IN_I64_1D = types.Array(int64, 1, "C", readonly=True)
 _IN_I64_2D = types.Array(int64, 2, "C", readonly=True)
 
 
-@numba.njit(
+@kernel(
     void(
         _IN_F32_1D, _IN_F32_1D, _IN_F32_1D, int64, int64, _IN_F32_1D, float64, int64, int32[::1], int32[::1]
     ),
@@ -53,7 +54,7 @@ def _occupy(
     holders[0] = 0
 
 
-@numba.njit(
+@kernel(
     void(
         _IN_I32_2D, int64, _IN_I32_1D, _IN_I64_1D, _IN_I64_1D, _IN_I64_1D, _IN_F64_1D, float64[:, ::1], int64[:, ::1]
     ),
@@ -148,7 +149,7 @@ def _slope(
     return scale * abs(first - second) / apart if straight else math.nan
 
 
-@numba.njit(
+@kernel(
     void(_IN_F32_2D, _IN_F32_1D, _IN_I64_1D, _IN_I64_2D, float64, float64, float64, float64[::1]),
     cache=True,
     nogil=True,
@@ -213,9 +214,7 @@ def _mean_of_middle(counts: AnyArray, known: int) -> float:
     return total / (last - first)
 
 
-@numba.njit(
-    void(_IN_F64_2D, float64, int64, int64, float64[::1]), cache=True, nogil=True, error_model="numpy"
-)
+@kernel(void(_IN_F64_2D, float64, int64, int64, float64[::1]), cache=True, nogil=True, error_model="numpy")
 def measure_along_axes(
     distances: Float64Array, cell: float, reach: int, fewest: int, spacings: Float64Array
 ) -> None:
@@ -234,7 +233,7 @@ def measure_along_axes(
         spacings[axis] = cell * _mean_of_middle(counts, known) if known >= fewest else math.nan
 
 
-@numba.njit(void(_IN_F64_2D, int64, float64[::1]), cache=True, nogil=True, error_model="numpy")
+@kernel(void(_IN_F64_2D, int64, float64[::1]), cache=True, nogil=True, error_model="numpy")
 def measure_across(distances: Float64Array, fewest: int, spacings: Float64Array) -> None:
     """Write the upper quartile of each point's distances to its neighbours.
 

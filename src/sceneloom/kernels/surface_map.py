@@ -8,6 +8,7 @@ import numpy as np
 from numba import float64, int32, int64, types, uint8
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 INNER: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 """How the functions that only other kernels call are compiled."""
@@ -25,13 +26,13 @@ _HALF_KEY = 1 << 20
 _READ_F64_2D = types.Array(float64, 2, "C", readonly=True)
 
 
-@numba.njit(int64(int64, int64, int64), inline="always", **INNER)
+@numba.njit(inline="always", **INNER)
 def pack_key(ix: int, iy: int, iz: int) -> int:
     """One number for the cube (ix, iy, iz), each within ±2^20."""
     return ((ix + _HALF_KEY) << 42) | ((iy + _HALF_KEY) << 21) | (iz + _HALF_KEY)
 
 
-@numba.njit(int64(int64, int64), inline="always", **INNER)
+@numba.njit(inline="always", **INNER)
 def first_place(key: int, mask: int) -> Any:
     """Where the search for a key begins in the table.
 
@@ -43,7 +44,7 @@ def first_place(key: int, mask: int) -> Any:
     return np.int64(h >> np.uint64(20)) & mask
 
 
-@numba.njit(int64(int64, int32[::1], int64[::1]), **INNER)
+@kernel(int64(int64, int32[::1], int64[::1]), **INNER)
 def find_cube(key: int, table: AnyArray, keys: Int64Array) -> int:
     """The number of the cube with a key, or -1."""
     mask = table.shape[0] - 1
@@ -57,7 +58,7 @@ def find_cube(key: int, table: AnyArray, keys: Int64Array) -> int:
         place = (place + 1) & mask
 
 
-@numba.njit(types.void(int64, int64[::1], int32[::1]), cache=True, nogil=True)
+@kernel(types.void(int64, int64[::1], int32[::1]), cache=True, nogil=True)
 def fill_table(count: int, keys: Int64Array, table: AnyArray) -> None:
     """Write the first `count` cubes into an empty table (-1 everywhere) whose length is a power of two."""
     mask = table.shape[0] - 1
@@ -68,7 +69,7 @@ def fill_table(count: int, keys: Int64Array, table: AnyArray) -> None:
         table[place] = cube
 
 
-@numba.njit(
+@kernel(
     types.void(
         _READ_F64_2D, int64[::1], float64, int64, int32[::1], int64[::1], float64[:, ::1], uint8[:, ::1],
         uint8[::1],
@@ -144,7 +145,7 @@ def insert_points(
     progress[0], progress[1] = points_world.shape[0], count
 
 
-@numba.njit(types.void(float64[:, ::1], float64[:, ::1]), **INNER)
+@kernel(types.void(float64[:, ::1], float64[:, ::1]), **INNER)
 def _diagonalise(a: Float64Array, v: Float64Array) -> None:
     """Turn a symmetric (3, 3) matrix into the diagonal of its eigenvalues and `v` into its eigenvectors (columns).
 
@@ -176,7 +177,7 @@ def _diagonalise(a: Float64Array, v: Float64Array) -> None:
                     v[k, p], v[k, q] = c * kp - s * kq, s * kp + c * kq
 
 
-@numba.njit(types.void(float64, float64, float64, float64, float64[::1]), **INNER)
+@kernel(types.void(float64, float64, float64, float64, float64[::1]), **INNER)
 def _add_square(weight: float, x: float, y: float, z: float, sums: Float64Array) -> None:
     """Add weight times the outer product of a vector with itself: xx xy xz yy yz zz."""
     sums[0] += weight * x * x
@@ -187,7 +188,7 @@ def _add_square(weight: float, x: float, y: float, z: float, sums: Float64Array)
     sums[5] += weight * z * z
 
 
-@numba.njit(types.void(float64[:, ::1], float64[:, ::1], float64, float64[::1]), **INNER)
+@kernel(types.void(float64[:, ::1], float64[:, ::1], float64, float64[::1]), **INNER)
 def _inform(a: Float64Array, v: Float64Array, noise: float, surface: Float64Array) -> None:
     """Write what a spread, given by its eigenvalues (diagonal of `a`) and eigenvectors, tells about a surface."""
     e = 0 if a[0, 0] >= a[1, 1] else 1
@@ -210,7 +211,7 @@ def _inform(a: Float64Array, v: Float64Array, noise: float, surface: Float64Arra
         _add_square(weight, v[0, axis], v[1, axis], v[2, axis], surface[9:15])
 
 
-@numba.njit(
+@kernel(
     types.void(int64, float64, float64, float64, int64[::1], float64[:, ::1], uint8[::1], float64[:, ::1]),
     cache=True,
     nogil=True,

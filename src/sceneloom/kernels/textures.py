@@ -12,6 +12,7 @@ import math
 from numba import njit
 
 from sceneloom.arrays import Float64Array
+from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.raycast import INNER
 
 PLAIN, FACADE, BRICK, TILES, FOLIAGE, BARK, CAR_BODY, CAR_CABIN, TYRE, BANDS = range(10)
@@ -23,7 +24,7 @@ ALONG_X, ALONG_Y, ALONG_Z, SLANTED = range(4)
 _SOFT = 0.02
 
 
-@njit("float64(int64, int64, int64)", **INNER)
+@kernel("float64(int64, int64, int64)", **INNER)
 def _hash(i: int, j: int, salt: int) -> float:
     """A number in [0, 1) that belongs to a lattice point."""
     h = (i * 374761393 + j * 668265263 + salt * 362437) & 0xFFFFFFFF
@@ -31,7 +32,7 @@ def _hash(i: int, j: int, salt: int) -> float:
     return float((h ^ (h >> 16)) / 4294967296.0)
 
 
-@njit("float64(float64, float64, int64, float64)", **INNER)
+@kernel("float64(float64, float64, int64, float64)", **INNER)
 def noise(x: float, y: float, salt: int, width: float) -> float:
     """Smooth noise of period 1 in [-1, 1], fading as a pixel grows over the lattice."""
     fade = 1.4 - 2.0 * width
@@ -45,7 +46,7 @@ def noise(x: float, y: float, salt: int, width: float) -> float:
     return float(min(1.0, fade) * (2.0 * (low * (1.0 - b) + high * b) - 1.0))
 
 
-@njit("float64(float64, float64, float64, float64)", **INNER)
+@kernel("float64(float64, float64, float64, float64)", **INNER)
 def band(x: float, low: float, high: float, width: float) -> float:
     """Share of a window of a width around x that lies between low and high."""
     width = max(width, _SOFT)
@@ -53,14 +54,14 @@ def band(x: float, low: float, high: float, width: float) -> float:
     return max(0.0, upper - lower) / width
 
 
-@njit("float64(float64, float64, float64, float64)", **INNER)
+@kernel("float64(float64, float64, float64, float64)", **INNER)
 def _covered(x: float, period: float, low: float, high: float) -> float:
     """Length of the bands [low, high) of every period between 0 and x."""
     whole = math.floor(x * (1.0 / period))
     return float(whole * (high - low) + min(max(x - whole * period - low, 0.0), high - low))
 
 
-@njit("float64(float64, float64, float64, float64, float64)", **INNER)
+@kernel("float64(float64, float64, float64, float64, float64)", **INNER)
 def bands(x: float, period: float, low: float, high: float, width: float) -> float:
     """Share of a window of a width around x that lies in the bands [low, high) of every period."""
     width = max(width, _SOFT)
@@ -130,7 +131,7 @@ def _tiles(u: float, v: float, wu: float, wv: float, salt: int) -> tuple[float, 
     return 0.8 * gaps, 0.0, 1.0 + 0.1 * noise(u / 1.1, v / 0.8, salt, max(wu, wv))
 
 
-@njit("float64(float64, float64, float64, int64, float64)", **INNER)
+@kernel("float64(float64, float64, float64, int64, float64)", **INNER)
 def _noise_in_space(x: float, y: float, z: float, salt: int, width: float) -> float:
     """Smooth noise of period 1 in [-1, 1] inside a body, from two layers of plane noise."""
     layer = math.floor(z)

@@ -9,6 +9,7 @@ from numba import njit
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.kernels.assignment import best_columns
+from sceneloom.kernels.cache import kernel
 
 _EPSILON = float(np.finfo(np.float64).eps)
 """Similarities that are less below a threshold than this reach it, as in TrackEval."""
@@ -20,7 +21,7 @@ def _block(flat, starts, frame, rows, columns):  # type: ignore[no-untyped-def]
     return flat[starts[frame] : starts[frame + 1]].reshape((rows, columns))
 
 
-@njit(
+@kernel(
     "Tuple((int64[::1], int64[::1]))(float64[::1], int64[::1], int64[::1], int64[::1], float64)",
     nogil=True,
     cache=True,
@@ -63,7 +64,7 @@ def most_similar_pairs(
     return of_found, of_true
 
 
-@njit(
+@kernel(
     "float64[::1](float64[::1], int64[::1], int64[::1], int64[::1], boolean[::1], boolean[::1])",
     nogil=True,
     cache=True,
@@ -90,7 +91,7 @@ def kept_pairs(
     return kept[:count].copy()
 
 
-@njit(
+@kernel(
     "float64[:,::1](float64[::1], int64[::1], int64[::1], int64[::1], int64[::1], int64[::1], int64, int64)",
     nogil=True,
     cache=True,
@@ -132,7 +133,7 @@ def shared_frames(
     return shared
 
 
-@njit(
+@kernel(
     "Tuple((int64[::1], int64[::1], float64[::1]))(float64[::1], int64[::1], int64[::1], int64[::1], int64[::1], "
     "int64[::1], float64[:,::1])",
     nogil=True,
@@ -181,7 +182,7 @@ def aligned_pairs(
     return firsts[:count].copy(), seconds[:count].copy(), values[:count].copy()
 
 
-@njit(
+@kernel(
     "Tuple((int64, int64, float64, int64[::1], int64[::1]))(float64[::1], int64[::1], int64[::1], int64[::1], "
     "int64[::1], int64[::1], int64, float64)",
     nogil=True,
@@ -246,7 +247,7 @@ def followed_pairs(
     return paired_count, switches, total, frames, begun
 
 
-@njit(
+@kernel(
     "float64[:,::1](float64[::1], int64[::1], int64[::1], int64[::1], int64[::1], int64[::1], int64, int64, float64)",
     nogil=True,
     cache=True,
@@ -275,7 +276,7 @@ def similar_frames(
     return counts
 
 
-@njit(
+@kernel(
     "boolean[::1](float64[::1], int64[::1], int64[::1], int64[::1], float64)",
     nogil=True,
     cache=True,

@@ -3,14 +3,15 @@
 import math
 
 import numpy as np
-from numba import float64, njit, types
+from numba import float64, types
 
 from sceneloom.arrays import Float64Array
+from sceneloom.kernels.cache import kernel
 
 _IN_F64_2D = types.Array(float64, 2, "C", readonly=True)
 
 
-@njit(
+@kernel(
     float64[:, ::1](_IN_F64_2D), cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"}
 )
 def triangle_of(columns: Float64Array) -> Float64Array:

@@ -8,6 +8,7 @@ import numpy as np
 from numba import boolean, float32, int32, types, void
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array
+from sceneloom.kernels.cache import kernel
 
 _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
 _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
@@ -24,7 +25,7 @@ _ROUNDING = np.float32(1e-4)
 """How far outside a triangle a pixel may lie and still be filled by it, as a share of the triangle."""
 
 
-@numba.njit(void(_IN_F32_2D, _IN_F32_1D, _IN_I32_2D, float32[:, ::1]), **_KERNEL)
+@kernel(void(_IN_F32_2D, _IN_F32_1D, _IN_I32_2D, float32[:, ::1]), **_KERNEL)
 def measure_triangles(
     pixels: Float32Array, inverse_depths: Float32Array, triangles: AnyArray, measures: Float32Array
 ) -> None:
@@ -50,7 +51,7 @@ def measure_triangles(
         measures[t, 2] = math.sqrt(slope_u * slope_u + slope_v * slope_v) if twice != 0 else math.inf
 
 
-@numba.njit(void(_IN_F32_2D, _IN_F32_1D, _IN_I32_2D, _IN_F32_1D, float32[:, ::1], float32[::1]), **_KERNEL)
+@kernel(void(_IN_F32_2D, _IN_F32_1D, _IN_I32_2D, _IN_F32_1D, float32[:, ::1], float32[::1]), **_KERNEL)
 def measure_slopes(
     pixels: Float32Array,
     inverse_depths: Float32Array,
@@ -123,7 +124,7 @@ def _evenness(
     return min(one, most / least - one) * (min(one, off / (most - least)) if most > least else one)
 
 
-@numba.njit(
+@kernel(
     void(
         _IN_F32_2D, _IN_F32_1D, _IN_F32_2D, _IN_I32_2D, _IN_BOOL_1D, _IN_F32_1D, _IN_F32_1D,
         float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1],

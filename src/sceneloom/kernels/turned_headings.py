@@ -1,12 +1,12 @@
 """Headings that are turned by half a circle, told by the motion of the objects."""
 
 import numpy as np
-from numba import njit
 
 from sceneloom.arrays import Float64Array
+from sceneloom.kernels.cache import kernel
 
 
-@njit(
+@kernel(
     "float64[::1](Array(float64, 1, 'C', readonly=True), Array(float64, 2, 'C', readonly=True), float64, float64)",
     nogil=True,
     cache=True,

@@ -2,10 +2,10 @@
 
 import math
 
-import numba
 from numba import float64, types
 
 from sceneloom.arrays import Float64Array
+from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.surface_map import INNER
 
 _V, _M = float64[::1], float64[:, ::1]
@@ -13,7 +13,7 @@ _SMALL = 1e-5
 """Angles [rad] below which the next term of the series is below rounding."""
 
 
-@numba.njit(types.void(_V, _M), **INNER)
+@kernel(types.void(_V, _M), **INNER)
 def turn(vector: Float64Array, matrix: Float64Array) -> None:
     """Write the rotation matrix of a rotation vector. Source: Rodrigues 1840."""
     x, y, z = vector[0], vector[1], vector[2]
@@ -28,7 +28,7 @@ def turn(vector: Float64Array, matrix: Float64Array) -> None:
     matrix[2, 0], matrix[2, 1], matrix[2, 2] = b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)
 
 
-@numba.njit(types.void(_M, _V), **INNER)
+@kernel(types.void(_M, _V), **INNER)
 def turn_vector(matrix: Float64Array, vector: Float64Array) -> None:
     """Write the rotation vector of a rotation matrix, its angle at most π."""
     x, y, z = matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]
@@ -55,7 +55,7 @@ def turn_vector(matrix: Float64Array, vector: Float64Array) -> None:
         vector[k] *= scale
 
 
-@numba.njit(types.void(_V, float64, _M), **INNER)
+@kernel(types.void(_V, float64, _M), **INNER)
 def right_slope(vector: Float64Array, sign: float, matrix: Float64Array) -> None:
     """Write J with Exp(v + δ) ≈ Exp(v) Exp(J δ) for sign 1, and for sign -1 the inverse of it.
 
@@ -80,7 +80,7 @@ def right_slope(vector: Float64Array, sign: float, matrix: Float64Array) -> None
     matrix[2, 0], matrix[2, 1], matrix[2, 2] = b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)
 
 
-@numba.njit(types.void(_M, _M, _M), **INNER)
+@kernel(types.void(_M, _M, _M), **INNER)
 def times(first: Float64Array, second: Float64Array, product: Float64Array) -> None:
     """Write the product of two (3, 3) matrices into a third."""
     for i in range(3):
@@ -90,7 +90,7 @@ def times(first: Float64Array, second: Float64Array, product: Float64Array) -> N
             )
 
 
-@numba.njit(types.void(_M, _M, _M), **INNER)
+@kernel(types.void(_M, _M, _M), **INNER)
 def transposed_times(first: Float64Array, second: Float64Array, product: Float64Array) -> None:
     """Write the product of the transposed first and the second (3, 3) matrix into a third."""
     for i in range(3):
@@ -100,7 +100,7 @@ def transposed_times(first: Float64Array, second: Float64Array, product: Float64
             )
 
 
-@numba.njit(types.void(_M, _V, _M), **INNER)
+@kernel(types.void(_M, _V, _M), **INNER)
 def times_cross(matrix: Float64Array, vector: Float64Array, product: Float64Array) -> None:
     """Write matrix · [vector]×, (3, 3), where [v]× w = v × w."""
     x, y, z = vector[0], vector[1], vector[2]

@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
@@ -17,7 +18,7 @@ def _overlap_more(a, i, b, j, least):  # type: ignore[no-untyped-def]
     return wide * high > least * (both - wide * high)
 
 
-@njit(
+@kernel(
     "int64[::1](int64[::1], float64[:,::1], boolean[::1], float64[:,:,::1], float64[:,::1], boolean[::1], "
     "float64[:,:,::1], float64, float64)",
     nogil=True,

@@ -1,12 +1,12 @@
 """Upright boxes: where their corners are in another frame."""
 
 import numpy as np
-from numba import njit
 
 from sceneloom.arrays import Float64Array
+from sceneloom.kernels.cache import kernel
 
 
-@njit(
+@kernel(
     "Tuple((float64[:,:,::1], float64[:,:,::1], float64[::1], float64[::1]))(float64[:,::1], "
     "Array(float64, 2, 'C', readonly=True), Array(float64, 2, 'C', readonly=True), "
     "Array(float64, 1, 'C', readonly=True))",

@@ -4,9 +4,9 @@ Boxes, `starts` and flat pairs are laid out as in `frame_overlaps`.
 """
 
 import numpy as np
-from numba import njit
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 
 _MOST_CORNERS = 8
 """Of what two rectangles share."""
@@ -14,7 +14,7 @@ _MOST_CORNERS = 8
 _PLACES = "float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1]"
 
 
-@njit("int64(float64[:,::1], int64, float64[:,::1], int64, float64, float64)", nogil=True, cache=True)
+@kernel("int64(float64[:,::1], int64, float64[:,::1], int64, float64, float64)", nogil=True, cache=True)
 def _cut(outline: Float64Array, count: int, kept: Float64Array, axis: int, side: float, limit: float) -> int:
     """Keep what of a convex outline has side · coordinate <= limit; give the number of its corners."""
     left = 0
@@ -33,7 +33,7 @@ def _cut(outline: Float64Array, count: int, kept: Float64Array, axis: int, side:
     return left
 
 
-@njit(
+@kernel(
     "float64(float64[:,::1], int64, float64[:,::1], int64, float64[:,::1], float64[:,::1])",
     nogil=True,
     cache=True,
@@ -78,7 +78,7 @@ def _shared_ground(
     return max(area / 2.0, 0.0)
 
 
-@njit(f"float64[::1]({_PLACES})", nogil=True, cache=True, error_model="numpy")
+@kernel(f"float64[::1]({_PLACES})", nogil=True, cache=True, error_model="numpy")
 def overlaps_from_above(
     first: Float64Array,
     second: Float64Array,
@@ -109,7 +109,7 @@ def overlaps_from_above(
     return overlaps
 
 
-@njit(f"float64[::1]({_PLACES})", nogil=True, cache=True, error_model="numpy")
+@kernel(f"float64[::1]({_PLACES})", nogil=True, cache=True, error_model="numpy")
 def overlaps_in_space(
     first: Float64Array,
     second: Float64Array,

@@ -2,11 +2,11 @@
 
 import math
 
-import numba
 import numpy as np
 from numba import float64, int64, types
 
 from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.surface_map import first_place
 
 MOST_CUBES = 2.0**62
@@ -19,7 +19,7 @@ and its rounding must not decide."""
 _READ_F64_2D = types.Array(float64, 2, "C", readonly=True)
 
 
-@numba.njit(int64(_READ_F64_2D, float64, int64[::1]), cache=True, nogil=True, error_model="numpy")
+@kernel(int64(_READ_F64_2D, float64, int64[::1]), cache=True, nogil=True, error_model="numpy")
 def number_cubes(points: Float64Array, side: float, numbers: Int64Array) -> int:
     """Number the cubes of side `side` [m] that points fall into, in the order in which they are met.
 
@@ -58,7 +58,7 @@ def number_cubes(points: Float64Array, side: float, numbers: Int64Array) -> int:
     return count
 
 
-@numba.njit(types.void(int64[::1], int64[::1]), cache=True, nogil=True)
+@kernel(types.void(int64[::1], int64[::1]), cache=True, nogil=True)
 def first_of_cubes(numbers: Int64Array, chosen: Int64Array) -> None:
     """Write the row of the first point of each cube to `chosen` (C,); `numbers` (N,) as `number_cubes` gives them."""
     count = 0
@@ -68,7 +68,7 @@ def first_of_cubes(numbers: Int64Array, chosen: Int64Array) -> None:
             count += 1
 
 
-@numba.njit(types.void(_READ_F64_2D, int64[::1], int64[::1]), cache=True, nogil=True, error_model="numpy")
+@kernel(types.void(_READ_F64_2D, int64[::1], int64[::1]), cache=True, nogil=True, error_model="numpy")
 def nearest_of_cubes(points: Float64Array, numbers: Int64Array, chosen: Int64Array) -> None:
     """Write the row of that point of each cube to `chosen` which is nearest to the mean of the cube's points.
 

@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 
 from sceneloom.arrays import Int64Array, UInt8Array, UInt32Array
+from sceneloom.kernels.cache import kernel
 
 FLOAT, FLOATS, UNSIGNED, SIGNED, TEXT, TIME, SEQ = range(1, 8)
 """What a field of a record holds; 0 for a field that is not known. SEQ is the number of the list."""
@@ -158,7 +159,7 @@ def _head(content, start, stop, heads):  # type: ignore[no-untyped-def]
     return sensor, seq, s, ns, (count if s >= 0 else -1)
 
 
-@njit(
+@kernel(
     f"Tuple((UniTuple(int64, 5), uint32[::1], int64[:,::1], int64[::1]))({_BYTES}, int64, int64, UniTuple(int64, 4), "
     "Array(int64, 2, 'C', readonly=True), int64)",
     nogil=True,

@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 
 from sceneloom.arrays import BoolArray, Int64Array, UInt8Array, UInt32Array
+from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.wire_reading import FLOAT, FLOATS, SEQ, SIGNED, TEXT, TIME, UNSIGNED
 
 OPTIONAL = 8
@@ -106,7 +107,7 @@ def _put_record(out, at, n, count, fields, words, texts, letters, given, common)
     return at
 
 
-@njit(
+@kernel(
     "uint8[::1](int64, int64, Array(int64, 2, 'C', readonly=True), uint32[::1], int64[:,::1], "
     "Array(uint8, 1, 'C', readonly=True), boolean[:,::1], UniTuple(int64, 3))",
     nogil=True,

@@ -21,7 +21,7 @@ from sceneloom.fusion.messages import (
     SentRecord,
     Timestamp,
 )
-from sceneloom.kernels.cache import find_kernel_cache, will_compile
+from sceneloom.kernels.cache import compile_kernels, declaring_modules, find_kernel_cache, lacks_kernels
 
 LOG = logging.getLogger(__name__)
 
@@ -32,13 +32,14 @@ _WIDTH, _HEIGHT = 64, 48
 def warm_up() -> int:
     """Compile and load all kernels that requests can reach; gives how many results a small pair of each type gave.
 
-    Every kernel has its types written down, so it is compiled when its module is imported. Modules are imported with
-    the interface, but for those of camera models, which properties choose.
+    Every kernel has its types written down. What is imported with the interface is what it can call, and camera
+    models, which properties choose.
     """
-    models = list(dict.fromkeys(model.module for model in MODELS.values()))
-    _compile_apart([name for name in models if will_compile(name)])
-    for name in models:
-        import_module(name)
+    for model in MODELS.values():
+        import_module(model.module)
+    modules = declaring_modules()
+    _compile_apart([name for name in modules if lacks_kernels(name)])
+    compile_kernels(modules)
     with FusionInterface(inline=True) as fusion:
         fusion.set_calibration(
             CalibrationData(
@@ -55,20 +56,30 @@ def warm_up() -> int:
 
 
 def _compile_apart(modules: list[str]) -> None:
-    """Compile modules in processes side by side, as the compiler takes one thread; they find it done in the cache."""
+    """Compile modules in processes side by side, as the compiler takes one thread; they are kept, and loaded here.
+
+    What fails there fails again, and is reported, when it is compiled here.
+    """
     processes = min(os.cpu_count() or 1, len(modules))
     if processes < 2 or not find_kernel_cache().writable:
         return
     with ThreadPoolExecutor(processes) as pool:
-        list(pool.map(_compile, modules))
+        list(pool.map(_compile, [modules[k::processes] for k in range(processes)]))
 
 
-def _compile(module: str) -> None:
-    """Import a module in a process of its own; what fails there fails again, and is told, when it is imported here."""
-    LOG.info("compiling for this machine; it is kept", extra={"fields": {"module": module}})
-    code = "import importlib, sys; importlib.import_module(sys.argv[1])"
-    command = [sys.executable, "-c", code, module]
-    subprocess.run(command, check=False, capture_output=True)  # noqa: S603 - our own program
+def _compile(modules: list[str]) -> None:
+    """Compile modules in a process of their own."""
+    code = (
+        "import importlib, sys; from sceneloom.kernels.cache import compile_kernels\n"
+        "for name in sys.argv[1:]:\n"
+        "    importlib.import_module(name); print(name, flush=True); compile_kernels([name])"
+    )
+    command = [sys.executable, "-c", code, *modules]
+    with subprocess.Popen(  # noqa: S603 - our own program
+        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
+        for line in process.stdout or ():
+            LOG.info("compiling for this machine; it is kept", extra={"fields": {"module": line.strip()}})
 
 
 def _records() -> list[SentRecord]:

@@ -10,7 +10,7 @@ from sceneloom.kernels.cache import KernelCache
 
 @pytest.fixture
 def cache(monkeypatch):
-    """What is found of 9 modules with kernels, and what the clock says."""
+    """What is found of 9 kernels, and what the clock says."""
     found = {"compiled": 0, "writable": True, "clock": 0.0}
     monkeypatch.setattr(
         "sceneloom.batch.warming.find_kernel_cache",

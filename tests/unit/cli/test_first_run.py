@@ -1,38 +1,51 @@
 """What a terminal says while kernels are compiled."""
 
+import importlib
 import sys
-from importlib.util import find_spec
 
 import pytest
 
 from sceneloom.cli.first_run import telling_of_compiling
 
+KERNELS = """
+from numba import int64
+from sceneloom.kernels.cache import kernel
+
+@kernel(int64(int64))
+def doubled(number):
+    return 2 * number
+
+@kernel([int64(int64, int64)], nogil=True)
+def added(first, second):
+    return doubled(first) + second
+"""
+
 
 @pytest.fixture
-def importing(monkeypatch, tmp_path):
-    """What happens where a kernel is imported for the first time, and none is kept."""
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-
-    def asked(*names):
-        before = list(sys.meta_path)
-        with telling_of_compiling():
-            for name in names:
-                monkeypatch.delitem(sys.modules, name, raising=False)
-                assert find_spec(name) is not None
-        assert sys.meta_path == before
-
-    return asked
+def kernels(monkeypatch, tmp_path, request):
+    """A module of two kernels that nobody has compiled yet."""
+    name = f"kernels_{abs(hash(request.node.name))}"
+    (tmp_path / f"{name}.py").write_text(KERNELS)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield lambda: importlib.import_module(name)
+    sys.modules.pop(name, None)
 
 
-@pytest.mark.parametrize(
-    ("terminal", "names", "times"),
-    [
-        (True, ("sceneloom.kernels.voxels", "sceneloom.kernels.spacing"), 1),
-        (True, ("sceneloom.kernels.cache",), 0),
-        (False, ("sceneloom.kernels.voxels",), 0),
-    ],
-)
-def test_a_terminal_hears_once_of_compiling(monkeypatch, capsys, importing, terminal, names, times):
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
-    importing(*names)
-    assert capsys.readouterr().err.count("compiling") == times
+def test_a_terminal_hears_once_of_compiling_and_not_when_kernels_are_kept(monkeypatch, capsys, kernels):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with telling_of_compiling():
+        module = kernels()
+        assert not capsys.readouterr().err
+        assert [module.added(2, 3), module.doubled(4)] == [7, 8]
+    assert capsys.readouterr().err.count("compiling") == 1
+    sys.modules.pop(module.__name__)
+    with telling_of_compiling():
+        assert kernels().added(2, 3) == 7
+    assert not capsys.readouterr().err
+
+
+def test_nothing_is_said_but_on_a_terminal(monkeypatch, capsys, kernels):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: False)
+    with telling_of_compiling():
+        assert kernels().added(2, 3) == 7
+    assert not capsys.readouterr().err

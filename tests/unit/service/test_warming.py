@@ -12,8 +12,6 @@ from types import SimpleNamespace
 
 import pytest
 
-from sceneloom.cameras.table import MODELS
-from sceneloom.kernels.cache import reporting_compiling
 from sceneloom.service import running, warming
 from sceneloom.service.server import ServerSettings
 from sceneloom.service.warming import warm_up
@@ -38,28 +36,29 @@ def test_the_whole_conformance_kit_reaches_none_either():
     assert reached("all") == {"events": 0, "later": []}
 
 
-def test_missing_camera_models_are_compiled_side_by_side_and_told(monkeypatch, caplog):
-    modules = sorted({model.module for model in MODELS.values()})
-    missing, asked = modules[:3], []
-    monkeypatch.setattr(warming, "will_compile", lambda name: name in missing)
+def test_missing_kernels_are_compiled_side_by_side_and_reported(monkeypatch, caplog):
+    missing, asked = [f"sceneloom.cameras.{name}" for name in ("pinhole", "fisheye", "cylindrical")], []
+
+    class Compiler:
+        def __init__(self, command, **_):
+            self.stdout = [f"{name}\n" for name in command[3:]]
+            asked.append(command[3:])
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+    monkeypatch.setattr(warming, "lacks_kernels", lambda name: name in missing)
     monkeypatch.setattr(warming, "find_kernel_cache", lambda: SimpleNamespace(writable=True))
     monkeypatch.setattr(warming.os, "cpu_count", lambda: 2)
-    monkeypatch.setattr(warming.subprocess, "run", lambda command, **_: asked.append(command[-1]))
+    monkeypatch.setattr(warming.subprocess, "Popen", Compiler)
     with caplog.at_level(logging.INFO, "sceneloom.service"):
         assert warm_up() == 2
-    assert sorted(asked) == missing
-    assert sorted(record.fields["module"] for record in caplog.records) == missing
-
-
-def test_modules_that_are_compiled_are_reported_before_they_are_imported(monkeypatch, tmp_path):
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    told, names = [], ("sceneloom.kernels.voxels", "sceneloom.kernels.cache", "sceneloom.kernels.spacing")
-    before = list(sys.meta_path)
-    with reporting_compiling(told.append):
-        for finder in sys.meta_path[:1]:
-            assert [finder.find_spec(name, None) for name in names] == [None] * 3
-    assert told == [names[0], names[2]]
-    assert sys.meta_path == before
+    assert len(asked) == 2
+    assert sorted(name for names in asked for name in names) == sorted(missing)
+    assert sorted(record.fields["module"] for record in caplog.records) == sorted(missing)
 
 
 def test_a_server_listens_only_when_it_is_warm(monkeypatch):

@@ -142,7 +142,7 @@ def _kernels() -> Iterator[Finding]:
         group="kernels",
         name="compiled kernels",
         status=Status.GOOD if cache.writable else Status.MISSING if cache.usable else Status.BROKEN,
-        said=f"{cache.compiled} of {cache.modules} modules compiled, kept in {place}",
+        said=f"{cache.compiled} of {cache.kernels} compiled, kept in {place}",
         remedy=_kernel_remedy(warm=cache.is_warm, writable=cache.writable),
     )
 

@@ -61,7 +61,12 @@ class BothSides:
 
 
 def read_both(
-    results: Path | str, truth: Path | str, *, sequences: Sequence[str] = (), lenient: bool = False
+    results: Path | str,
+    truth: Path | str,
+    *,
+    sequences: Sequence[str] = (),
+    lenient: bool = False,
+    corrections: str = "apply",
 ) -> BothSides:
     """Read what is to be evaluated and what is true.
 
@@ -75,6 +80,7 @@ def read_both(
         sequences: those to take, leading zeros need not be said; of scenes the one of a data set. [default: all of the
             truth]
         lenient: skip faulty lines of lists, and open damaged drives.
+        corrections: "apply" or "ignore", as of `open_scene`; of scenes only.
 
     Raises:
         DataError: a file is missing or holds something wrong, or one side lacks a sequence.
@@ -89,7 +95,7 @@ def read_both(
                 "`sceneloom convert SCENE OUT --to kitti-tracking` writes a scene's boxes as such text, in "
                 "OUT/training/label_02"
             )
-        sides, sequences = _read_scenes(results, truth, sequences, ledger), ()
+        sides, sequences = _read_scenes(results, truth, sequences, ledger, corrections), ()
     else:
         sequences = _as_named(Path(truth), sequences)
         sides = _read_texts(Path(results), Path(truth), kinds, frozenset(sequences), ledger)
@@ -172,12 +178,14 @@ def _folder_of(path: Path) -> Path:
 
 
 def _read_scenes(
-    results: Path | str, truth: Path | str, sequences: Sequence[str], ledger: Ledger
+    results: Path | str, truth: Path | str, sequences: Sequence[str], ledger: Ledger, corrections: str
 ) -> tuple[ObjectSequences, ObjectSequences]:
     if len(sequences) > 1:
         raise OptionError(f"sequences {', '.join(sequences)}: two scenes are compared; say one sequence")
     chosen = {"sequence": sequences[0]} if sequences else {}
-    with open_scenes((results, truth), {"lenient": ledger.lenient, **chosen}) as opened:
+    with open_scenes(
+        (results, truth), {"lenient": ledger.lenient, "corrections": corrections, **chosen}
+    ) as opened:
         found, true = (scene.corrected() for scene in opened)
         for scene in (found, true):
             for notice in scene.correction_notices:

@@ -20,7 +20,14 @@ from sceneloom.fusion.messages.json_form import format_json
 from sceneloom.fusion.messages.scene_form import boxes_2d_record, boxes_3d_record
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.checked_calibration import check_drive
-from sceneloom.scene import CameraCalibration, CuboidAnnotation, LocalizationAdjustment, PosePath, Scene
+from sceneloom.scene import (
+    AttributePath,
+    CameraCalibration,
+    CuboidAnnotation,
+    LocalizationAdjustment,
+    PosePath,
+    Scene,
+)
 from sceneloom.service.sent_rig import sent_rig
 from sceneloom.simulate import CameraSpec, LidarSpec, detect_2d, detect_3d, simulate_street
 from sceneloom.view.drive import prepare_drive
@@ -316,7 +323,9 @@ KEEPING = frozenset(
     }
 )
 """Verbs that read a drive, and do not compute with where its cameras are: corrections stay what they are."""
-FURTHER = frozenset({"edit undistort", "edit lens", "catalog update", "calibrate"})
+FURTHER = frozenset(
+    {"eval tracking", "eval detection", "edit undistort", "edit lens", "catalog update", "calibrate"}
+)
 """Verbs that compute and are tested below, or under the name of one of their modes."""
 
 
@@ -421,3 +430,26 @@ def test_validate_and_info_list_corrections_and_change_nothing(call: Callable[..
     listed = [finding for finding in findings if finding["rule"] == "corrections-not-applied"]
     assert len(listed) == 2
     assert {finding["severity"] for finding in listed} == {"hint"}
+
+
+@pytest.mark.parametrize("verb", ["tracking", "detection"])
+def test_objects_are_compared_with_corrections_unless_they_are_left_off(
+    verb: str, call: Callable[..., Any], files: Path, tmp_path: Path
+) -> None:
+    with sceneloom.open(files / "mended.sfs") as scene:
+        scored = [
+            replace(annotation, attributes=(*annotation.attributes, AttributePath("score", (0.9,))))
+            if isinstance(annotation, CuboidAnnotation)
+            else annotation
+            for annotation in scene.annotations
+        ]
+        sceneloom.write(replace(scene, annotations=tuple(scored)), tmp_path / "found.sfs")
+    words = ("eval", verb, tmp_path / "found.sfs", files / "right.sfs", "--json")
+    applied, ignored = (ran(call, *words, *further) for further in ((), ("--no-corrections",)))
+    told, told_ignored = (
+        {notice["code"] for notice in json.loads(outcome.out)["notices"]} for outcome in (applied, ignored)
+    )
+    assert any(code.startswith("correction-") for code in told)
+    assert told != told_ignored
+    right, wrong = (list(numbers_of(json.loads(outcome.out))) for outcome in (applied, ignored))
+    assert right != wrong

@@ -52,6 +52,7 @@ def detection(
     plot: Path | None,
     overwrite: bool,
     lenient: bool,
+    corrections: str | None,
     similarities: tuple[str, ...],
     threshold: float | None,
     difficulties: tuple[str, ...],
@@ -84,6 +85,7 @@ def detection(
         degrees_of_freedom=degrees_of_freedom,
         rules=DetectionRules(regions_in_space=regions_in_space),
         lenient=lenient,
+        corrections=corrections or "apply",
     )
     if plot is not None:
         plot_detection(report, plot, overwrite=overwrite)

@@ -47,6 +47,14 @@ _OPTIONS: tuple[Callable[[Any], Any], ...] = (
         help="Draw the curves (.png, .svg, .pdf; needs sceneloom[report]).",
     ),
     click.option("--overwrite", is_flag=True, help="Replace a picture that exists."),
+    click.option(
+        "--no-corrections",
+        "corrections",
+        is_flag=True,
+        flag_value="ignore",
+        default=None,
+        help="Of scenes, compare without their localization adjustments. [default: apply them]",
+    ),
     click.option("--lenient", is_flag=True, help="Skip what is broken, count it, and go on."),
 )
 

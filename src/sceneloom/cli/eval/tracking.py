@@ -33,6 +33,7 @@ def tracking(
     plot: Path | None,
     overwrite: bool,
     lenient: bool,
+    corrections: str | None,
     similarity: str | None,
     threshold: float | None,
     as_json: bool,
@@ -57,6 +58,7 @@ def tracking(
         similarity=similarity,
         least_similarity=threshold,
         lenient=lenient,
+        corrections=corrections or "apply",
     )
     if plot is not None:
         plot_tracking(report, plot, overwrite=overwrite)

@@ -52,6 +52,7 @@ def compare_detections(
     degrees_of_freedom: float | None = None,
     rules: DetectionRules = KITTI_IN_SPACE,
     lenient: bool = False,
+    corrections: str = "apply",
 ) -> DetectionReport:
     """Hold detections against the truth, by KITTI's rules.
 
@@ -64,13 +65,13 @@ def compare_detections(
         difficulties: of `DIFFICULTIES`. [default: KITTI's three; `all` where the truth has no boxes in pictures]
         degrees_of_freedom: of the detections' errors, as of `judge_covariances`.
         rules: all else that counts.
-        lenient: as of `object_files.read_both`.
+        lenient, corrections: as of `object_files.read_both`.
 
     Raises:
         DataError: a file is missing or holds something wrong.
         OptionError: both sides cannot be compared, or not in this way.
     """
-    sides = read_both(results, truth, sequences=sequences, lenient=lenient)
+    sides = read_both(results, truth, sequences=sequences, lenient=lenient, corrections=corrections)
     check_classes(sides, classes)
     chosen = tuple(map(similarity_named, similarities)) or tuple(
         known for known in SIMILARITIES if known in sides.similarities

@@ -45,6 +45,7 @@ def compare_tracks(
     least_similarity: float | None = None,
     rules: TrackingRules = KITTI_RULES,
     lenient: bool = False,
+    corrections: str = "apply",
 ) -> TrackingReport:
     """Hold what a tracker found against the truth, by KITTI's rules.
 
@@ -56,14 +57,14 @@ def compare_tracks(
             in space]
         least_similarity: pairs from which CLEAR and identities take two boxes for one object. [default: 0.5]
         rules: all else that counts.
-        lenient: as of `object_files.read_both`.
+        lenient, corrections: as of `object_files.read_both`.
 
     Raises:
         DataError: a file is missing or holds something wrong.
         OptionError: both sides cannot be compared, or not in this way, or results have no ids.
         ArrayError: an id comes twice in a frame.
     """
-    sides = read_both(results, truth, sequences=sequences, lenient=lenient)
+    sides = read_both(results, truth, sequences=sequences, lenient=lenient, corrections=corrections)
     check_classes(sides, classes)
     without = _check_ids(results, sides)
     usual = (Similarity.PICTURE, Similarity.SPACE)

@@ -3,6 +3,7 @@
 import gc
 import json
 import os
+from collections import defaultdict
 from collections.abc import Callable, Generator
 from importlib import import_module
 from pathlib import Path
@@ -12,6 +13,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 from tests.peers import python_with
+
+from sceneloom.kernels.cache import compile_kernels, lacks_kernels
 
 settings.register_profile("default", max_examples=40, derandomize=True, database=None, deadline=None)
 settings.register_profile(
@@ -43,7 +46,25 @@ def pytest_configure(config: pytest.Config) -> None:
             (claims / f"{source.parent.name}.{source.stem}").touch(exist_ok=False)
         except FileExistsError:
             continue
-        import_module(f"sceneloom.{source.parent.name}.{source.stem}")
+        module = f"sceneloom.{source.parent.name}.{source.stem}"
+        if lacks_kernels(module):
+            import_module(module)
+            compile_kernels([module])
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leave all but some cases of a test marked `few(count)` to the long run, evenly spread over its cases."""
+    cases = defaultdict(list)
+    for item in items:
+        if item.get_closest_marker("few") is not None:
+            cases[item.nodeid.partition("[")[0]].append(item)
+    for found in cases.values():
+        count = found[0].get_closest_marker("few").args[0]
+        kept = {k * len(found) // count for k in range(count)}
+        for k, item in enumerate(found):
+            if k not in kept:
+                item.add_marker(pytest.mark.slow)
 
 
 @pytest.hookimpl(wrapper=True)

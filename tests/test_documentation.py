@@ -190,7 +190,11 @@ def test_links_lead_somewhere(page):
     assert not broken
 
 
-@pytest.mark.parametrize("example", EXAMPLES, ids=page_id)
+@pytest.mark.parametrize(
+    "example",
+    [pytest.param(path, marks=pytest.mark.slow if path.name.startswith("06") else ()) for path in EXAMPLES],
+    ids=page_id,
+)
 def test_examples_run(example, run, run_alone):
     told = run_alone(example) if example.name in ALONE else run(example)
     assert told.strip(), "an example says what it did"

@@ -5,6 +5,7 @@ import re
 import shlex
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -16,6 +17,7 @@ PROJECT = Path(__file__).parents[2]
 PAGES = sorted(PROJECT.glob("docs/tasks/*.md"))
 DEMO = "sceneloom demo"
 LIMIT_S = 900
+PORT = 50051
 
 
 def shell_lines(page):
@@ -40,6 +42,17 @@ def run(command, folder, **options):
         check=False,
         **options,
     )
+
+
+def wait_for_port(port, server):
+    """Wait until a server listens: it loads its kernels first, and compiles those that are not there yet."""
+    stop = time.monotonic() + LIMIT_S
+    while time.monotonic() < stop and server.poll() is None:
+        with socket.socket() as tried:
+            if tried.connect_ex(("127.0.0.1", port)) == 0:
+                return
+        time.sleep(0.2)
+    raise AssertionError(f"nothing listens at port {port}")
 
 
 @pytest.fixture(scope="session")
@@ -68,8 +81,9 @@ def test_a_page_can_be_followed_word_for_word(page, demo, tmp_path):
             if line == DEMO:
                 continue
             if line.startswith("sceneloom serve"):
-                server = subprocess.Popen([sys.executable, "-m", *shlex.split(line)], cwd=tmp_path)
-                time.sleep(10)
+                words = shlex.split(line)
+                server = subprocess.Popen([sys.executable, "-m", *words], cwd=tmp_path)
+                wait_for_port(int(words[words.index("--port") + 1]) if "--port" in words else PORT, server)
                 continue
             done = run(line, tmp_path, timeout=LIMIT_S)
             # 3 to 5 are verdicts of a calibration, which a made-up street of three seconds may leave open

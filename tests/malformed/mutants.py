@@ -35,8 +35,8 @@ from typing import Any
 
 import numpy as np
 
-SECONDS = 20.0
-"""How long one mutant may take; a sound drive takes a fraction of a second."""
+SECONDS = 40.0
+"""How long one mutant may take; a sound drive takes a fraction of a second, a busy machine ten times as long."""
 MEMORY = 2 << 30
 """How much more memory than a sound drive has asked for before a mutant may ask for [bytes of address space]."""
 

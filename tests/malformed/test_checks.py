@@ -209,6 +209,7 @@ ODD_VALUES = [None, -1, 2**70, "world", [[]], {"type": "lidar"}, np.ones((0, 3),
 
 @pytest.mark.parametrize("share", [1, pytest.param(len(ODD_VALUES), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("turn", range(len(ODD_VALUES)))
+@pytest.mark.few(3)
 def test_odd_values_anywhere_in_a_file_are_told_or_let_pass(turn, share, tmp_path, encode_sfs):
     """Each place gets a share of the values: one of them, or all."""
     for number, place in enumerate(places_of(HEADER)):

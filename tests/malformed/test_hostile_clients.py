@@ -562,6 +562,7 @@ def enclosed(number, content):
 
 
 @pytest.mark.parametrize("kind", ["values", "boxes", "poses", "fields", "session", "too large"])
+@pytest.mark.few(2)
 def test_messages_of_very_many_parts_are_refused_before_they_are_taken_apart(server, rigs, kind):
     """Two bytes of a message can be an empty part, which takes fifty in memory."""
     rig, other = rigs

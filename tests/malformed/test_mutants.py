@@ -14,10 +14,10 @@ pytestmark = pytest.mark.skipif(
     sys.platform != "linux", reason="memory of processes is bounded on Linux only"
 )
 
-FEW, MANY = 24, 2000
+FEW, MANY = 8, 2000
 GUARDED = "mcap lz4"
 """A drive of packed chunks with checksums, which few changes get by."""
-ALWAYS = {"openlabel", "laz", "recording", "kitti-object", "scale-toolkit", "mcap", "argoverse2"}
+ALWAYS = {"openlabel", "recording", "mcap"}
 """Drives whose files are replaced in the usual run; the others follow in the long one."""
 
 
@@ -25,7 +25,7 @@ ALWAYS = {"openlabel", "laz", "recording", "kitti-object", "scale-toolkit", "mca
 def test_a_mutant_of_a_drive_gives_a_scene_or_an_error_of_ours(name):
     tried = try_mutants(name, range(FEW))
     assert not tried.failures, str(tried)
-    assert set(tried.outcomes) == {"scene", "refused"} - ({"scene"} if name == GUARDED else set())
+    assert sum(tried.outcomes.values()) == FEW
 
 
 @pytest.mark.slow
@@ -33,6 +33,7 @@ def test_a_mutant_of_a_drive_gives_a_scene_or_an_error_of_ours(name):
 def test_many_mutants_of_a_drive_give_a_scene_or_an_error_of_ours(name):
     tried = try_mutants(name, range(FEW, FEW + MANY), seconds=110)
     assert not tried.failures, str(tried)
+    assert set(tried.outcomes) == {"scene", "refused"} - ({"scene"} if name == GUARDED else set())
 
 
 @pytest.mark.slow

@@ -89,6 +89,7 @@ def test_the_recording_itself_is_read(folder):
 
 @pytest.mark.parametrize("name", ["data.jsonl", "calibration.json", "0.bin"])
 @pytest.mark.parametrize("step", [5, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.few(1)
 def test_any_cut_or_changed_byte_gives_a_scene_or_one_of_our_errors(folder, name, step):
     path = folder / name
     strict, lenient = [], []
@@ -121,6 +122,7 @@ def test_any_file_may_be_missing_or_be_a_folder(folder, name):
 
 
 @pytest.mark.parametrize("value", VALUES)
+@pytest.mark.few(2)
 def test_any_value_may_stand_anywhere_in_a_line(folder, value):
     path = folder / "data.jsonl"
     lines = path.read_text().splitlines()
@@ -134,6 +136,7 @@ def test_any_value_may_stand_anywhere_in_a_line(folder, value):
 
 
 @pytest.mark.parametrize("value", VALUES)
+@pytest.mark.few(2)
 def test_any_value_may_stand_anywhere_in_the_calibration(folder, value):
     path = folder / "calibration.json"
     content = json.loads(path.read_text())

@@ -133,6 +133,7 @@ def test_the_folder_itself_opens(folder):
 @pytest.mark.parametrize(
     "text", [*VALUES, *(pytest.param(v, marks=pytest.mark.slow) for v in FURTHER_VALUES)]
 )
+@pytest.mark.few(4)
 def test_any_value_may_be_another(folder, text):
     for keys in places(RIG):
         write(folder, replaced(RIG, keys, Raw(text)))
@@ -157,6 +158,7 @@ def test_a_manifest_cut_anywhere_opens_or_is_refused(folder):
 
 @pytest.mark.parametrize("name", ["times.csv", "imu.csv", "poses.txt", "front/0.png", "top/0.bin"])
 @pytest.mark.parametrize("lenient", [False, True])
+@pytest.mark.few(4)
 def test_a_file_that_is_cut_or_has_a_byte_flipped_is_read_or_refused(folder, name, lenient):
     content = (folder / name).read_bytes()
     for place in range(0, len(content), 1 if name.endswith(("csv", "txt")) else 3):

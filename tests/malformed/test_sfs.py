@@ -217,6 +217,7 @@ def with_value(golden, path, value):
         for name, golden in WITH_DRAWN.items()
     ],
 )
+@pytest.mark.few(1)
 def test_a_value_of_another_kind_anywhere_gives_a_scene_or_an_error_of_ours(
     golden, step, encode_sfs, survives
 ):

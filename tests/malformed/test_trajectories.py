@@ -52,6 +52,7 @@ def test_a_file_cut_anywhere_is_read_or_refused(form: str) -> None:
 @pytest.mark.parametrize("form", FORMS)
 @settings(max_examples=60)
 @given(data=st.data())
+@pytest.mark.few(2)
 def test_a_file_with_other_bytes_is_read_or_refused(form: str, data: st.DataObject) -> None:
     content = bytearray(written(form))
     for _ in range(data.draw(st.integers(1, 4))):

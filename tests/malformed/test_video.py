@@ -63,6 +63,7 @@ def test_a_video_cut_anywhere_gives_its_first_pictures_or_an_error(kind):
 
 
 @pytest.mark.parametrize("kind", VIDEOS)
+@pytest.mark.few(1)
 def test_a_video_with_any_bytes_changed_gives_pictures_or_an_error(kind):
     rng = np.random.default_rng(11)
     for _ in range(80):
@@ -98,6 +99,7 @@ def test_a_decoder_that_works_ahead_refuses_the_same_pictures_as_one_that_does_n
 
 
 @pytest.mark.parametrize("kind", VIDEOS)
+@pytest.mark.few(1)
 def test_bytes_changed_in_the_head_of_a_container_give_pictures_or_an_error(kind):
     rng = np.random.default_rng(12)
     for place in range(min(120, len(VIDEOS[kind]))):

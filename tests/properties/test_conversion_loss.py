@@ -197,6 +197,7 @@ def farthest(one, other) -> float:
 
 @pytest.mark.parametrize("odd", [False, True], ids=["usual", "odd"])
 @pytest.mark.parametrize("name", WRITTEN)
+@pytest.mark.few(20)
 def test_what_vanishes_or_changes_is_told(name, odd, tmp_path):
     assert unexplained(name, odd, tmp_path) == []
 

@@ -66,6 +66,7 @@ def test_a_pinhole_that_keeps_valid_pixels_only_shows_nothing_else(camera, keep)
 
 @given(any_lens(), st.sampled_from(sorted(MODELS)))
 @settings(max_examples=25)
+@pytest.mark.slow
 def test_a_fit_tells_how_far_off_it_is(camera, model):
     try:
         found = fit(camera, model)

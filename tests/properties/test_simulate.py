@@ -1,6 +1,7 @@
 """Whatever the shape, the ray, the device or the seed: what must hold of every answer of the scene factory."""
 
 import numpy as np
+import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -101,6 +102,7 @@ def test_any_lidar_on_any_street_gives_points_within_their_sweep_near_where_they
         [("pinhole", ()), ("brown_conrady", (-0.2, 0.05, 0.001, -0.001)), ("fisheye", (0.01, -0.004))]
     ),
 )
+@pytest.mark.slow
 def test_any_camera_on_any_street_sees_depth_where_it_sees_something(seed, yaw, pitch, model):
     lens = Camera(model[0], 64, 48, 40.0, 42.0, 31.0, 24.0, model[1])
     spec = CameraSpec(lens, camera_mount(yaw_deg=yaw, pitch_deg=pitch))
@@ -119,6 +121,7 @@ def test_any_camera_on_any_street_sees_depth_where_it_sees_something(seed, yaw, 
     pedestrians=st.floats(0, 15),
     standing=st.floats(0, 0.5),
 )
+@pytest.mark.slow
 def test_in_any_traffic_points_lie_on_what_is_there_at_their_times(
     seed, cars, cyclists, pedestrians, standing
 ):

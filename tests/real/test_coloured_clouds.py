@@ -2,11 +2,13 @@
 
 import laspy
 import numpy as np
+import pytest
 
 import sceneloom
 from sceneloom.pipeline import ColourSettings
 
 
+@pytest.mark.slow
 def test_the_seam_between_two_cameras_of_pandaset_is_evened_out(data_dir, tmp_path):
     with sceneloom.open(data_dir / "recordings" / "pandaset") as scene:
         report = sceneloom.colour(

@@ -31,6 +31,7 @@ def content(scene):
         ("real/pandaset_scale_sample", {}, 0.7),
     ],
 )
+@pytest.mark.few(3)
 def test_folders_hold_what_they_hold_on_disk_and_opening_takes_a_part(
     data_dir, monkeypatch, place, options, share
 ):

@@ -6,11 +6,14 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
+from hashlib import blake2b
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any, TypeVar, cast
 
 _DECORATED = re.compile(r"^@kernel\(", re.MULTILINE)
+_IMPORTED = re.compile(r"^\s*(?:from|import) (sceneloom\.[\w.]+)(?: import \(?([\w, \n]+))?", re.MULTILINE)
 _PACKAGE = Path(__file__).parents[1]
 _ROOMS = ("kernels", "cameras")
 
@@ -27,7 +30,8 @@ def kernel(signatures: Any, **options: Any) -> Callable[[_Function], _Function]:
     """Declare a function that is compiled for these types, and no others, at its first call.
 
     Importing a module compiles and loads nothing, so what a program never calls costs it nothing. Compiled kernels
-    are kept for the next process.
+    are kept for the next process, and used as long as the source of their module and of all that it imports here is
+    the same, whenever that was installed. Threads may call a kernel for the first time at the same time.
 
     Args:
         signatures: one signature, or a list of them, as `numba.njit` takes them.
@@ -37,6 +41,7 @@ def kernel(signatures: Any, **options: Any) -> Callable[[_Function], _Function]:
     compiled for.
     """
     import numba
+    from numba.core.compiler_lock import global_compiler_lock
 
     options["cache"] = True
     all_signatures = signatures if isinstance(signatures, list) else [signatures]
@@ -46,7 +51,13 @@ def kernel(signatures: Any, **options: Any) -> Callable[[_Function], _Function]:
         template = dispatcher.get_call_template
 
         def compile_now() -> None:
-            if dispatcher._can_compile:  # noqa: SLF001
+            # Numba's own lock: it is held where a kernel that is compiled asks for another one.
+            with global_compiler_lock:
+                if not dispatcher._can_compile:  # noqa: SLF001
+                    return
+                kept_as = getattr(dispatcher._cache, "_cache_file", None)  # noqa: SLF001
+                if kept_as is not None:
+                    kept_as._source_stamp = source_digest(Path(function.__code__.co_filename))  # noqa: SLF001
                 if _reports and not _is_kept(function):
                     for report in tuple(_reports):
                         report(f"{function.__module__}.{function.__name__}")
@@ -91,7 +102,7 @@ class KernelCache:
         folder: where those of this room are kept.
         writable: whether new ones can be kept.
         kernels: how many there are.
-        compiled: how many of them are kept, not older than their source.
+        compiled: how many of them are kept, compiled from their present source.
         usable: whether Numba finds any folder to keep them in; where it finds none, kernels cannot be imported.
     """
 
@@ -167,14 +178,36 @@ def _count_kernels(source: Path) -> int:
 
 
 def _count_kept(source: Path, elsewhere: str | None, name: str = "*") -> int:
-    """Count the functions of a module of which an index of compiled versions is kept, not older than the module."""
+    """Count the functions of a module of which an index of versions compiled from the present source is kept."""
+    if not source.is_file():
+        return 0
     python = f"py{sys.version_info.major}{sys.version_info.minor}"
     pattern = f"{source.stem}.{name}-*.{python}.nbi"
     kept = (
         Path(elsewhere).glob(f"**/{pattern}") if elsewhere else source.parent.glob(f"__pycache__/{pattern}")
     )
-    written = source.stat().st_mtime if source.is_file() else 0.0
-    return len({index.name for index in kept if index.stat().st_mtime >= written})
+    digest = source_digest(source).encode()
+    return len({index.name for index in kept if digest in index.read_bytes()})
+
+
+@cache
+def source_digest(source: Path) -> str:
+    """Name the content of a module and of all modules of ours that it imports, which its kernels may call."""
+    known: set[Path] = set()
+    waiting = [source]
+    digest = blake2b(digest_size=16)
+    while waiting:
+        path = waiting.pop()
+        if path in known or not path.is_file() or path == Path(__file__):
+            continue
+        known.add(path)
+        text = path.read_text("utf-8")
+        digest.update(text.encode())
+        for module, names in _IMPORTED.findall(text):
+            found = _PACKAGE.parent.joinpath(*module.split("."))
+            members = (found / f"{name.split(' as ')[0].strip()}.py" for name in names.split(","))
+            waiting += [found.with_suffix(".py"), *sorted(members)]
+    return digest.hexdigest()
 
 
 def _is_kept(function: Callable[..., Any]) -> bool:

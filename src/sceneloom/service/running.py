@@ -4,9 +4,10 @@ import asyncio
 import gc
 import logging
 import signal
+import subprocess
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -96,7 +97,8 @@ async def _serve(settings: ServerSettings, started: Callable[[FusionServer], Non
     server = FusionServer(settings)
     server.check_ports()  # before the seconds that warming takes
     LOG.info("loading what requests need; the port is closed until then")
-    await loop.run_in_executor(None, warm_up)
+    if not await _warmed_up(ended):
+        return ()
     gc.freeze()  # what is there now stays: looking through it again and again would stop all sessions
     await server.start()
     started(server)
@@ -104,3 +106,39 @@ async def _serve(settings: ServerSettings, started: Callable[[FusionServer], Non
     for number in _ENDING:
         loop.remove_signal_handler(number)
     return await server.drain()
+
+
+async def _warmed_up(ended: asyncio.Event) -> bool:
+    """Load what requests need; False if the server is told to end meanwhile, which it does at once."""
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[None] = loop.create_future()
+    processes: list[subprocess.Popen[str]] = []
+
+    def report(error: BaseException | None) -> None:
+        if done.cancelled():
+            return
+        if error is None:
+            done.set_result(None)
+        else:
+            done.set_exception(error)
+
+    def work() -> None:
+        error: BaseException | None = None
+        try:
+            warm_up(processes.append)
+        except BaseException as caught:  # noqa: BLE001 - it is raised where it is waited for
+            error = caught
+        with suppress(RuntimeError):  # the loop is closed where nobody waits any more
+            loop.call_soon_threadsafe(report, error)
+
+    threading.Thread(target=work, name="warming up", daemon=True).start()
+    ending = asyncio.ensure_future(ended.wait())
+    await asyncio.wait((done, ending), return_when=asyncio.FIRST_COMPLETED)
+    ending.cancel()
+    if done.done():
+        done.result()
+        return True
+    done.cancel()
+    for process in processes:
+        process.kill()
+    return False

@@ -4,6 +4,7 @@ import logging
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from typing import Any
@@ -29,16 +30,22 @@ _FORWARD = (0.0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
 _WIDTH, _HEIGHT = 64, 48
 
 
-def warm_up() -> int:
+_Process = subprocess.Popen[str]
+
+
+def warm_up(started: Callable[[_Process], object] = id) -> int:
     """Compile and load all kernels that requests can reach; gives how many results a small pair of each type gave.
 
     Every kernel has its types written down. What is imported with the interface is what it can call, and camera
     models, which properties choose.
+
+    Args:
+        started: receives each process that compiles, which may be killed: this compiles the rest itself.
     """
     for model in MODELS.values():
         import_module(model.module)
     modules = declaring_modules()
-    _compile_apart([name for name in modules if lacks_kernels(name)])
+    _compile_apart([name for name in modules if lacks_kernels(name)], started)
     compile_kernels(modules)
     with FusionInterface(inline=True) as fusion:
         fusion.set_calibration(
@@ -55,7 +62,7 @@ def warm_up() -> int:
         return fusion.waiting_results
 
 
-def _compile_apart(modules: list[str]) -> None:
+def _compile_apart(modules: list[str], started: Callable[[_Process], object]) -> None:
     """Compile modules in processes side by side, as the compiler takes one thread; they are kept, and loaded here.
 
     What fails there fails again, and is reported, when it is compiled here.
@@ -64,10 +71,10 @@ def _compile_apart(modules: list[str]) -> None:
     if processes < 2 or not find_kernel_cache().writable:
         return
     with ThreadPoolExecutor(processes) as pool:
-        list(pool.map(_compile, [modules[k::processes] for k in range(processes)]))
+        list(pool.map(_compile, [modules[k::processes] for k in range(processes)], [started] * processes))
 
 
-def _compile(modules: list[str]) -> None:
+def _compile(modules: list[str], started: Callable[[_Process], object]) -> None:
     """Compile modules in a process of their own."""
     code = (
         "import importlib, sys; from sceneloom.kernels.cache import compile_kernels\n"
@@ -78,6 +85,7 @@ def _compile(modules: list[str]) -> None:
     with subprocess.Popen(  # noqa: S603 - our own program
         command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     ) as process:
+        started(process)
         for line in process.stdout or ():
             LOG.info("compiling for this machine; it is kept", extra={"fields": {"module": line.strip()}})
 

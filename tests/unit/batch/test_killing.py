@@ -114,6 +114,7 @@ def living(group):
 
 
 @pytest.mark.parametrize("kills", [2, pytest.param(40, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_a_run_whose_parent_is_killed_again_and_again_is_taken_up_to_the_same_outputs(tmp_path, kills):
     (tmp_path / "in").mkdir()
     first = tmp_path / "in" / "00.sfs"

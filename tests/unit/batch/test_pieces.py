@@ -98,6 +98,7 @@ def test_pieces_of_another_plan_go(tmp_path, drives, job, inline):
 
 
 @pytest.mark.parametrize("at", ["large1", "twice0"])
+@pytest.mark.slow
 def test_a_worker_killed_in_the_middle_costs_its_piece_only(tmp_path, drives, job, at):
     (place,) = drives("abc")
     summary = run(job("letters", [place], parts=PARTS, options={"die": [at]}), tmp_path / "out", workers=2)

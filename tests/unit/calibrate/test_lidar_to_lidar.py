@@ -36,6 +36,7 @@ def drive() -> SimulatedDrive:
 
 
 @pytest.mark.parametrize(("use_stated", "started"), [(True, "stated"), (False, "ground")])
+@pytest.mark.few(1)
 def test_the_second_lidar_is_found_from_a_wrong_mounting_and_from_none(
     drive: SimulatedDrive, use_stated: bool, started: str
 ) -> None:
@@ -60,6 +61,7 @@ def test_lidars_that_are_not_there_are_refused(drive: SimulatedDrive) -> None:
         lidar_to_lidar(drive.scene, "lidar0", "lidar0")
 
 
+@pytest.mark.slow
 def test_a_start_far_off_is_refused_and_not_refined_into_something(drive: SimulatedDrive) -> None:
     far = plant(
         simulate_street(3, frames=4, lidars=(ROOF, CORNER)),

@@ -75,6 +75,7 @@ def test_pictures_that_show_nothing_tell_nothing(
     assert found.camera_from_lidar is frames[0].camera_from_lidar
 
 
+@pytest.mark.slow
 def test_a_right_calibration_is_not_repaired_by_pictures_of_the_night(
     frames: tuple[CalibrationFrame, ...],
 ) -> None:
@@ -85,6 +86,7 @@ def test_a_right_calibration_is_not_repaired_by_pictures_of_the_night(
     assert np.degrees(np.linalg.norm(step[:3])) < 0.1
 
 
+@pytest.mark.slow
 def test_pictures_seconds_late_are_never_refined(frames: tuple[CalibrationFrame, ...]) -> None:
     """The clock of the camera is off by half of the drive."""
     half = len(frames) // 2
@@ -106,6 +108,7 @@ def test_something_that_fills_the_view_tells_nothing(frames: tuple[CalibrationFr
     assert refine(filled).verdict is RefinementVerdict.CANNOT_TELL
 
 
+@pytest.mark.slow
 def test_an_extrinsic_upside_down_is_never_refined(frames: tuple[CalibrationFrame, ...]) -> None:
     turned = RigidTransform(np.diag([-1.0, -1.0, 1.0]), np.zeros(3)) @ frames[0].camera_from_lidar
     found = refine(

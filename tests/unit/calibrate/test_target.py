@@ -110,6 +110,7 @@ def test_corners_are_those_that_opencv_finds() -> None:
     assert min(differences) < 0.35  # both are good to some tenths of a pixel at single corners
 
 
+@pytest.mark.slow
 def test_pictures_without_the_whole_board_give_nothing() -> None:
     rng = np.random.default_rng(0)
     assert find_corners(np.zeros((200, 300), np.float32), BOARD) is None

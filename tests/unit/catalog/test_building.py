@@ -80,6 +80,7 @@ def test_scenes_share_parts_up_to_a_number_of_rows(copies, tmp_path, monkeypatch
 
 
 @pytest.mark.parametrize("stopped_after", range(7))
+@pytest.mark.few(2)
 def test_an_update_that_is_stopped_anywhere_is_done_again(copies, tmp_path, monkeypatch, stopped_after):
     folder, files = tmp_path / "catalogue", []
     build(copies[:2], folder)
@@ -109,6 +110,7 @@ def test_an_update_that_is_stopped_anywhere_is_done_again(copies, tmp_path, monk
     assert update(folder).unchanged == 3
 
 
+@pytest.mark.slow
 def test_workers_make_the_same_catalogue(copies, tmp_path):
     torn = tmp_path / "torn.sfs"
     torn.write_bytes(copies[0].read_bytes()[:200])

@@ -184,6 +184,7 @@ def test_damage_inside_a_file_is_named_and_mended(copied, table):
 
 
 @pytest.mark.parametrize("table", ["annotations", "scenes"])
+@pytest.mark.few(1)
 def test_updates_of_files_with_wrong_bytes_end_well_or_name_them(copied, drives, table):
     (file,) = copied.glob(f"{table}/*.parquet")
     whole, random = file.read_bytes(), np.random.default_rng(2)

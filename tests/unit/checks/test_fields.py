@@ -191,6 +191,7 @@ def test_the_scene_of_these_tests_is_complete(found):
 
 
 @pytest.mark.parametrize("place", REQUIRED)
+@pytest.mark.few(60)
 def test_a_required_field_that_is_missing_is_found_at_its_path(found, place):
     before = {entry[:2] for entry in found(header())}
     new = {path for rule, path, _ in found(without(place)) if (rule, path) not in before}

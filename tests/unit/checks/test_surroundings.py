@@ -89,6 +89,7 @@ def test_a_sound_drive_is_left_alone(found, sound_drive, rule):
         {"lidar": replace(LIDAR, beams=8, steps=360)},
     ],
 )
+@pytest.mark.few(1)
 def test_crowds_and_lidars_that_see_little_are_left_alone(options):
     assert validate(drive(**options, cameras=()), rules=[GROUND, CUBOIDS]).findings == ()
 

@@ -134,6 +134,7 @@ def test_the_verb_finds_its_record_by_the_address(call, recording, tmp_path, mon
     assert (refused.code, "web server" in refused.err) == (1, True)
 
 
+@pytest.mark.slow
 def test_drives_in_parts_give_the_files_of_whole_ones(call, recording, tmp_path):
     assert call("batch", "fuse", recording, "-o", tmp_path / "whole", "--workers", 1).code == 0
     parts = ("--parts", 0.1, "--workers", 1, "--json")

@@ -108,6 +108,7 @@ def web(tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("inline")
+@pytest.mark.slow
 def test_each_drive_of_a_hostile_server_fails_by_its_name_and_the_others_are_done(
     web, call, tmp_path, monkeypatch
 ):

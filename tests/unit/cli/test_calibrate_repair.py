@@ -69,6 +69,7 @@ def test_a_turned_camera_is_refined_and_written_as_table_3(call, turned, tmp_pat
     np.testing.assert_allclose(written, report["transform"], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_what_computes_with_a_refined_scene_uses_the_refined_calibration(call, turned, tmp_path):
     refined, fused = tmp_path / "refined.sfs", tmp_path / "fused.sfs"
     outcome = call("calibrate", turned, "--refine", "--parameters", "rotation", "-o", refined, "--json")

@@ -138,6 +138,7 @@ def test_what_was_fused_is_tracked_as_if_at_once(call, drive, tmp_path):
             np.testing.assert_allclose(a["center"], b["center"], atol=0.4)
 
 
+@pytest.mark.slow
 def test_a_drive_tracked_in_parts_has_the_objects_of_a_single_run(call, drive, tmp_path):
     folder, _, _ = drive
     files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")

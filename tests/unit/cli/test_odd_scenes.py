@@ -881,6 +881,7 @@ def drawn_pairs() -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize(("case", "name"), drawn_pairs())
+@pytest.mark.few(60)
 def test_a_verb_ends_well_on_an_odd_scene(
     fault_of: Callable[[str, str], str | None], case: str, name: str
 ) -> None:

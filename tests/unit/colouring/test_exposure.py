@@ -79,6 +79,7 @@ def test_evened_colours_are_the_surface_s_own_but_for_one_factor(overlapping):
     np.testing.assert_allclose(ratios, np.mean(ratios), rtol=0.02)
 
 
+@pytest.mark.slow
 def test_cameras_that_never_show_the_same_are_named_and_keep_their_brightness():
     drive = rig(0.0, 180.0)
     gains, _ = gathered(drive)

@@ -16,6 +16,7 @@ LENSES = {
 
 
 @pytest.mark.parametrize("name", LENSES)
+@pytest.mark.few(1)
 def test_fused_frames_agree_with_what_was_really_there(name):
     drive = simulate_street(1, frames=6, lidar=LidarSpec(range_sigma=0.02), cameras=[LENSES[name]])
     truth, k = drive.truth, 3

@@ -99,6 +99,7 @@ def shares_lost(street_view, fused):
 
 
 @pytest.mark.parametrize("name", SET_UPS)
+@pytest.mark.few(6)
 def test_hidden_points_are_found_and_visible_ones_kept(street, name):
     camera, kwargs = SET_UPS[name]
     street_view = street(camera, **kwargs)

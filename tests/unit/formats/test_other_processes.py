@@ -237,6 +237,7 @@ def test_scenes_that_were_never_read_can_go_as_well(places, tmp_path):
         scene.close()
 
 
+@pytest.mark.slow
 def test_samples_are_the_same_in_spawned_and_forked_workers_and_as_sent_back_by_them(scenes, tmp_path):
     chosen = {name: scenes[name].samples() for name in ("video", "raw.sfs", "cut video")}
     program = tmp_path / "pools.py"

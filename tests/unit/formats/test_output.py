@@ -315,6 +315,7 @@ print(deaths)
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork to have processes that can be killed")
 @pytest.mark.parametrize("exchange", ["exchange", "two renames"])
 @pytest.mark.parametrize("job", ["file", "folder", "filling", "trial", "together"])
+@pytest.mark.few(4)
 def test_old_or_new_survives_a_kill_between_any_two_system_calls(
     tmp_path: Path, job: str, exchange: str
 ) -> None:

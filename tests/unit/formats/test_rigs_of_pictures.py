@@ -255,6 +255,7 @@ def expected_mountings() -> np.ndarray:
         ("kitti-raw", False), ("kitti-tracking", False), ("kitti-odometry", False),
     ],
 )  # fmt: skip
+@pytest.mark.few(15)
 def test_a_camera_that_moves_on_the_vehicle_does_so_in_the_target_or_is_a_loss(name, keeps, kind, tmp_path):
     if name in ("d.bag", "d.ros2"):
         pytest.importorskip("rosbags")

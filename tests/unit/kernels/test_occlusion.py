@@ -126,6 +126,7 @@ def random_cloud(seed, count, spread_deg, *, layers=(1 / 30, 1 / 8)):
     ],
 )
 @pytest.mark.parametrize(("count", "spread_deg"), [(600, 1.5), (1500, 8.0), (700, 40.0)])
+@pytest.mark.few(6)
 def test_decisions_are_those_of_the_rule_applied_point_by_point(kwargs, count, spread_deg):
     settings = {"cell": CELL, "window": WINDOW, "near": ellipse(), "slope": SLOPE, **kwargs}
     directions, inverse_ranges = random_cloud(count, count, spread_deg)

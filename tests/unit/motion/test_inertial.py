@@ -38,6 +38,7 @@ def finely_integrated(stop: float, rate_hz: int) -> Rotation:
     return turned
 
 
+@pytest.mark.slow
 def test_the_integral_of_a_swinging_motion_is_that_of_tiny_steps() -> None:
     seconds = np.arange(0, 401) / 200.0
     turning = integrate_rates((seconds * SECOND).astype(np.int64), swinging_rates(seconds))

@@ -81,6 +81,7 @@ def test_boxes_of_one_kind_are_refused(drive, tmp_path):
 
 
 @pytest.mark.parametrize(("tilt_deg", "verdict"), [(0.0, Verdict.GOOD), (8.0, Verdict.WRONG)])
+@pytest.mark.few(1)
 def test_a_drive_that_turns_tells_of_a_camera_that_is_tilted(tilt_deg, verdict):
     lens = Camera("pinhole", 320, 120, 180.0, 180.0, 159.5, 59.5)
     scene = simulate_street(

@@ -260,6 +260,7 @@ def odd_scene(points, level=0, *, yaw_deg=0.0):
         (np.random.default_rng(0).uniform(5, 20, (900, 3)) * [1, 0.2, 0.05], 0, 0.0, None),  # all black
     ],
 )
+@pytest.mark.few(2)
 def test_odd_drives_become_maps_all_the_same(tmp_path, points, level, yaw_deg, coloured):
     scene = odd_scene(points, level, yaw_deg=yaw_deg)
     for blend in ("nearest", "best", "weighted"):

@@ -113,6 +113,7 @@ def test_a_drive_without_streams_is_no_error():
     assert (report.reference, report.comparisons) == (None, ())
 
 
+@pytest.mark.slow
 def test_a_lidar_is_compared_by_its_odometry():
     faults = Faults({"lidar": SensorFaults(time_offset_ns=30_000_000)})
     lidar = LidarSpec(beams=24, steps=360)

@@ -307,6 +307,7 @@ def logged(path):
         return []
 
 
+@pytest.mark.slow
 def test_a_server_that_is_killed_ends_calls_with_unavailable_and_leaves_a_log_to_be_read(connect, tmp_path):
     log = tmp_path / "log.mcap"
     process = subprocess.Popen(
@@ -361,6 +362,7 @@ def install(folder):
     return {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), *sys.path])}
 
 
+@pytest.mark.slow
 def test_a_server_with_an_algorithm_that_hangs_ends_by_itself_and_says_so(connect, records, tmp_path):
     config, log = tmp_path / "rig.toml", tmp_path / "log.mcap"
     config.write_text('[properties]\nfusion_algorithm = "hang"\n[service]\ndrain_seconds = 0.2\n')

@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -27,6 +28,7 @@ def reached(*arguments):
     return json.loads(done.stdout)
 
 
+@pytest.mark.slow
 def test_requests_reach_no_kernel_that_was_not_there_after_warming_up():
     assert reached() == {"events": 0, "later": []}
 
@@ -75,7 +77,7 @@ def test_a_server_listens_only_when_it_is_warm(monkeypatch):
         look("started")
         os.kill(os.getpid(), signal.SIGTERM)
 
-    monkeypatch.setattr(running, "warm_up", lambda: look("warming up"))
+    monkeypatch.setattr(running, "warm_up", lambda started: look("warming up"))
     monkeypatch.setattr(running.gc, "freeze", lambda: None)
     assert running.serve_until_ended(ServerSettings(port=port), started=started, quiet=True) == ()
     assert seen == [("warming up", False), ("started", True)]
@@ -101,3 +103,18 @@ def test_without_the_extra_the_verb_says_how_to_get_it():
     assert done.stdout == ""
     assert "pip install 'sceneloom[serve]'" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_server_that_is_told_to_end_while_it_is_loading_does_so_at_once(monkeypatch):
+    killed, here = [], threading.Event()
+
+    def load(started):
+        started(SimpleNamespace(kill=lambda: killed.append(True)))
+        os.kill(os.getpid(), signal.SIGTERM)
+        here.wait(60)
+
+    monkeypatch.setattr(running, "warm_up", load)
+    settings = running.ServerSettings(port=0)
+    assert running.serve_until_ended(settings, started=lambda _: pytest.fail("it listens")) == ()
+    assert killed == [True]
+    here.set()

@@ -183,6 +183,7 @@ def test_returns_come_from_the_things_that_they_name(radar_drive):
     assert {"car", "building", "pole"} <= seen
 
 
+@pytest.mark.slow
 def test_noise_has_the_deviations_that_were_asked_for(radar_drive):
     radar = radar_drive.truth.radars["radar1"]
     errors = []

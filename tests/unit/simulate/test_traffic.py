@@ -138,6 +138,7 @@ def test_points_move_with_what_they_are_on_and_stand_on_what_stands(busy):
     ],
     ids=["default", "another seed", "fast turns", "a stop"],
 )
+@pytest.mark.few(1)
 def test_nobody_runs_into_anybody_or_anything(options):
     truth = drive_through(BUSY, frames=40, cameras=(), **options).truth
     times = np.arange(1_000_000_000, 5_000_000_000, 50_000_000)

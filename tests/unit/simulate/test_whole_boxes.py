@@ -69,6 +69,7 @@ def test_what_a_rolling_shutter_shows_of_an_object_lies_in_its_whole_box(drives)
 
 
 @pytest.mark.parametrize("axis", [1, 0])
+@pytest.mark.few(1)
 def test_whole_boxes_of_a_rolling_shutter_are_what_all_its_lines_see_of_the_boxes_in_space(drives, axis):
     drive = drives[axis == 0]
     camera, (report,) = drive.truth.cameras["camera0"], detect_2d(drive, "camera0", WHOLE, frames=[3])

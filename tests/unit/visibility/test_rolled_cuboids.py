@@ -112,6 +112,7 @@ NEAR = Moving("near", (4.5, 1.9, 1.6), (6.5, 4.5, 1.2), yaw=1.2)
 @pytest.mark.parametrize("over_columns", [False, True], ids=["rows", "columns"])
 @pytest.mark.parametrize("camera", [PINHOLE, FISHEYE], ids=["pinhole", "fisheye"])
 @pytest.mark.parametrize("box", [CAR, NEAR], ids=["car", "near"])
+@pytest.mark.few(5)
 def test_a_cuboid_lies_where_its_points_are_seen_by_their_lines(camera, box, over_columns, way):
     scene = a_scene(camera, [box], over_columns=over_columns, way=way)
     (projection,) = project_cuboids(scene).annotations[0].projections

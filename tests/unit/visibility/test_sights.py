@@ -102,6 +102,7 @@ def test_of_a_box_that_leaves_the_picture_only_the_part_within_bounds_it():
 
 @pytest.mark.parametrize("name", LENSES)
 @pytest.mark.parametrize("part", range(4))
+@pytest.mark.few(5)
 def test_boxes_bound_all_points_of_their_surface_in_the_picture_tightly(name, part):
     lens, compared = LENSES[name], 0
     for seed in range(part * 10, part * 10 + 10):

@@ -100,6 +100,7 @@ def test_a_file_without_an_extrinsic_is_refused(scene, tmp_path):
 
 
 @pytest.mark.parametrize("recording", ["kitti_drive", pytest.param("pandaset", marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_nothing_of_real_recordings_is_told_to_be_wrong(data_dir, recording):
     with sceneloom.open(data_dir / "recordings" / recording) as drive:
         report = check_drive(drive)

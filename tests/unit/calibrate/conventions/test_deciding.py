@@ -98,6 +98,7 @@ def _judged(judge, combination):
     )
 
 
+@pytest.mark.slow
 def test_rigs_written_in_some_of_all_ways_are_told(judge):
     verdicts = [_judged(judge, combination) for combination in COMBINATIONS[:: len(COMBINATIONS) // 5]]
     assert "wrong" not in verdicts

@@ -94,6 +94,7 @@ def test_a_camera_turned_by_a_degree_is_not_good_and_the_turn_is_found(frames):
     [(0.0, 0.0, 180.0), (0.0, 180.0, 0.0), (25.0, 0.0, 0.0)],
     ids=["upside-down", "backwards", "up"],
 )
+@pytest.mark.few(1)
 def test_a_camera_that_looks_elsewhere_is_never_good(frames, turn_deg):
     assert check_frames(turned(frames, turn_deg)).verdict in {Verdict.WRONG, Verdict.CANNOT_TELL}
 

@@ -87,6 +87,7 @@ def turned(pitch, yaw):
     ("turn", "verdict"),
     [((0.0, 0.0), Verdict.GOOD), ((0.7, -0.7), Verdict.DRIFTING), ((4.0, 3.0), Verdict.WRONG)],
 )
+@pytest.mark.few(1)
 def test_the_turn_of_a_camera_is_found_from_planes_and_judged(pairs, turn, verdict):
     item = judge_planes(pairs, turned(*turn))
     assert item.verdict is verdict

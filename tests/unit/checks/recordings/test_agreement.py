@@ -164,6 +164,7 @@ PASSED = {
 
 
 @pytest.mark.parametrize("name", [*REFUSED, *PASSED])
+@pytest.mark.few(20)
 def test_what_is_refused_has_an_error_and_nothing_else_has(sound, tmp_path, name):
     folder = shutil.copytree(sound, tmp_path / "drive")
     {**REFUSED, **PASSED}[name](folder)

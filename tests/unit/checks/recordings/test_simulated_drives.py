@@ -46,6 +46,7 @@ SOUND = {
 
 
 @pytest.mark.parametrize("case", SOUND)
+@pytest.mark.few(3)
 def test_nothing_is_found_in_a_sound_drive(tmp_path, case):
     folder = written(make(len(case), **SOUND[case]).scene, tmp_path / "drive")
     report = validate(folder, ignore=["calibration-there"])  # there is nothing to calibrate

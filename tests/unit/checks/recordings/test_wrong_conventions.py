@@ -216,6 +216,7 @@ def test_nothing_is_said_of_a_drive_as_it_was(found):
 
 
 @pytest.mark.parametrize("name", PLANTED)
+@pytest.mark.few(6)
 def test_a_wrong_convention_is_found_and_named(found, name):
     planted, expected = PLANTED[name]
     messages = found(planted)

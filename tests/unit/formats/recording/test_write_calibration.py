@@ -92,6 +92,7 @@ def test_every_model_is_either_written_or_fitted():
 
 
 @pytest.mark.parametrize("kind", STRANGERS)
+@pytest.mark.few(3)
 def test_a_lens_that_the_format_lacks_is_fitted_and_the_error_that_is_left_is_said(kind):
     exact = STRANGERS[kind]
     fields, how_far = lens_entry(exact)

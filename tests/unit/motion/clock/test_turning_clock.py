@@ -73,6 +73,7 @@ def test_a_rotation_between_the_bodies_is_found_along(sway, stamps):
     assert (Rotation.from_rotvec(found.rotation_vector).inv() * mounted).magnitude() < 0.01
 
 
+@pytest.mark.slow
 def test_gaps_and_wild_samples_do_not_matter(sway, stamps):
     at, rates, posed, turns = pair(sway, stamps, offset=0.03, seconds=36.0)
     draw = np.random.default_rng(5)
@@ -92,6 +93,7 @@ def test_ten_samples_a_second_of_both_are_enough(sway, stamps):
     assert found.offset_ns == pytest.approx(3e7, abs=5e6)
 
 
+@pytest.mark.slow
 def test_a_long_drive_with_a_fast_clock_is_followed(sway, stamps):
     at, rates, posed, turns = pair(
         sway, stamps, offset=0.4, skew=200.0, seconds=320.0, poses_hz=10.0, rates_hz=25.0

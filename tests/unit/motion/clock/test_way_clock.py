@@ -73,6 +73,7 @@ def test_the_other_way_round_the_sign_changes(scene):
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_fixes_in_step_raise_no_alarm(seed):
     scene = drive(seed, seconds=40, sigma=0.4)
     for reference in ("groundTruth", "imu"):

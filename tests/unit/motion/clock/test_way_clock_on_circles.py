@@ -42,6 +42,7 @@ def compared(swing, offset_ns, *, noise=0.02, seed=0, seconds=40.0):
 
 
 @pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.slow
 def test_a_circle_at_one_speed_tells_no_offset_however_good_the_fixes_are(seed):
     """Later on the circle is the same as turned about its middle; what is left is what the IMU gets wrong."""
     found = compared(0.0, 200_000_000, noise=1e-5, seed=seed)

@@ -75,6 +75,7 @@ def test_a_bias_taken_off_is_one_known_to_the_slopes():
     assert np.abs(expected(other) - expected(plain)).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_variances_are_those_of_drawn_states():
     rng = np.random.default_rng(1)
     found = carried_fixes(antennas(), KNOTS, MEASURED, samples(), biases=np.zeros((3, 6)), gravity=GRAVITY)

@@ -147,6 +147,7 @@ def test_a_bare_plain_tells_nothing_about_the_way_along_it_and_the_covariance_sa
     assert height < 0.02
 
 
+@pytest.mark.slow
 def test_a_standing_car_stays_where_it_is_while_others_pass():
     path = PathSpec(stops=(Stop(0.0, 12.0),))
     drive = simulate_street(

@@ -1,7 +1,11 @@
 """What an installation says of itself."""
 
+import importlib
 import importlib.metadata
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
@@ -72,20 +76,60 @@ def test_a_folder_that_is_not_installed_says_so(monkeypatch):
     assert "not installed" in findings("packages")["sceneloom"].said
 
 
-def test_kernels_count_as_compiled_once_there_is_an_index_not_older_than_their_source(monkeypatch, tmp_path):
+def test_kernels_count_as_compiled_once_there_is_an_index_of_their_present_source(monkeypatch, tmp_path):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     cold = cache.find_kernel_cache()
     assert (cold.folder, cold.compiled, cold.is_warm, cold.writable) == (tmp_path, 0, False, True)
     python = f"py{sys.version_info.major}{sys.version_info.minor}"
     below = tmp_path / "kernels_5f3a"
     below.mkdir()
-    (below / f"voxels.number_cubes-22.{python}.nbi").touch()
-    (below / "lanes.follow-9.py27.nbi").touch()
+    source = Path(cache.__file__).parent / "voxels.py"
+    index = below / f"voxels.number_cubes-22.{python}.nbi"
+    index.write_bytes(b"of a source that was changed since")
+    (below / "voxels.number_cubes-9.py27.nbi").write_bytes(cache.source_digest(source).encode())
+    assert cache.find_kernel_cache().compiled == 0
+    index.write_bytes(b"of" + cache.source_digest(source).encode())
     assert cache.find_kernel_cache().compiled == 1
     assert cache.find_kernel_cache().kernels == cold.kernels > 150
     asked = ["sceneloom.kernels.occlusion", "sceneloom.cameras.pinhole", "sceneloom.kernels.voxels"]
     others = ["sceneloom.kernels.cache", "sceneloom.cameras.table", "numba.core", "sceneloom"]
     assert [cache.lacks_kernels(name) for name in (*asked, *others)] == [True] * 3 + [False] * 4
+
+
+KERNELS = """
+from sceneloom.kernels.cache import kernel
+@kernel("float64(float64)", nogil=True)
+def doubled(value):
+    return 2.0 * value
+@kernel("float64(float64)", nogil=True)
+def quadrupled(value):
+    return doubled(doubled(value))
+"""
+
+
+def test_threads_may_call_a_kernel_for_the_first_time_at_the_same_time(monkeypatch, tmp_path):
+    (tmp_path / "kernels_of_threads.py").write_text(KERNELS)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    module = importlib.import_module("kernels_of_threads")
+    start = threading.Barrier(8)
+
+    def call(k):
+        start.wait()
+        return (module.doubled if k % 2 else module.quadrupled)(float(k))
+
+    with ThreadPoolExecutor(8) as pool:
+        assert list(pool.map(call, range(8))) == [0.0, 2.0, 8.0, 6.0, 16.0, 10.0, 24.0, 14.0]
+
+
+def test_kept_kernels_are_those_of_the_content_of_their_sources_and_not_of_their_age(tmp_path):
+    package = Path(cache.__file__).parent
+    copied = tmp_path / "voxels.py"
+    copied.write_bytes((package / "voxels.py").read_bytes())
+    known = cache.source_digest(package / "voxels.py")
+    assert cache.source_digest(copied) == known
+    changed = tmp_path / "changed.py"
+    changed.write_bytes(copied.read_bytes() + b"\n")
+    assert cache.source_digest(changed) != known
 
 
 @pytest.mark.parametrize(

@@ -33,6 +33,15 @@ def test_our_own_interface_passes_all_checks(sound):
 @pytest.mark.parametrize(
     ("make", "ids"), [server[1:] for server in SERVERS], ids=[name for name, *_ in SERVERS]
 )
+def test_a_broken_server_fails_the_checks_of_its_defect_if_only_these_are_made(make, ids):
+    examination = examine(make(HereTransport()), only=ids)
+    assert sorted(examination.failed_ids) == sorted(ids)
+
+
+@pytest.mark.few(5)
+@pytest.mark.parametrize(
+    ("make", "ids"), [server[1:] for server in SERVERS], ids=[name for name, *_ in SERVERS]
+)
 def test_a_broken_server_fails_exactly_the_checks_of_its_defect(make, ids):
     examination = examine(make(HereTransport()))
     assert sorted(examination.failed_ids) == sorted(ids)

@@ -3,7 +3,8 @@ checkout=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 
-export PIP_QUIET=1 PIP_DISABLE_PIP_VERSION_CHECK=1
+# What is never imported need not be compiled to bytecode.
+export PIP_QUIET=1 PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_COMPILE=1
 unset PYTHONPATH PYTHONHOME
 if [[ -z ${SCENELOOM_DATA:-} && -d $checkout/../shared/data ]]; then
   SCENELOOM_DATA=$(cd "$checkout/../shared/data" && pwd)

@@ -16,7 +16,7 @@ from tests.peers import python_with
 
 from sceneloom.kernels.cache import compile_kernels, lacks_kernels
 
-settings.register_profile("default", max_examples=40, derandomize=True, database=None, deadline=None)
+settings.register_profile("default", max_examples=20, derandomize=True, database=None, deadline=None)
 settings.register_profile(
     "deep",
     max_examples=800,

@@ -47,6 +47,7 @@ def test_an_index_without_its_chunk_is_a_fault(bag):
 
 
 @pytest.mark.parametrize("kind", ["TFMessage", "Odometry", "Detection3DArray", "Imu"])
+@pytest.mark.few(2)
 def test_orientations_beyond_what_can_be_squared_are_faults_and_no_warnings(tmp_path, kind):
     """Warnings are errors here: squares of such numbers overflow."""
     from rosbags.highlevel import AnyReader

@@ -87,6 +87,7 @@ def test_a_file_cut_anywhere_is_read_or_refused(tmp_path, name):
     assert all(cut > len(content) - 3 or cut % LAYOUT.dtype.itemsize == 0 for cut in whole)
 
 
+@pytest.mark.few(3)
 def test_a_file_with_any_byte_flipped_is_read_or_refused(tmp_path, name):
     content = FILES[name]
     for place in range(0, len(content), 2 if name.endswith("npz") else 1):

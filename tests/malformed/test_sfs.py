@@ -177,6 +177,7 @@ def test_a_file_cut_anywhere_gives_a_scene_or_an_error_of_ours(golden, step, enc
 
 @pytest.mark.parametrize("step", THINNED)
 @pytest.mark.parametrize("golden", GOLDEN.values(), ids=GOLDEN)
+@pytest.mark.few(1)
 def test_a_changed_byte_anywhere_gives_a_scene_or_an_error_of_ours(golden, step, encode_sfs, survives):
     content = encode_sfs(golden())
     rng = np.random.default_rng(7)

@@ -33,6 +33,7 @@ def reference(data_dir: Path) -> Path:
     return data_dir / "real" / "sfs_reference" / "argoverse2_2frames_cuboids.sfs"
 
 
+@pytest.mark.few(1)
 def test_a_fused_drive_seen_from_the_ego_and_back_is_the_same(fused: Path, tmp_path: Path) -> None:
     with sceneloom.open(fused) as scene:
         sceneloom.write(to_ego(scene), tmp_path / "ego.sfs")

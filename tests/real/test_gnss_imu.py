@@ -64,6 +64,7 @@ def test_an_outage_of_ten_seconds_costs_a_fifth_of_what_straight_lines_do(scene,
     assert ours < (lines / 5.0**2)
 
 
+@pytest.mark.slow
 def test_noise_of_a_metre_and_jumps_of_ten_are_a_third_of_what_they_are_on_straight_lines(scene):
     rows = np.arange(0, 154, 10)
     found = []

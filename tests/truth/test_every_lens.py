@@ -66,6 +66,7 @@ def test_there_is_a_lens_of_every_model():
 
 
 @pytest.mark.parametrize("model", LENSES)
+@pytest.mark.few(6)
 def test_points_lie_in_the_pixels_that_show_them(drive, frame, model):
     view = view_of(frame, model)
     truth = drive.truth.picture(f"camera{list(LENSES).index(model)}", 1)

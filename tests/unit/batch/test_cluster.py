@@ -20,6 +20,7 @@ from sceneloom.version import __version__
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")  # of sockets to workers that were killed
 
 
+@pytest.mark.slow
 def test_killed_workers_of_dask_harm_one_try_of_a_drive_or_of_a_piece_and_nothing_else(tmp_path, drives, job):
     wanted = job("letters", drives("a", "bc"), parts=Parts(seconds=1.0), options={"die": ["all", "twice1"]})
     # dask itself would give up a worker that is not there again at once

@@ -124,6 +124,7 @@ def test_a_send_that_fails_is_tried_again_where_that_may_help(
 
 
 @pytest.mark.parametrize("make", [ProcessPool, DaskCluster.local], ids=["pool", "dask"])
+@pytest.mark.few(1)
 def test_a_killed_worker_leaves_nothing_in_the_store_and_no_draft(
     tmp_path, drives, job, store, make, monkeypatch
 ):

@@ -91,6 +91,7 @@ def content(folder):
 
 
 @pytest.mark.parametrize("guarded", [True, False], ids=["by the verb", "by the settings alone"])
+@pytest.mark.few(10)
 def test_no_statement_writes_anything_anywhere(copied, tmp_path, monkeypatch, guarded):
     home = tmp_path / "home"
     (home / "here").mkdir(parents=True)

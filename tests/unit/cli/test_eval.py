@@ -118,6 +118,7 @@ def test_a_plot_is_a_picture_and_is_not_replaced_unasked(
     assert call(*arguments, "--overwrite").code == 0
 
 
+@pytest.mark.slow
 def test_drawing_leaves_the_callers_matplotlib_alone(ways: tuple[Path, Path], tmp_path: Path) -> None:
     program = (
         "import sys, sceneloom\n"

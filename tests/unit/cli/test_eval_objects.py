@@ -90,6 +90,7 @@ def test_figures_of_detections_are_given_to_machines(call: Call, sides: tuple[Pa
 
 
 @pytest.mark.parametrize("verb", ["tracking", "detection"])
+@pytest.mark.few(1)
 def test_curves_are_drawn_and_not_replaced_unasked(
     call: Call, sides: tuple[Path, Path], tmp_path: Path, verb: str
 ) -> None:

@@ -913,6 +913,7 @@ LEFT_OUT = (
 
 
 @pytest.mark.parametrize(("case", "name", "kind", "count"), LEFT_OUT)
+@pytest.mark.few(5)
 def test_what_an_image_or_a_view_cannot_show_is_counted(
     call: Callable[..., Any],
     encode_sfs: Callable[..., bytes],

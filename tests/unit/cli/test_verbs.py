@@ -205,6 +205,7 @@ def test_one_thing_is_not_called_several(call: Call, recording: Path, tmp_path: 
     assert "fused 1 of 1 sweep by" in outcome.out
 
 
+@pytest.mark.slow
 def test_a_terminal_that_knows_few_characters_gets_them_escaped(recording: Path, tmp_path: Path) -> None:
     start = "from sceneloom.cli import main; main()"
     command = [sys.executable, "-c", start, "convert", recording, tmp_path / "a.sfs"]

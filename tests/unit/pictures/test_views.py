@@ -91,6 +91,7 @@ def test_overlay_and_depth_image_share_the_scale_of_the_visible_points(make_view
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 400), (400, 1), (97, 61), (641, 383), (1242, 375)])
 @pytest.mark.parametrize("draw", [draw_overlay, draw_depth_image])
+@pytest.mark.few(6)
 def test_pictures_of_any_size_keep_their_pixels_and_cut_nothing_off(make_view, draw, size):
     width, height = size
     view = make_view([(width - 1, height - 1, 10.0, True)], width=width, height=height, camera_id="c" * 300)

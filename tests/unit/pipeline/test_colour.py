@@ -100,6 +100,7 @@ def test_positions_of_a_map_are_those_of_the_source_s_world(exposed, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".las", ".laz", ".ply", ".pcd", ".sfs"])
+@pytest.mark.few(2)
 def test_a_map_of_cubes_has_one_point_for_each(exposed, tmp_path, suffix):
     report = colour(exposed.scene, tmp_path / f"map{suffix}", settings=ColourSettings(voxel=0.5))
     if suffix == ".sfs":

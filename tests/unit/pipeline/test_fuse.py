@@ -160,6 +160,7 @@ def test_pictures_are_drawn_of_chosen_sweeps(drive: Scene, tmp_path: Path) -> No
     assert {"cloud_drive_above.png", "cloud_drive_perspective.png"} <= set(names)
 
 
+@pytest.mark.slow
 def test_a_failure_in_the_middle_leaves_no_output(drive: Scene, tmp_path: Path) -> None:
     frames = drive.lidars[0].frames
 

@@ -33,6 +33,7 @@ def source(tmp_path_factory):
 
 
 @pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.few(5)
 def test_no_target_holds_the_folder_of_its_source(source, target, tmp_path):
     out = tmp_path / f"out{TARGETS[target]}"
     sceneloom.convert(source, out, to=target, loss=tmp_path / "loss.json")

@@ -346,6 +346,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
+@pytest.mark.slow
 def test_what_was_written_before_a_kill_can_be_read_and_played(tmp_path):
     path = tmp_path / "session.mcap"
     program = textwrap.dedent(CRASHING).format(folder=str(Path(__file__).parent), path=str(path))

@@ -38,6 +38,7 @@ def cast_from(street, origin, directions, *, reach=200.0, bundles=None):
 
 
 @pytest.mark.parametrize("kind", ShapeKind)
+@pytest.mark.few(1)
 def test_the_first_hit_of_each_kind_of_body_is_where_the_slow_walk_enters_it(
     kind, street_of, standing_path, slow_caster
 ):

@@ -160,6 +160,7 @@ def test_a_car_can_stand_for_a_minute():
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.few(1)
 def test_turns_are_as_fast_as_asked_for_and_nothing_stands_in_their_way(seed):
     path = planned(seed, PathSpec(turn_rate=1.0))
     rates = np.abs(path.at_seconds(np.linspace(0, 20, 2000)).angular_rates[:, 2])

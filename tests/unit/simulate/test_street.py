@@ -31,6 +31,7 @@ def in_any_shape(packed, points):
     return inside
 
 
+@pytest.mark.few(1)
 def test_nothing_stands_in_the_way_of_the_ego(built):
     path, street = built
     states = path.at_seconds(np.arange(-1.0, 16.0, 0.1))

@@ -56,6 +56,7 @@ def test_the_box_of_an_object_beside_the_camera_reaches_the_border_and_stays_fin
     assert box == pytest.approx([0.0, 96.0, 159.5 - 190 * 2 / 5 + 0.5, 200.0])
 
 
+@pytest.mark.slow
 def test_what_a_rolling_shutter_shows_of_an_object_lies_in_its_whole_box(drives):
     for drive in drives:
         for k, report in enumerate(detect_2d(drive, "camera0", WHOLE)):

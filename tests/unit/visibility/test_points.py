@@ -63,6 +63,7 @@ def exact_counts(drive, k, instances):
     return counts
 
 
+@pytest.mark.slow
 def test_points_in_moving_boxes_of_a_moving_lidar_are_counted_at_their_own_times(drive):
     found = count_points(drive.scene, moment="points")
     instances = [int(str(identifier).rsplit("-", 1)[1]) for identifier in found.annotation_ids]

@@ -196,6 +196,7 @@ def test_samples_of_one_time_that_differ_are_left_to_a_person(drive):
         ([0, 1, 2, 2, 4, 5, 6, 7, 8, 9, 10, 11], {"frame-numbers-gaps", "frame-numbers-increasing"}),
     ],
 )
+@pytest.mark.few(1)
 def test_frames_are_numbered_from_0_without_gaps(drive, numbers, rules):
     sound = [copy.deepcopy(line) for line in drive.lines]
     for line, number in zip(frames_of(drive.lines), numbers, strict=True):

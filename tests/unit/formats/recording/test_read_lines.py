@@ -409,8 +409,7 @@ def test_blank_lines_at_the_end_are_left_out_with_a_warning(recording):
         assert notice.place.endswith("line 4")
 
 
-@pytest.mark.parametrize("blank", [1, 200_000])
-@pytest.mark.few(2)
+@pytest.mark.parametrize("blank", [1, pytest.param(200_000, marks=pytest.mark.slow)])
 def test_blank_lines_before_others_are_faults_however_many(recording, blank):
     # more of them than one block of the file holds
     lines = [json.dumps(imu_line(0.0)), *[""] * blank, json.dumps(imu_line(0.1)), "", ""]

@@ -95,6 +95,7 @@ def test_no_more_stays_on_disk_than_may_and_what_went_comes_again(clouds, fetche
 
 
 @pytest.mark.parametrize("change", ["longer", "newer", "removed"])
+@pytest.mark.few(1)
 def test_a_file_that_changed_since_the_folder_was_opened_is_an_error(clouds, change):
     with sceneloom.open(f"local://{clouds}") as scene:
         kept = scene.lidars[0].frames[4]

@@ -49,6 +49,7 @@ def test_the_other_doors_bring_nothing_either(tmp_path):
         assert "hidden" not in all_that_hangs_on(told.value)[1]
 
 
+@pytest.mark.slow
 def test_what_is_said_of_a_drive_that_cannot_be_read_shows_none():
     told = sceneloom.validate("http://me:hidden@127.0.0.1:9/drive.sfs" + SIGNED)
     assert "127.0.0.1" in told.source
@@ -87,6 +88,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_errors_of_worker_processes_show_none_in_tracebacks_and_logs(served, encode_sfs, tmp_path):
     frames = [
         {"timestamp": 100_000 * k, "points": {"positions": np.ones((30_000, 3), np.float32)}}

@@ -38,6 +38,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.few(5)
 def test_every_picture_bears_the_number_that_was_asked_for(videos, kind):
     content = videos.make(videos.Recipe(**KINDS[kind]))
     with open_video(content) as reader:

@@ -73,6 +73,7 @@ def test_a_copy_is_decodable_in_time_and_starts_at_zero(videos, kind):
     assert sorted(pts for pts, _ in times) == pytest.approx((np.array(ticks) - ticks[0]) / 30, abs=1.01e-3)
 
 
+@pytest.mark.slow
 def test_real_recordings_with_b_frames_and_missing_decoding_times_are_copied(data_dir, videos, tmp_path):
     paths = sorted((data_dir / "recordings").glob("*/data*.mkv"))
     assert len(paths) >= 4

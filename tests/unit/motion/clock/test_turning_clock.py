@@ -26,6 +26,7 @@ def pair(sway, stamps, *, seed=0, offset=0.0, skew=0.0, seconds=40.0, poses_hz=5
     ("offset", "skew"),
     [(0.03, 0.0), (-1.0, 200.0), (0.7213, -200.0), (1.0, 100.0), (-0.03, -50.0), (0.0, 150.0)],
 )
+@pytest.mark.few(3)
 def test_a_planted_offset_and_skew_come_back(sway, stamps, offset, skew):
     at, rates, posed, turns = pair(sway, stamps, seed=3, offset=offset, skew=skew)
     found = compare_turnings(Turning.of_rates(at, rates), Turning.of_poses(posed, turns))

@@ -230,6 +230,7 @@ def test_numbers_out_of_bounds_are_refused(wrong):
 
 
 @pytest.mark.parametrize("profile", ["sfs", "scale"])
+@pytest.mark.few(1)
 def test_labels_pass_validation(labelled, tmp_path, profile):
     sceneloom.write(labelled.scene, tmp_path / "labels.sfs", profile=profile)
     report = sceneloom.validate(tmp_path / "labels.sfs", profile=profile)

@@ -370,6 +370,7 @@ def rigs(server):
         rig.channel.close()
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("name", SERVICE.methods_by_name)
 def test_mutants_of_a_request_are_answered_or_refused(rigs, name):
     assert attack(*rigs, name, SMALL if name != "Subscribe" else 10) == []

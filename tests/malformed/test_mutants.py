@@ -21,6 +21,7 @@ ALWAYS = {"openlabel", "recording", "mcap"}
 """Drives whose files are replaced in the usual run; the others follow in the long one."""
 
 
+@pytest.mark.few(7)
 @pytest.mark.parametrize("name", DRIVES)
 def test_a_mutant_of_a_drive_gives_a_scene_or_an_error_of_ours(name):
     tried = try_mutants(name, range(FEW))

@@ -16,6 +16,7 @@ KNOWN_FINDINGS = {
 that are not said."""
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("name", KNOWN_FINDINGS)
 @pytest.mark.parametrize("profile", ["sfs", "scale"])
 def test_real_data_give_the_findings_that_are_true_of_them_and_nothing_else(data_dir: Path, name, profile):

@@ -96,6 +96,7 @@ def _tree(folder: Path) -> dict[str, bytes | None]:
     return {str(path.relative_to(folder)): content for path, content in found.items()}
 
 
+@pytest.mark.few(9)
 @pytest.mark.parametrize("name", written_formats())
 def test_a_folder_is_replaced_only_by_its_like_and_never_with_the_source_in_it(
     call: "Call", recording: Path, tmp_path: Path, name: str

@@ -290,6 +290,7 @@ COMPUTING: dict[str, Figures] = {
 """What everything that computes makes of a drive, in figures that depend on its corrections."""
 
 
+@pytest.mark.few(13)
 @pytest.mark.parametrize("verb", COMPUTING)
 def test_a_verb_that_computes_gives_for_a_corrected_drive_what_it_gives_for_the_right_one(
     verb: str, call: Callable[..., Any], files: Path, tmp_path: Path

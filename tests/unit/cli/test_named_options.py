@@ -60,6 +60,7 @@ def test_a_remedy_names_no_option_that_there_is_not(rule):
     assert set(OPTION.findall(f"{rule.summary} {rule.remedy}")) <= known_options()
 
 
+@pytest.mark.few(15)
 @pytest.mark.parametrize("room", sorted({path.parts[0] for path in MODULES}))
 def test_texts_name_no_option_and_no_verb_that_there_is_not(room):
     for module in (path for path in MODULES if path.parts[0] == room):

@@ -262,6 +262,7 @@ def content(scene):
     return said.hexdigest(), len(scene.annotations)
 
 
+@pytest.mark.few(7)
 @pytest.mark.parametrize(
     ("form", "options"),
     [

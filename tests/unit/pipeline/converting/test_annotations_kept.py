@@ -89,6 +89,7 @@ def source(request, tmp_path_factory):
 IS_READ = {"colmap": False, "nerfstudio": False}
 
 
+@pytest.mark.few(18)
 @pytest.mark.parametrize("target", written_formats())
 def test_each_annotation_is_read_back_or_listed_with_its_count(source, target, tmp_path):
     scene, path = source

@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sceneloom.batch.pieces import piece_name
 from sceneloom.cli import main
-from sceneloom.cli.batch.one_drive import run_verb, verb_named
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.formats.kitti import open_tracking_folder, read_labels, write_labels
 from sceneloom.formats.kitti.camera_boxes import lidar_boxes
@@ -133,30 +131,6 @@ def test_a_folder_without_labels_is_tracked(folder, tmp_path):
     keys = list(zip(found.frames.tolist(), found.track_ids.tolist(), strict=True))
     assert len(keys) == len(set(keys))  # evaluations refuse an id that stands twice in a frame
     assert (found.corners_xyxy[:, 2:] > found.corners_xyxy[:, :2]).all()
-
-
-def test_a_sequence_in_parts_is_told_as_in_one_piece(folder, tmp_path):
-    chosen = ["--sequence", "0012"]
-    with pytest.raises(SystemExit):
-        main(["track", str(folder), "-o", str(tmp_path / "whole"), *chosen, "-q"])
-    own = ("path", "output", "as_json", "quiet", "verbose", "overwrite")
-    said = verb_named("track").make_context("track", [str(folder), "-o", "x", *chosen]).params
-    values = {"verb": "track", **{name: value for name, value in said.items() if name not in own}}
-
-    def piece(output, **told):
-        return run_verb(str(folder), output, {**values, "piece": told})
-
-    (pieces,) = piece(tmp_path / "none", work="plan", seconds=4.0, count=1)
-    assert [told["sequence"] for told in pieces] == ["0012"] * 2
-    for k, told in enumerate(pieces):
-        piece(tmp_path / piece_name(0, k), **told)
-    piece(tmp_path / "joined", work="join", folder=str(tmp_path), stages=[len(pieces)])
-    whole, joined = (read_labels(tmp_path / place / "0012.txt") for place in ("whole", "joined"))
-    np.testing.assert_array_equal(joined.frames, whole.frames)
-    # states forget slowly what a part is not led into
-    np.testing.assert_allclose(joined.bottoms, whole.bottoms, atol=0.01)
-    pairs = set(zip(whole.track_ids.tolist(), joined.track_ids.tolist(), strict=True))
-    assert len(pairs) == len(set(whole.track_ids)) == len(set(joined.track_ids))
 
 
 def test_detectors_that_the_configuration_names_count_before_those_that_are_known_of_the_folder(tracking):

@@ -48,19 +48,6 @@ class Input:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Parts:
-    """How long drives are split in time.
-
-    Attributes:
-        seconds: about how long a part is; None for as many parts as keep all workers busy.
-        count: then, how many parts.
-    """
-
-    seconds: float | None = None
-    count: int = 1
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Further:
     """A further output that was asked for of all drives.
 
@@ -106,7 +93,6 @@ class Job:
         suffix: what names of outputs end in; "" for folders.
         retries: how often a drive is tried again where the cause can pass.
         modules: what workers of this machine import before they begin, once for all of them.
-        parts: how drives are split in time, where they are; `batch.pieces` says how `call` takes part in it.
         further: outputs beside these, which `call` writes where its options of these names say.
     """
 
@@ -118,7 +104,6 @@ class Job:
     suffix: str = ""
     retries: int = 2
     modules: tuple[str, ...] = ()
-    parts: Parts | None = None
     further: tuple[Further, ...] = ()
 
 
@@ -133,7 +118,6 @@ class Task:
         draft: where the output is written; from there it is moved to its place once it is whole. Below the temporary
             folder of the worker's machine if there is a `target`.
         target: the folder of a store that the worker sends the output to once it is whole; "" for none.
-        writes: whether there is an output at all; else what is told is all.
         further: where further outputs belong, by the option that names each.
         files: what is read beside the drive, by option, as of `Job`.
     """
@@ -145,7 +129,6 @@ class Task:
     draft: Path
     options: Mapping[str, Any]
     target: str = ""
-    writes: bool = True
     further: Mapping[str, str] = field(default_factory=dict)
     files: Mapping[str, Any] = field(default_factory=dict)
 

@@ -17,11 +17,10 @@ import msgspec
 from sceneloom.batch.inputs import READING
 from sceneloom.batch.jobs import Outcome, State
 from sceneloom.batch.locks import locked
-from sceneloom.batch.pieces import PIECE, piece_name, told_part
 from sceneloom.errors import DataError
 
 FOLDER = ".sceneloom-run"
-_RECORD, _LOCK, _DRAFTS, _PIECES = "record.sqlite", "lock.sqlite", "drafts", "pieces"
+_RECORD, _LOCK, _DRAFTS = "record.sqlite", "lock.sqlite", "drafts"
 _VERSION = 1
 _TABLES = """
 CREATE TABLE IF NOT EXISTS run (name TEXT PRIMARY KEY, value TEXT NOT NULL);
@@ -49,7 +48,7 @@ CREATE TABLE IF NOT EXISTS drives (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """What the record knows of a drive, or of a piece of one.
+    """What the record knows of a drive.
 
     Attributes:
         number: of the drive.
@@ -140,11 +139,6 @@ class Record:
         """Where outputs are written before they are whole."""
         return self.folder / FOLDER / _DRAFTS
 
-    @staticmethod
-    def pieces_of(number: int) -> Path:
-        """Where the pieces of a drive lie until they are joined, in the folder of the run."""
-        return Path(FOLDER, _PIECES, f"{number:06d}")
-
     def tell(self, name: str, value: Any) -> None:
         """Keep something of the run as a whole."""
         with self._connection:
@@ -158,19 +152,10 @@ class Record:
     def rows(self, *states: State) -> list[Row]:
         """The drives, in the order of their numbers; of some states only, if these are named."""
         marks = ", ".join("?" * len(states))
-        found = self._rows(f"WHERE state IN ({marks})" if states else "", [str(state) for state in states])
-        return [row for row in found if PIECE not in row.part]
-
-    def pieces(self, drive: int) -> list[Row]:
-        """The pieces of a drive, in the order of their numbers."""
-        first = (self.pieces_of(drive) / piece_name(0, 0)).as_posix()
-        beyond = self.pieces_of(drive + 1).as_posix()
-        return self._rows("WHERE output >= ? AND output < ?", [first, beyond])
-
-    def _rows(self, where: str, values: Sequence[str]) -> list[Row]:
+        where = f"WHERE state IN ({marks})" if states else ""
         found = self._connection.execute(
             f"SELECT {', '.join(_COLUMNS)} FROM drives {where} ORDER BY number",  # noqa: S608 - names of our own
-            values,
+            [str(state) for state in states],
         )
         return [self._row(dict(zip(_COLUMNS, one, strict=True))) for one in found]
 
@@ -201,7 +186,10 @@ class Record:
         with self._connection:
             self._connection.executemany(
                 "INSERT INTO drives (input, part, output, state) VALUES (?, ?, ?, ?)",
-                [(place, told_part(part), name, State.WAITING) for place, part, name in drives],
+                [
+                    (place, json.dumps(dict(part), sort_keys=True), name, State.WAITING)
+                    for place, part, name in drives
+                ],
             )
 
     def wait_again(self, numbers: Sequence[int]) -> None:
@@ -210,13 +198,6 @@ class Record:
             self._connection.executemany(
                 "UPDATE drives SET state = ?, attempts = 0, error = NULL, kind = NULL, report = NULL WHERE number = ?",
                 [(State.WAITING, number) for number in numbers],
-            )
-
-    def remove(self, numbers: Sequence[int]) -> None:
-        """Forget pieces of a drive that is split in another way now."""
-        with self._connection:
-            self._connection.executemany(
-                "DELETE FROM drives WHERE number = ?", [(number,) for number in numbers]
             )
 
     def begin(self, number: int, attempt: int) -> None:

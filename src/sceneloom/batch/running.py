@@ -10,24 +10,21 @@ import secrets
 import shutil
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import gettempdir
-from typing import Any
 
 import msgspec
 
 from sceneloom.batch.further import bring, check_further
 from sceneloom.batch.jobs import Input, Job, Outcome, State, Task
-from sceneloom.batch.outputs import FolderOutputs, Outputs, record_folder
-from sceneloom.batch.pieces import JOIN, PIECE, PLAN, Split, Stages, piece_name, plan_of, told_part
+from sceneloom.batch.outputs import Outputs, record_folder
 from sceneloom.batch.pool import Executor, ProcessPool
 from sceneloom.batch.preparing import (
     asked_drives,
     configuration,
-    done_rows,
     drive_key,
     files_of,
     further_places,
@@ -39,7 +36,6 @@ from sceneloom.batch.warming import Warming
 from sceneloom.batch.working import draft_of
 from sceneloom.errors import OptionError, OutputError
 from sceneloom.formats.urls import is_url
-from sceneloom.redaction import redacted
 
 Told = Callable[["RunSummary", Outcome], None]
 """Is told how far a run is, and what came of the last try."""
@@ -65,8 +61,6 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
         retried: tries beyond the first ones.
         seconds: how long this run took by the clock [s].
         processor_seconds: of all workers together [s].
-        pieces: of drives that are split, as far as that is known.
-        pieces_done: those of them that are done.
     """
 
     output: str
@@ -79,8 +73,6 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     retried: int = 0
     seconds: float = 0.0
     processor_seconds: float = 0.0
-    pieces: int = 0
-    pieces_done: int = 0
 
     @property
     def left(self) -> int:
@@ -119,11 +111,6 @@ def run(
     store = str(output) if is_url(output) else ""
     if record is not None and not store:
         raise OptionError(f"{output}: outputs on disk have their record beside them; name none")
-    if job.parts is not None and store:
-        raise OptionError(
-            f"{redacted(store)}: outputs in a store are not written in parts, which workers leave for one another in a "
-            "folder; expected a folder, or no --parts"
-        )
     check_further(job.further, store)
     folder = (record or record_folder(store)) if store else Path(output)
     with ExitStack() as ending:
@@ -153,11 +140,6 @@ class _Run:
     due: list[tuple[float, int, int]] = field(default_factory=list)
     """When [s of the clock], which drive, for the how many-th time."""
     rows: dict[int, Row] = field(default_factory=dict)
-    """Of drives and, once these are split, of their pieces."""
-    splits: dict[int, Split] = field(default_factory=dict)
-    """By drive; one without stages is done in one piece."""
-    drives: dict[int, int] = field(default_factory=dict)
-    """Of which drive a piece is."""
     meant: dict[int, Input] = field(default_factory=dict)
     """The drives by their numbers, with secrets where their addresses have some."""
     name: str = field(default_factory=lambda: secrets.token_hex(4))
@@ -229,9 +211,7 @@ class _Run:
     def _begin(self, number: int, attempt: int) -> None:
         row = self.rows[number]
         self.record.begin(number, attempt)
-        piece = self._piece(row)
-        step = piece.get(PIECE, {}).get("work", "all")  # a drive is planned, and joined later: two tasks
-        draft = self._drafts / f"{self.name}-{number}-{step}-{attempt}" / Path(row.output).name
+        draft = self._drafts / f"{self.name}-{number}-{attempt}" / Path(row.output).name
         self.executor.submit(
             Task(
                 number=number,
@@ -239,36 +219,19 @@ class _Run:
                 call=self.job.call,
                 place=self.meant[number].place,
                 draft=draft,
-                options={**self.job.options, **row.part, **piece},
+                options={**self.job.options, **row.part},
                 target=self.outputs.target,
-                writes=step != PLAN,
                 further=further_places(self.job, row.output),
                 files=files_of(self.job, self.meant[number]),
             )
         )
 
-    def _piece(self, row: Row) -> Mapping[str, Any]:
-        """What of a drive is meant: how it is to be split, a piece, all of them joined, or the drive as it is."""
-        if self.job.parts is None:
-            return {}
-        drive = self.drives.get(row.number, row.number)
-        if drive not in self.splits:
-            return {PIECE: plan_of(self.job.parts)}
-        counts = self.splits[drive].counts
-        if not counts:
-            return {}
-        folder = (self.record.folder / self.record.pieces_of(drive)).absolute()
-        return {PIECE: {**row.part.get(PIECE, JOIN), "folder": str(folder), "stages": list(counts)}}
-
     def _end(self, task: Task, outcome: Outcome) -> None:
-        planned = not task.writes
-        if not outcome.error and not planned:
+        if not outcome.error:
             outcome = self._accepted(task, outcome)
         shutil.rmtree(draft_of(task).parent, ignore_errors=True)
         now = time.time_ns()
-        if not outcome.error and planned:
-            self._split(task.number, outcome.report)
-        elif not outcome.error:
+        if not outcome.error:
             self.record.end(
                 outcome,
                 State.DONE,
@@ -276,8 +239,8 @@ class _Run:
                 fingerprint=outcome.fingerprint,
                 configuration=configuration(self.job, self.meant[task.number], self.rows[task.number].part),
             )
-            self._ended(task.number)
-        elif outcome.passing and task.attempt <= self.job.retries and not self._given_up(task.number):
+            self._count(done=1)
+        elif outcome.passing and task.attempt <= self.job.retries:
             wait = _PATIENCE_SECONDS[min(task.attempt, len(_PATIENCE_SECONDS)) - 1]
             later = 0.0 if outcome.kind in _QUICK else time.monotonic() + wait
             heapq.heappush(self.due, (later, task.number, task.attempt + 1))
@@ -285,92 +248,14 @@ class _Run:
             self._count(retried=1)
         else:
             self.record.end(outcome, State.FAILED, finished_ns=now)
-            self._failed(task.number, outcome)
-
-    def _split(self, drive: int, stages: Stages) -> None:
-        """Enter the pieces of a drive; those that an earlier run did and that would be the same now are kept."""
-        row, folder = self.rows[drive], self.record.pieces_of(drive)
-        wanted = {
-            (folder / piece_name(stage, k)).as_posix(): {**row.part, PIECE: dict(piece)}
-            for stage, pieces in enumerate(stages)
-            for k, piece in enumerate(pieces)
-        }
-        known = {piece.output: piece for piece in self.record.pieces(drive)}
-        other = [
-            p.number for name, p in known.items() if told_part(wanted.get(name, {})) != told_part(p.part)
-        ]
-        self.record.remove(other)
-        for name, piece in known.items():
-            if piece.number in other:
-                (self.record.folder / name).unlink(missing_ok=True)
-        kept = {name for name, piece in known.items() if piece.number not in other}
-        self.record.add([(row.input, part, name) for name, part in wanted.items() if name not in kept])
-        pieces = self.record.pieces(drive)
-        rows = {piece.number: piece for piece in pieces}
-        self.meant |= dict.fromkeys(rows, self.meant[drive])
-        left = rows.keys() - done_rows(
-            self.job, FolderOutputs(self.record.folder), self.record, rows, self.meant
-        )
-        self.record.wait_again(sorted(left))
-        self.rows |= rows
-        self.drives |= dict.fromkeys(rows, drive)
-        numbers = {piece.output: piece.number for piece in pieces}
-        names = [
-            [(folder / piece_name(i, k)).as_posix() for k in range(len(s))] for i, s in enumerate(stages)
-        ]
-        self.splits[drive] = Split(
-            [{numbers[name] for name in stage} & left for stage in names], tuple(map(len, stages))
-        )
-        self._count(pieces=len(pieces), pieces_done=len(pieces) - len(left))
-        self._go_on(drive)
-
-    def _go_on(self, drive: int) -> None:
-        """Begin the next stage of a drive, or join its pieces."""
-        for number in self.splits[drive].begin() or {drive}:
-            heapq.heappush(self.due, (0.0, number, 1))
-
-    def _ended(self, number: int) -> None:
-        """What follows once a drive is done, or a piece of one."""
-        drive = self.drives.get(number, number)
-        if drive == number:
-            self._count(done=1)
-            shutil.rmtree(self.record.folder / self.record.pieces_of(drive), ignore_errors=True)
-            return
-        self._count(pieces_done=1)
-        if self.splits[drive].end(number):
-            self._go_on(drive)
-
-    def _given_up(self, number: int) -> bool:
-        """Whether a piece is of a drive that has failed."""
-        drive = self.drives.get(number)
-        return drive is not None and self.splits[drive].failed
-
-    def _failed(self, number: int, outcome: Outcome) -> None:
-        """A drive fails with the first of its pieces; what else was due of it is left."""
-        drive = self.drives.get(number, number)
-        if drive != number:
-            if self.splits[drive].failed:
-                return
-            self.splits[drive].failed = True
-            self.due = [entry for entry in self.due if self.drives.get(entry[1]) != drive]
-            heapq.heapify(self.due)
-            error = f"{_told_piece(self.rows[number])}: {outcome.error}"
-            told = Outcome(number=drive, error=error, kind=outcome.kind, worker=outcome.worker)
-            self.record.end(told, State.FAILED, finished_ns=time.time_ns())
-        self._count(failed=1)
+            self._count(failed=1)
 
     def _accepted(self, task: Task, outcome: Outcome) -> Outcome:
         """Put an output in its place, with what else the verb wrote beside it."""
         try:
-            drive = self.drives.get(task.number)
-            if drive is None:
-                if not task.target:
-                    bring(task.draft, task.further)
-                self.outputs.accept(task)
-            else:
-                place = self.record.folder / self.record.pieces_of(drive)
-                place.mkdir(parents=True, exist_ok=True)
-                FolderOutputs(place).accept(task)
+            if not task.target:
+                bring(task.draft, task.further)
+            self.outputs.accept(task)
         except OSError as error:
             told = f"{error.filename}: cannot be moved to its place: {error.strerror}"
             return msgspec.structs.replace(outcome, error=told, kind=type(error).__name__)
@@ -379,9 +264,3 @@ class _Run:
     def _count(self, **more: int) -> None:
         changed = {name: getattr(self.summary, name) + count for name, count in more.items()}
         self.summary = msgspec.structs.replace(self.summary, **changed)
-
-
-def _told_piece(row: Row) -> str:
-    """A piece, for people."""
-    stage, _, number = Path(row.output).name.partition("-")
-    return f"stage {int(stage) + 1}, part {int(number) + 1} ({row.part[PIECE].get('work', '')})"

@@ -73,9 +73,9 @@ def _done(task: Task) -> dict[str, Any]:
     module, _, name = task.call.partition(":")
     values = {**task.options, **task.files, **further}
     report = getattr(import_module(module), name)(task.place, draft, values)
-    if task.writes and not draft.exists():
+    if not draft.exists():
         return {"error": f"{redacted(task.place)}: ended without its output {draft.name}", "kind": "Missing"}
-    if task.target and task.writes:
+    if task.target:
         with stage("sending"):
             bring(draft, task.further)
             send(draft, task.target)

@@ -1,6 +1,5 @@
 """`sceneloom fuse`."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,8 +70,6 @@ def fuse(
     benchmark.
     """
     if fusion_type == "detection":
-        if given.pop("instead", None) is not None:
-            raise click.UsageError("--parts: --type detection does a drive in one piece")
         detection_options.refuse(given, _OF_SENSOR_DATA, "detections are fused into lines of JSON")
         found = {name: given.pop(name) for name in (*detection_options.NAMES, *_WAY)}
         kept = {name: value for name, value in given.items() if name not in _OF_SENSOR_DATA}
@@ -113,10 +110,8 @@ def _fuse_sensor_data(
     as_json: bool,
     quiet: bool,
     verbose: bool,
-    instead: Callable[..., Any] | None = None,
     **reading: Any,
 ) -> None:
-    """Fuse, or do what is to be done `instead`: of a drive in parts."""
     if output is None and depth is None and pictures is None:
         raise click.UsageError("nothing to write: say -o drive.sfs, --depth DIR or --pictures DIR")
     _refuse_idle("--depth-form", depth_form, "--depth", depth)
@@ -139,7 +134,7 @@ def _fuse_sensor_data(
         open_scene(path, **options.said(**reading)) as scene,
         progress_bar("fusing", quiet=quiet) as progress,
     ):
-        report = (instead or fuse_scene)(
+        report = fuse_scene(
             scene,
             trajectory=trajectory,
             heading=heading,
@@ -151,7 +146,7 @@ def _fuse_sensor_data(
             progress=progress,
         )
     if as_json:
-        print_json(report, stages=stages if instead is None else None)
+        print_json(report, stages=stages)
     else:
         print_fusion(report, outputs, quiet=quiet, verbose=verbose)
 

@@ -1,6 +1,5 @@
 """`sceneloom track`."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,7 +57,6 @@ def track(
     as_json: bool,
     quiet: bool,
     verbose: bool,
-    instead: Callable[..., Any] | None = None,
     **given: Any,
 ) -> None:
     """Follow objects through a drive by what detectors found in its sweeps and pictures.
@@ -84,7 +82,7 @@ def track(
         **({} if box2d is None else {"box2d": PictureBox(box2d)}),
     }
     with progress_bar("tracking", quiet=quiet) as progress:
-        report = (instead or track_objects)(
+        report = track_objects(
             path,
             output,
             chosen=detection_options.chosen(given),

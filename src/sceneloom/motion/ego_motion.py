@@ -26,14 +26,13 @@ def find_ego_motion(
     heading: str | None = None,
     progress: Progress | None = None,
     lenient: bool = False,
-    odometry: "OdometryRun | None" = None,
 ) -> EgoMotion:
     """Take a recorded way of the ego, or find it from satellite fixes, IMU and lidar; corrections are applied first.
 
     The arguments and errors are those of `ego_motion_as_given`.
     """
     return ego_motion_as_given(
-        scene.corrected(), name=name, heading=heading, progress=progress, lenient=lenient, odometry=odometry
+        scene.corrected(), name=name, heading=heading, progress=progress, lenient=lenient
     )
 
 
@@ -44,7 +43,6 @@ def ego_motion_as_given(
     heading: str | None = None,
     progress: Progress | None = None,
     lenient: bool = False,
-    odometry: "OdometryRun | None" = None,
 ) -> EgoMotion:
     """Take a recorded way of the ego, or find it, in the world of a scene whose corrections stay as they are.
 
@@ -55,7 +53,6 @@ def ego_motion_as_given(
         heading: "motion" to derive orientations from positions where a trajectory has none.
         progress: told after each sweep, where the way is found from the sweeps.
         lenient: pass over sweeps that cannot be read.
-        odometry: what was made of the sweeps before; else they are followed now, where they are needed.
 
     Raises:
         OptionError: the name or the heading is unknown.
@@ -72,9 +69,9 @@ def ego_motion_as_given(
         check_odometry(scene)
     match computed_name(scene, name):
         case "gnss":
-            return _from_gnss(scene, heading, odometry, progress=progress, lenient=lenient)
+            return _from_gnss(scene, heading, progress=progress, lenient=lenient)
         case "lidar":
-            run = odometry or _followed(scene, progress, lenient=lenient)
+            run = _followed(scene, progress, lenient=lenient)
             return _from_lidar(scene, run, by_default=name is None)
     return choose_trajectory(scene, name=name, heading=heading)
 
@@ -152,7 +149,6 @@ def _from_lidar(scene: Scene, run: "OdometryRun", *, by_default: bool) -> EgoMot
 def _from_gnss(
     scene: Scene,
     heading: str | None,
-    odometry: "OdometryRun | None",
     *,
     progress: Progress | None,
     lenient: bool,
@@ -161,7 +157,7 @@ def _from_gnss(
 
     if heading not in {None, "motion"}:
         raise OptionError(f"heading {heading!r}; expected 'motion'")
-    lidar, told = _lidar_beside_gnss(scene, odometry, progress, lenient=lenient)
+    lidar, told = _lidar_beside_gnss(scene, progress, lenient=lenient)
     run = gnss_imu_motion(scene, lidar=lidar)
     latitude, longitude, height = run.origin_lla.tolist()
     way = run.trajectory
@@ -179,13 +175,13 @@ def _from_gnss(
 
 
 def _lidar_beside_gnss(
-    scene: Scene, odometry: "OdometryRun | None", progress: Progress | None, *, lenient: bool
+    scene: Scene, progress: Progress | None, *, lenient: bool
 ) -> tuple[Trajectory | None, tuple[Notice, ...]]:
     """The way by lidar odometry to be taken in with the fixes, where there is one."""
     if not gnss_receivers(scene) or not placeable_lidars(scene):
         return None, ()
     try:
-        run = odometry or _followed(scene, progress, lenient=lenient)
+        run = _followed(scene, progress, lenient=lenient)
     except PoseError as error:
         message = f"the lidar could not be taken in with the fixes: {error}"
         return None, (

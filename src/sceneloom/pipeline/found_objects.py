@@ -147,49 +147,6 @@ def _track_objects(
         return track_into(TrackableDrive(drive, scene), output, **how)
 
 
-def open_sequences(
-    path: str | Path,
-    chosen: DetectionInput,
-    *,
-    lenient: bool = False,
-    reading: Mapping[str, Any] | None = None,
-) -> KittiTracking | None:
-    """Open a folder of KITTI's sequences, as `track_objects` does; None for any other path.
-
-    Raises:
-        OptionError: an option does not concern such a folder.
-        DataError: it cannot be read.
-    """
-    if not _is_kitti(path, chosen):
-        return None
-    _refuse_part(path, reading)
-    return _kitti(path, chosen, lenient=lenient)
-
-
-@contextmanager
-def open_listed(
-    path: str | Path,
-    chosen: DetectionInput,
-    *,
-    lenient: bool = False,
-    reading: Mapping[str, Any] | None = None,
-) -> Iterator[tuple[Scene, DetectionFiles]]:
-    """Open a drive with lists of boxes beside it, as `track_objects` does.
-
-    Raises:
-        OptionError: the path holds what was fused before.
-        DataError: it cannot be read.
-    """
-    if not chosen.has_lists and fused_files(Path(path)):
-        raise OptionError(
-            f"{path}: what was fused before is not tracked in parts, only folders of KITTI's sequences and drives with "
-            "lists of boxes beside them, --boxes3d and --boxes2d; leave out --parts"
-        )
-    _refuse_kitti(path, chosen)
-    with _with_lists(path, chosen, lenient=lenient, reading=reading) as listed:
-        yield listed
-
-
 @contextmanager
 def _with_lists(
     path: str | Path, wanted: DetectionInput, *, lenient: bool, reading: Mapping[str, Any] | None

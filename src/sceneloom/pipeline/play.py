@@ -74,26 +74,16 @@ def build_system(scene: Scene, ego: EgoMotion | None, configuration: FusionConfi
     return system
 
 
-def play(
-    scene: Scene,
-    system: FusionSystem,
-    *,
-    skips: Skips | None = None,
-    within_ns: tuple[int, int] | None = None,
-) -> Iterator[FusedFrame]:
+def play(scene: Scene, system: FusionSystem, *, skips: Skips | None = None) -> Iterator[FusedFrame]:
     """Send every sweep and picture in the order of time, and yield the results in the order of the sweeps.
 
     Args:
         skips: collects sweeps that cannot be read and goes on; without it they raise.
-        within_ns: [start, stop) of what is sent [ns], None for all; sweeps keep their numbers in the scene.
 
     Raises:
         DataError: a sweep or a picture cannot be read.
     """
-    for timestamp_ns, sensor_id, read in in_time_order(scene):
-        if within_ns is not None and not within_ns[0] <= timestamp_ns < within_ns[1]:
-            system.pass_over(sensor_id)
-            continue
+    for _, sensor_id, read in in_time_order(scene):
         try:
             measurement = read()
         except DataError as error:

@@ -90,34 +90,6 @@ def more(place, output, options):
     return refuse(place, output, {})
 
 
-def letters(place, output, options):
-    """In pieces: one stage makes each letter large, the next one doubles each of these; then they are put together."""
-    from sceneloom.errors import DataError
-
-    text, piece = Path(place).read_text(), options.get("piece")
-    step = f"{piece['work']}{piece.get('letter', '')}" if piece else "all"
-    if step in options.get("die", ()) and not Path(place + ".died").exists():
-        Path(place + ".died").touch()
-        Path(output).write_text("half")
-        os.kill(os.getpid(), signal.SIGKILL)
-    if piece is None:
-        return Path(output).write_text(text)
-    with Path(place + ".done").open("a") as log:
-        log.write(f"{step} ")
-    if piece["work"] == "plan":
-        count = len(text) if piece["seconds"] is not None else piece["count"]
-        return [[{"work": w, "letter": k} for k in range(count)] for w in ("large", "twice")] if count > 1 else []
-    made = [Path(piece["folder"], f"{len(piece['stages']) - 1}-{k:05d}") for k in range(piece["stages"][-1])]
-    if piece["work"] == "join":
-        return Path(output).write_text("".join(path.read_text() for path in made))
-    letter = piece["letter"]
-    if options.get("bad") == step and "bad" in place:
-        raise DataError(place, f"letter {letter}", "not to be read")
-    large = piece["work"] == "large"
-    made = text[letter].upper() if large else 2 * Path(piece["folder"], f"0-{letter:05d}").read_text()
-    Path(output).write_text(made)
-
-
 def environment(place, output, options):
     Path(output).write_text(os.environ.get("OMP_NUM_THREADS", "") + os.environ.get("NUMBA_NUM_THREADS", ""))
 '''

@@ -11,7 +11,6 @@ from distributed import LocalCluster
 
 from sceneloom.batch import Task, run
 from sceneloom.batch.cluster import DaskCluster, run_packed
-from sceneloom.batch.jobs import Parts
 from sceneloom.batch.outputs import OUTCOME
 from sceneloom.batch.record import Record
 from sceneloom.errors import OptionError
@@ -21,25 +20,23 @@ pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")  # of sockets
 
 
 @pytest.mark.slow
-def test_killed_workers_of_dask_harm_one_try_of_a_drive_or_of_a_piece_and_nothing_else(tmp_path, drives, job):
-    wanted = job("letters", drives("a", "bc"), parts=Parts(seconds=1.0), options={"die": ["all", "twice1"]})
+def test_killed_workers_of_dask_harm_one_try_of_a_drive_and_nothing_else(tmp_path, drives, job):
     # dask itself would give up a worker that is not there again at once
     with dask.config.set({"distributed.deploy.lost-worker-timeout": "1ms"}):
-        summary = run(wanted, tmp_path / "out", executor=DaskCluster.local(1))
-    assert (summary.done, summary.failed, summary.retried, summary.pieces_done) == (2, 0, 2, 4)
+        summary = run(job("die", drives("a", "bc")), tmp_path / "out", executor=DaskCluster.local(1))
+    assert (summary.done, summary.failed, summary.retried) == (2, 0, 2)
     found = {path.name: path.read_text() for path in (tmp_path / "out").glob("*.txt")}
-    assert found == {"a.txt": "a", "bc.txt": "BBCC"}
+    assert found == {"a.txt": "a", "bc.txt": "bc"}
     with Record.opened(tmp_path / "out") as record:
-        tries = [row.attempts for row in (*record.rows(), *record.pieces(2))]
-    assert tries == [2, 1, 1, 1, 1, 2]
+        assert [row.attempts for row in record.rows()] == [2, 2]
 
 
-def test_a_drive_goes_in_pieces_over_the_workers_of_a_running_scheduler(tmp_path, drives, job, monkeypatch):
+def test_drives_go_to_the_workers_of_a_running_scheduler(tmp_path, drives, job, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    wanted = job("letters", drives("abc"), parts=Parts(seconds=1.0))
+    wanted = job("copy", drives("a", "bc"))
     with LocalCluster(n_workers=1, processes=False, dashboard_address=None) as workers:
         run(wanted, "out", executor=DaskCluster.at(workers.scheduler_address))
-    assert (tmp_path / "out" / "abc.txt").read_text() == "AABBCC"
+    assert [(tmp_path / "out" / f"{name}.txt").read_text() for name in ("a", "bc")] == ["a", "bc"]
 
 
 @pytest.fixture

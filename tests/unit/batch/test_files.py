@@ -9,7 +9,6 @@ import pytest
 from sceneloom.batch import Input, run
 from sceneloom.batch.files import give_files
 from sceneloom.batch.inputs import FileOption, find_inputs
-from sceneloom.batch.jobs import Parts
 from sceneloom.errors import DataError, OptionError
 
 OPTIONS = {
@@ -124,16 +123,14 @@ def test_faulty_files_of_a_line_are_named(made, said, told):
     assert told in str(caught.value)
 
 
-@pytest.mark.parametrize("parts", [False, True], ids=["in one piece", "in parts"])
-def test_a_changed_file_lets_its_drives_be_done_anew(made, tmp_path, drives, job, inline, parts):
+def test_a_changed_file_lets_its_drives_be_done_anew(made, tmp_path, drives, job, inline):
     made("a.boxes", "b.boxes", "rig")
     places = drives("a.sfs", "b.sfs")
     inputs = tuple(
         Input(place=place, files={"boxes": (Path(f"{name}.boxes"),)})
         for place, name in zip(places, "ab", strict=True)
     )
-    split = {"parts": Parts(seconds=1.0)} if parts else {}
-    work = job("letters" if parts else "read", (), files={"rig": Path("rig")}, **split)
+    work = job("read", (), files={"rig": Path("rig")})
 
     def again(inputs=inputs):
         executor = inline()
@@ -147,5 +144,4 @@ def test_a_changed_file_lets_its_drives_be_done_anew(made, tmp_path, drives, job
     assert [again(), again()] == [["a", "b"], []]
     other = Input(place=places[0], files={"boxes": (Path("b.boxes"),)})
     assert again((other, inputs[1])) == ["a"]
-    if not parts:
-        assert (tmp_path / "out" / "a.txt").read_text() == "changed"
+    assert (tmp_path / "out" / "a.txt").read_text() == "changed"

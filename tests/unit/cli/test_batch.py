@@ -132,37 +132,3 @@ def test_the_verb_finds_its_record_by_the_address(call, recording, tmp_path, mon
     assert [row["state"] for row in json.loads(told.out)["drives"]] == ["done"]
     refused = call("batch", "validate", recording, "-o", "https://host/run", "--quick")
     assert (refused.code, "web server" in refused.err) == (1, True)
-
-
-@pytest.mark.slow
-def test_drives_in_parts_give_the_files_of_whole_ones(call, recording, tmp_path):
-    assert call("batch", "fuse", recording, "-o", tmp_path / "whole", "--workers", 1).code == 0
-    parts = ("--parts", 0.1, "--workers", 1, "--json")
-    told = call("batch", "fuse", recording, "-o", tmp_path / "parts", *parts)
-    summary = json.loads(told.out)
-    assert (summary["done"], summary["pieces"], summary["pieces_done"]) == (1, 2, 2)
-    whole, joined = (tmp_path / name / f"{recording.name}.sfs" for name in ("whole", "parts"))
-    assert joined.read_bytes() == whole.read_bytes()
-    status = json.loads(call("batch", "status", tmp_path / "parts", "--json").out)
-    assert [row["state"] for row in status["drives"]] == ["done"]
-
-
-def test_what_cannot_be_split_says_why(call, recording, tmp_path):
-    for verb in ("convert", "validate", "report"):
-        refused = call("batch", verb, recording, "-o", tmp_path / "out", "--parts", 10)
-        assert refused.code == 2
-        assert f"--parts: {verb} does a drive in one piece" in refused.err
-    for said in ("0", "-3", "nan", "long"):
-        refused = call("batch", "fuse", recording, "-o", tmp_path / "out", "--parts", said)
-        assert (refused.code, "expected seconds" in refused.err) == (2, True)
-    depth = call(
-        "batch", "fuse", recording, "-o", tmp_path / "out", "--parts", 0.1, "--depth", tmp_path / "d"
-    )
-    assert (depth.code, "--depth and --pictures" in depth.err) == (1, True)
-
-
-def test_parts_are_refused_where_outputs_go_into_a_store(call, recording, tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    (tmp_path / "run1").mkdir()
-    refused = call("batch", "fuse", recording, "-o", f"local://{tmp_path}/run1", "--parts", 10)
-    assert (refused.code, "not written in parts" in refused.err) == (2, True)

@@ -138,22 +138,6 @@ def test_what_was_fused_is_tracked_as_if_at_once(call, drive, tmp_path):
             np.testing.assert_allclose(a["center"], b["center"], atol=0.4)
 
 
-@pytest.mark.slow
-def test_a_drive_tracked_in_parts_has_the_objects_of_a_single_run(call, drive, tmp_path):
-    folder, _, _ = drive
-    files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
-    recording, alone = folder / "recording", ("--workers", 1, "--json")
-    whole = call("batch", "track", recording, *files, "-o", tmp_path / "whole", *alone)
-    outcome = call("batch", "track", recording, *files, "-o", tmp_path / "parts", "--parts", 0.1, *alone)
-    assert (whole.code, outcome.code) == (0, 0), outcome.err
-    assert json.loads(outcome.out)["pieces_done"] == 2
-    one, other = (tmp_path / name / "recording.sfs" for name in ("whole", "parts"))
-    assert one.read_bytes() == other.read_bytes()
-    offline = ("--parts", 0.1, "--workers", 1, "--offline")
-    refused = call("batch", "track", recording, *files, "-o", tmp_path / "c", *offline)
-    assert (refused.code, "--offline smooths over a drive as a whole" in refused.err) == (1, True)
-
-
 def test_records_name_their_camera_or_the_command_does(call, tmp_path):
     camera = Camera("pinhole", 320, 200, 180.0, 180.0, 159.5, 99.5)
     cameras = (CameraSpec(camera), CameraSpec(camera, camera_mount(yaw_deg=60.0)))

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.errors import OptionError
 from sceneloom.formats.kitti import read_labels
-from sceneloom.pipeline.found_objects import DetectionInput, open_sequences
 
 FRAMES = 8
 FOCAL, CX, CY = 707.0493, 604.0814, 180.5066
@@ -235,5 +233,3 @@ def test_pictures_of_each_sequence_are_drawn_on_request(call, folder, tmp_path):
 def test_a_part_of_sequences_whose_frames_are_numbered_is_refused(call, folder, tmp_path):
     refused = call("track", folder, "-o", tmp_path / "out", "--stop", 0.3)
     assert (refused.code, "done whole" in refused.err) == (2, True)
-    with pytest.raises(OptionError, match="done whole"):  # what `--parts` opens them by
-        open_sequences(folder, DetectionInput(), reading={"stop": 0.3})

@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.batch.in_parts import check_parts
 from sceneloom.cli.batch.one_drive import BATCHED, CALL, beside, verb_named
 from sceneloom.cli.batch.status import print_summary, status
 from sceneloom.cli.printing import print_json
 
 if TYPE_CHECKING:
     from sceneloom.batch import Outcome, RunSummary
-    from sceneloom.batch.jobs import Further, Input, Parts
+    from sceneloom.batch.jobs import Further, Input
     from sceneloom.batch.pool import Executor
     from sceneloom.batch.running import Told
 
@@ -32,7 +31,6 @@ _OWN = (
     "metrics",
     "resume",
     "retries",
-    "parts",
     "suffix",
     "as_json",
     "quiet",
@@ -40,8 +38,6 @@ _OWN = (
 )
 _LEFT_OUT = ("as_json", "quiet", "verbose", "overwrite")
 """Options of the verbs that the run decides."""
-
-_AUTO = "auto"
 
 FAILED_CODE = 1
 """The exit code of a run in which drives failed."""
@@ -131,21 +127,6 @@ def _further(name: str, values: dict[str, Any]) -> "tuple[Further, ...]":
     )
 
 
-def _seconds_of_parts(
-    context: click.Context, option: click.Parameter, said: str | None
-) -> float | str | None:
-    """Read how long parts are: seconds, or `auto`."""
-    if said is None or said == _AUTO:
-        return said
-    try:
-        seconds = float(said)
-    except ValueError:
-        seconds = 0.0
-    if not 0.0 < seconds < float("inf"):
-        raise click.BadParameter(f"{said!r}; expected seconds, more than 0, or `auto`", context, option)
-    return seconds
-
-
 _OPTIONS = (
     click.argument("inputs", nargs=-1, metavar="DRIVES..."),
     click.option(
@@ -186,13 +167,6 @@ _OPTIONS = (
         help="So often is tried again what may work another time: a lost worker, a network.",
     ),
     click.option(
-        "--parts",
-        callback=_seconds_of_parts,
-        metavar="SECONDS|auto",
-        help="Split long drives in time into parts of about so many seconds, done side by side and joined; `auto`: as "
-        "many as keep all workers busy. Of fuse and track.",
-    ),
-    click.option(
         "--metrics",
         type=options.target,
         metavar="FILE",
@@ -215,8 +189,6 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
     from sceneloom.cli.batch.listed import find_listed
     from sceneloom.formats.processors import processors
 
-    if own["parts"] is not None:
-        check_parts(name)
     workers = own["workers"] or processors()
     taken, whole = beside(name), partial(_is_one_task, values)
     said = {option: values[option] for option in taken if values[option] not in (None, ())}
@@ -236,7 +208,6 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
         suffix=_suffix(name, own["suffix"], folders=all(map(whole, inputs))),
         retries=own["retries"],
         modules=BATCHED[name].modules,
-        parts=_parts(own["parts"], len(inputs), executor.free if executor else workers),
         further=further,
     )
     with _progress(name, len(job.inputs), quiet=own["quiet"]) as told:
@@ -272,18 +243,6 @@ def _is_one_task(values: Mapping[str, Any], drive: "Input") -> bool:
     from sceneloom.formats.kitti.tracking_folder import is_tracking_folder
 
     return Path(drive.place).is_dir() and is_tracking_folder(Path(drive.place))
-
-
-def _parts(said: float | str | None, drives: int, workers: int) -> "Parts | None":
-    """How drives are split: none where there are enough of them to keep all workers busy as they are."""
-    if said is None:
-        return None
-    from sceneloom.batch.jobs import Parts
-
-    if isinstance(said, float):
-        return Parts(seconds=said)
-    count = -(-workers // drives)
-    return Parts(count=count) if count > 1 else None
 
 
 def _all_told(told: "Told | None", metrics: Path | None) -> "Told | None":
@@ -338,8 +297,7 @@ def _progress(name: str, total: int, *, quiet: bool) -> Iterator["Told | None"]:
             ended = summary.done + summary.failed - summary.skipped
             rate = f"{60.0 * ended / summary.seconds:.1f}/min" if summary.seconds else ""
             failed = f"{summary.failed} failed" if summary.failed else ""
-            done, total = ended + summary.skipped + summary.pieces_done, summary.total + summary.pieces
-            bar.update(row, completed=done, total=total, rate=rate, failed=failed)
+            bar.update(row, completed=ended + summary.skipped, rate=rate, failed=failed)
             if outcome.error:
                 bar.console.print(f"{outcome.error.strip().splitlines()[-1]}", markup=False, highlight=False)
 

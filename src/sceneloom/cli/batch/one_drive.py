@@ -12,9 +12,7 @@ from typing import Any
 import click
 
 from sceneloom.batch.inputs import READING, FileOption
-from sceneloom.batch.pieces import PIECE
 from sceneloom.cli import options
-from sceneloom.cli.batch.in_parts import instead_of
 from sceneloom.cli.printing import print_json
 from sceneloom.errors import OptionError
 
@@ -108,13 +106,13 @@ def run_verb(place: str, output: Path, values: Mapping[str, Any]) -> Any:
     Args:
         place: path or URL of the drive.
         output: the file or folder to write.
-        values: of the verb's other parameters, its name as `verb`, and the piece that is meant, if it is only one.
+        values: of the verb's other parameters, its name as `verb`.
 
     Raises:
         SceneloomError: the verb refuses the drive.
     """
     given = dict(values)
-    name, piece = given.pop("verb"), given.pop(PIECE, None)
+    name = given.pop("verb")
     batched, command = BATCHED[name], verb_named(name)
     fixed = {"as_json": True, "quiet": True, "verbose": True, "overwrite": False}
     given |= {
@@ -126,8 +124,6 @@ def run_verb(place: str, output: Path, values: Mapping[str, Any]) -> Any:
     if isinstance(given.get(_NAMED), Path):
         given[_NAMED] = str(given[_NAMED])
     _read_as_listed(given, command)
-    if piece is not None:
-        given["instead"] = instead_of(name, piece, output)
     printed = io.StringIO()
     with click.Context(command, info_name=f"sceneloom {name}") as context, redirect_stdout(printed):
         try:

@@ -2,17 +2,13 @@
 
 from sceneloom.motion.odometry.configuration import OdometryConfiguration
 from sceneloom.motion.odometry.lidar_odometry import LidarOdometry, Outcome, PoseEstimate
-from sceneloom.motion.odometry.run import OdometryRun, joined_odometry, lidar_odometry, odometry_piece
-from sceneloom.motion.odometry.stitching import OdometryPiece
+from sceneloom.motion.odometry.run import OdometryRun, lidar_odometry
 
 __all__ = [
     "LidarOdometry",
     "OdometryConfiguration",
-    "OdometryPiece",
     "OdometryRun",
     "Outcome",
     "PoseEstimate",
-    "joined_odometry",
     "lidar_odometry",
-    "odometry_piece",
 ]

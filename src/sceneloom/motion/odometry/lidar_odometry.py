@@ -79,11 +79,6 @@ class LidarOdometry:
         self._failures = 0
         self._cleaned_at = np.zeros(3)
 
-    @property
-    def beginning(self) -> bool:
-        """Whether nothing has told yet how the ego moved when the map began, or there is no map."""
-        return self._map.is_empty or self._anchor is not None
-
     def add(
         self, timestamp_ns: int, positions_ego: FloatArray, timestamps_ns: Int64Array | None = None
     ) -> PoseEstimate | None:

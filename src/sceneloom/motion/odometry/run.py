@@ -1,7 +1,7 @@
 """A scene's trajectory from its lidars."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -10,16 +10,11 @@ from sceneloom.motion.odometry.configuration import OdometryConfiguration
 from sceneloom.motion.odometry.knots import trajectory_of
 from sceneloom.motion.odometry.lidar_odometry import LidarOdometry, Outcome, PoseEstimate
 from sceneloom.motion.odometry.motion_state import MotionState
-from sceneloom.motion.odometry.scene_sweeps import EgoCloud, SceneSweeps
-from sceneloom.motion.odometry.stitching import OdometryPiece, stitched_estimates, summed_notices
+from sceneloom.motion.odometry.scene_sweeps import SceneSweeps
 from sceneloom.scene import Notice, NoticeKind, Scene, Trajectory
 
 NAME = "lidar"
 """The trajectory's name."""
-
-LEAD_SECONDS = 10.0
-LEAST_LED = 20
-"""So long before a part of a drive, and at least so many clouds, the odometry of that part begins."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,100 +49,29 @@ def lidar_odometry(
         PoseError: the scene has no lidar sweeps, their points are in the world already, or none has returns.
         DataError: a sweep cannot be read, and this is not lenient.
     """
-    piece = odometry_piece(scene, configuration=configuration, progress=progress, lenient=lenient)
-    return joined_odometry([piece], source=scene.source, configuration=configuration)
-
-
-def odometry_piece(
-    scene: Scene,
-    *,
-    span_ns: tuple[int, int] | None = None,
-    configuration: OdometryConfiguration | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    lenient: bool = False,
-) -> OdometryPiece:
-    """Follow the ego through a part of a drive.
-
-    Args:
-        span_ns: [start, stop) of the beginnings of its clouds [ns], None for the whole drive. Those that lead into the
-            part, by `LEAD_SECONDS` and at least `LEAST_LED`, are followed, too: the map grows in them, and by them the
-            part is laid to the one before.
-        configuration, progress, lenient: as of `lidar_odometry`.
-
-    Raises:
-        PoseError: the scene has no lidar sweeps, or their points are in the world already.
-        DataError: a sweep cannot be read, and this is not lenient.
-    """
     sweeps = SceneSweeps.of(scene, lenient=lenient)
     settings = configuration or OdometryConfiguration()
-    rows = sweeps.rows_within(span_ns)
-    led = (
-        0 if span_ns is None else sweeps.rows_within((span_ns[0] - int(LEAD_SECONDS * 1e9), span_ns[1])).start
-    )
-    led = max(min(led, rows.start - LEAST_LED), 0)
     odometry = LidarOdometry(settings)
     estimates: list[PoseEstimate] = []
-    leading = late = 0
-    for row, cloud in sweeps.clouds(range(led, rows.stop), counted_from=rows.start):
+    late = 0
+    for row, cloud in sweeps.clouds():
         estimate = odometry.add(cloud.timestamp_ns, cloud.positions_ego, cloud.timestamps_ns)
-        if estimate is not None:
-            _append(estimates, estimate, settings)
-            leading += row < rows.start
-        elif row >= rows.start:
+        if estimate is None:
             late += 1
-        if progress is not None:
-            progress(row + 1 - led, rows.stop - led)
-    counted, own = sweeps.counted_notices(), len(estimates)
-    if odometry.beginning:
-        _learn_beginning(odometry, estimates, sweeps.clouds(range(rows.stop, len(sweeps))), settings)
-    return OdometryPiece(tuple(estimates[:own]), leading, late, len(rows), tuple(sweeps.notices), counted)
-
-
-def _learn_beginning(
-    odometry: LidarOdometry,
-    estimates: list[PoseEstimate],
-    later: Iterable[tuple[int, EgoCloud]],
-    settings: OdometryConfiguration,
-) -> None:
-    """Go on behind a part that ends before anything tells how the ego moved when its map began."""
-    for _, cloud in later:
-        estimate = odometry.add(cloud.timestamp_ns, cloud.positions_ego, cloud.timestamps_ns)
-        if estimate is not None:
+        else:
             _append(estimates, estimate, settings)
-        if not odometry.beginning:
-            return
-
-
-def joined_odometry(
-    pieces: Sequence[OdometryPiece], *, source: str = "", configuration: OdometryConfiguration | None = None
-) -> OdometryRun:
-    """Make one way of the pieces of a drive.
-
-    Args:
-        pieces: in the order of time, each clouds after those of the one before.
-        source: the drive, for messages.
-        configuration: that of the pieces.
-
-    Raises:
-        PoseError: none has returns, or two have no sweep in common.
-    """
-    settings = configuration or OdometryConfiguration()
-    estimates, stitched = stitched_estimates(pieces, source)
-    if not any(estimate.outcome in _BEGINNINGS for piece in pieces for estimate in piece.estimates):
+        if progress is not None:
+            progress(row + 1, len(sweeps))
+    if not any(estimate.outcome in _BEGINNINGS for estimate in estimates):
         raise PoseError(
-            f"{source}: none of {sum(piece.clouds for piece in pieces)} lidar sweeps has enough returns to go by; "
+            f"{scene.source}: none of {len(sweeps)} lidar sweeps has enough returns to go by; "
             "choose another trajectory with `--trajectory NAME`"
         )
     counts = Counter(estimate.outcome for estimate in estimates)
     if not counts[Outcome.FITTED]:
         estimates = [_of_unknown_motion(estimate, settings) for estimate in estimates]
-    late = sum(piece.late for piece in pieces)
-    notices = (
-        *pieces[0].notices,
-        *summed_notices([piece.counted for piece in pieces]),
-        *_remarks(counts, late, source),
-    )
-    return OdometryRun(trajectory_of(NAME, estimates), (*notices, *stitched))
+    notices = (*sweeps.notices, *sweeps.counted_notices(), *_remarks(counts, late, scene.source))
+    return OdometryRun(trajectory_of(NAME, estimates), notices)
 
 
 def _append(estimates: list[PoseEstimate], estimate: PoseEstimate, settings: OdometryConfiguration) -> None:

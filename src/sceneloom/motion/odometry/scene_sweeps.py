@@ -1,6 +1,5 @@
 """The sweeps of a scene's lidars in the ego frame, those of one period as one cloud."""
 
-from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -112,36 +111,16 @@ class SceneSweeps:
     def __len__(self) -> int:
         return len(self.groups)
 
-    def rows_within(self, span_ns: tuple[int, int] | None) -> range:
-        """The clouds that begin in [start, stop) [ns]; None: all of them."""
-        if span_ns is None:
-            return range(len(self.groups))
-        stamps = [self.sources[group[0][0]].lidar.frames.timestamps_ns for group in self.groups]
-        starts_ns = [int(times[group[0][1]]) for times, group in zip(stamps, self.groups, strict=True)]
-        return range(bisect_left(starts_ns, span_ns[0]), bisect_left(starts_ns, span_ns[1]))
-
-    def clouds(self, rows: range, *, counted_from: int = 0) -> Iterator[tuple[int, EgoCloud]]:
+    def clouds(self) -> Iterator[tuple[int, EgoCloud]]:
         """Read clouds in the order of their time, each with its number.
-
-        Args:
-            rows: which ones.
-            counted_from: what is to be said of those before is forgotten.
 
         Raises:
             DataError: a sweep cannot be read, and this is not lenient.
         """
-        for row in rows:
-            if row == counted_from:
-                self._count_anew()
-            cloud = self._cloud(self.groups[row])
+        for row, group in enumerate(self.groups):
+            cloud = self._cloud(group)
             if cloud is not None:
                 yield row, cloud
-
-    def _count_anew(self) -> None:
-        self.untimed = 0
-        for source in self.sources:
-            source.tally = PointTimesTally()
-            source.unreadable = source.empty = source.repeated = 0
 
     def counted_notices(self) -> tuple[Notice, ...]:
         """Remarks on the clouds that were read; `notices` are those on the whole scene."""

@@ -11,7 +11,6 @@ from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_motion import find_ego_motion
-from sceneloom.motion.odometry import OdometryRun
 from sceneloom.pipeline.detections.detected import DetectedCamera, DetectedDrive, poses_at
 from sceneloom.pipeline.detections.lists import ListContext, read_boxes_2d, read_boxes_3d
 from sceneloom.pipeline.detections.sweep_points import SweepPoints
@@ -51,9 +50,7 @@ class DetectionFiles:
     whole: Scene | None = None
 
 
-def scene_drive(
-    scene: Scene, files: DetectionFiles, *, lenient: bool = False, odometry: OdometryRun | None = None
-) -> DetectedDrive:
+def scene_drive(scene: Scene, files: DetectionFiles, *, lenient: bool = False) -> DetectedDrive:
     """Read the boxes of a scene's detectors; of a part of a drive those of its time.
 
     Without boxes of sweeps, the sweeps of the lidar are those in which nothing was looked for; without a lidar, the
@@ -63,7 +60,6 @@ def scene_drive(
         scene: the drive.
         files: which boxes.
         lenient: leave out what is faulty, and count it.
-        odometry: what was made of the sweeps before; else they are followed now, where they are needed.
 
     Raises:
         OptionError: there are no files, or several sensors and none was chosen, or a chosen one is not there.
@@ -78,9 +74,7 @@ def scene_drive(
         lidar = _chosen(scene, files.lidar)
         ego = None
         if needs_ego(scene):
-            ego = find_ego_motion(
-                scene, name=files.trajectory, heading=files.heading, lenient=lenient, odometry=odometry
-            )
+            ego = find_ego_motion(scene, name=files.trajectory, heading=files.heading, lenient=lenient)
         cameras = _cameras(scene, files, ego, ledger)
         source = sensor_source(scene, lidar, ego, reach_ns=scene_period_ns(scene))
         sweeps = _reference_times(lidar)

@@ -11,12 +11,12 @@ import msgspec
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import PoseError
 from sceneloom.formats.loss import LossReport
-from sceneloom.fusion import FusionConfiguration, FusionSystem
+from sceneloom.fusion import FusionConfiguration
 from sceneloom.fusion.algorithms import AlgorithmChoice, FusionType, chosen_algorithm
 from sceneloom.motion.ego_motion import placeable_lidars
 from sceneloom.pictures.canvas import counting_left_out
 from sceneloom.pipeline.fusing.outputs import FusionOutputs, Sinks, checked_outputs, open_sinks
-from sceneloom.pipeline.fusing.report import CameraTally, FrameCounts, FusionReport, FusionTally, told_once
+from sceneloom.pipeline.fusing.report import CameraTally, FusionReport, FusionTally, told_once
 from sceneloom.pipeline.needed_lidar import check_has_lidar
 from sceneloom.pipeline.play import Skips, build_system, play, telling
 from sceneloom.pipeline.woven.scene import Woven, weave
@@ -128,7 +128,7 @@ def _fuse(
     start: float | None,
     stop: float | None,
     outputs: FusionOutputs | None,
-    configuration: FusionConfiguration | None,
+    configuration: FusionConfiguration,
     lenient: bool,
     progress: Progress | None,
 ) -> FusionReport:
@@ -146,25 +146,17 @@ def _fuse(
         progress=steps.finding,
     )
     skips = Skips() if lenient else None
-    system = fusion_system(woven, configuration, skips)
-    counted = ((f, FrameCounts.of(f)) for f in play(woven.scene, system, skips=skips))
-    return write_fused(woven, wanted, counted, skips, begun=begun, progress=steps.fusing)
-
-
-def fusion_system(
-    woven: Woven, configuration: FusionConfiguration | None, skips: Skips | None
-) -> FusionSystem:
-    """Make the fusion system of a drive; pictures that cannot be read go to `skips`, if there is one."""
-    system = build_system(woven.scene, woven.ego, configuration or FusionConfiguration())
+    system = build_system(woven.scene, woven.ego, configuration)
     if skips is not None:
         system.on_unreadable = skips.add
-    return system
+    frames = play(woven.scene, system, skips=skips)
+    return _write_fused(woven, wanted, frames, skips, begun=begun, progress=steps.fusing)
 
 
-def write_fused(
+def _write_fused(
     woven: Woven,
     wanted: FusionOutputs,
-    frames: Iterable[tuple[FusedFrame, FrameCounts]],
+    frames: Iterable[FusedFrame],
     skips: Skips | None,
     *,
     begun: float,
@@ -175,7 +167,7 @@ def write_fused(
     Args:
         woven: the drive.
         wanted: where to write what, checked before.
-        frames: the sweeps, each with what there is to count of it.
+        frames: the sweeps.
         skips: what could not be read is or will be in there; None where that is an error.
         begun: when the work began, by `time.perf_counter` [s].
         progress: told after each sweep.
@@ -190,8 +182,8 @@ def write_fused(
     with telling(skips), stage("writing"), counting_left_out() as left, ExitStack() as stack:
         sinks = open_sinks(woven, wanted, stack, skips)
         with stage("fusing"):
-            for done, (frame, counts) in enumerate(frames, start=1):
-                tally.count(counts, frame.times)
+            for done, frame in enumerate(frames, start=1):
+                tally.add(frame)
                 _write(sinks, frame)
                 if progress is not None:
                     progress(done, total)

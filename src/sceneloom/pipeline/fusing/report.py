@@ -10,7 +10,7 @@ from sceneloom.colouring.results import FusedFrame
 from sceneloom.formats.loss import LossReport
 from sceneloom.motion.point_time_notices import PointTimesTally
 from sceneloom.scene import Identifier, Notice, NoticeKind
-from sceneloom.scene.point_times import PointTimes, TimesFound
+from sceneloom.scene.point_times import PointTimes
 
 
 class CameraReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -124,47 +124,6 @@ class CameraTally:
         )
 
 
-class FrameCounts(msgspec.Struct, frozen=True, kw_only=True):
-    """What there is to count of one sweep.
-
-    Attributes:
-        lidar, unfused, extrapolated, unpaired, unposed: as of `FusedFrame`.
-        points: of the sweep.
-        nowhere: those whose place is not finite.
-        views: camera, points in its picture, and hidden ones among them, of each view.
-        coloured: points by the index of the camera that coloured them.
-    """
-
-    lidar: Identifier
-    points: int
-    nowhere: int
-    unfused: str | None
-    extrapolated: bool
-    views: tuple[tuple[Identifier, int, int], ...]
-    unpaired: tuple[Identifier, ...]
-    unposed: tuple[Identifier, ...]
-    coloured: tuple[int, ...]
-
-    @classmethod
-    def of(cls, frame: FusedFrame) -> "FrameCounts":
-        """Count."""
-        index = frame.points.camera_index
-        by_index = np.zeros(0, np.int64) if index is None else np.bincount(index, minlength=256)[:255]
-        return cls(
-            lidar=frame.lidar_id,
-            points=len(frame.points),
-            nowhere=int(np.count_nonzero(~np.isfinite(frame.points.positions).all(axis=1))),
-            unfused=frame.unfused,
-            extrapolated=frame.extrapolated,
-            views=tuple(
-                (v.camera_id, len(v.point_ids), int(np.count_nonzero(~v.visible))) for v in frame.views
-            ),
-            unpaired=frame.unpaired,
-            unposed=frame.unposed,
-            coloured=tuple(np.trim_zeros(by_index, "b").tolist()),
-        )
-
-
 @dataclass(slots=True)
 class FusionTally:
     """Counts while frames pass.
@@ -188,15 +147,11 @@ class FusionTally:
 
     def add(self, frame: FusedFrame) -> None:
         """Count one sweep."""
-        self.count(FrameCounts.of(frame), frame.times)
-
-    def count(self, frame: FrameCounts, times: TimesFound) -> None:
-        """Count one sweep by what there is to count of it, and what the times of its points were."""
         self.frames += 1
-        self.points += frame.points
-        self.nowhere += frame.nowhere
-        self.times.add(times)
-        self.timeless += times.kind is PointTimes.ABSENT and frame.lidar in self.moving
+        self.points += len(frame.points)
+        self.nowhere += int(np.count_nonzero(~np.isfinite(frame.points.positions).all(axis=1)))
+        self.times.add(frame.times)
+        self.timeless += frame.times.kind is PointTimes.ABSENT and frame.lidar_id in self.moving
         if frame.unfused is not None:
             reason = frame.unfused.split(":", maxsplit=1)[0]
             self.unfused[reason] = self.unfused.get(reason, 0) + 1
@@ -205,16 +160,20 @@ class FusionTally:
         self.extrapolated += frame.extrapolated
         self._add_cameras(frame)
 
-    def _add_cameras(self, frame: FrameCounts) -> None:
-        for camera_id, in_picture, hidden in frame.views:
-            self.cameras[camera_id].add(in_picture, hidden, frame.points)
+    def _add_cameras(self, frame: FusedFrame) -> None:
+        for view in frame.views:
+            hidden = int(np.count_nonzero(~view.visible))
+            self.cameras[view.camera_id].add(len(view.point_ids), hidden, len(frame.points))
         for camera_id in frame.unpaired:
             self.cameras[camera_id].unpaired += 1
         for camera_id in frame.unposed:
             self.cameras[camera_id].unposed += 1
-        for tally, count in zip(self.cameras.values(), frame.coloured, strict=False):
+        if frame.points.camera_index is None:
+            return
+        by_index = np.bincount(frame.points.camera_index, minlength=256)[:255].tolist()
+        for tally, count in zip(self.cameras.values(), by_index, strict=False):
             tally.coloured += count
-        self.coloured += sum(frame.coloured)
+        self.coloured += sum(by_index)
 
     def notices(self) -> tuple[Notice, ...]:
         """What had to be assumed about the sweeps."""

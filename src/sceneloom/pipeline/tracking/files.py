@@ -42,14 +42,12 @@ class TrackableDrive:
         scene: what labels are put into.
         rectified_from_lidar: into the frame of KITTI's boxes; None for that of the camera.
         observations: what was fused before, of each sweep; None where it has to be fused.
-        tracked: what was followed before; None where it has to be done now.
     """
 
     drive: DetectedDrive
     scene: Scene
     rectified_from_lidar: RigidTransform | None = None
     observations: tuple[Observation, ...] | None = None
-    tracked: TrackedDrive | None = None
 
     @classmethod
     def of_fused(cls, path: Path) -> "TrackableDrive":
@@ -184,7 +182,6 @@ def track_folder(
     overwrite: bool = False,
     scene_options: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
-    follow: Callable[[DetectedDrive], TrackedDrive] | None = None,
 ) -> TrackReport:
     """Track the sequences of a folder laid out like KITTI's tracking benchmark; a file each, named after it.
 
@@ -201,7 +198,6 @@ def track_folder(
         overwrite: whether files that exist may be replaced.
         scene_options: how scenes are written, `profile` and `time_unit` as of `write_scene`; of "sfs" only.
         progress: told after each sweep.
-        follow: gives what was followed before through a sequence; None to do it now.
 
     Raises:
         DataError: a file is faulty, or a sequence is not there.
@@ -211,8 +207,7 @@ def track_folder(
     names = tracking.chosen(sequences)
 
     def read(k: int) -> TrackableDrive:
-        found = TrackableDrive.of_sequence(tracking.sequence(names[k]), str(tracking.path))
-        return found if follow is None else replace(found, tracked=follow(found.drive))
+        return TrackableDrive.of_sequence(tracking.sequence(names[k]), str(tracking.path))
 
     report = track_many(
         read,
@@ -333,9 +328,7 @@ def _track_into(
     chosen = settings or TrackingSettings()
     chosen = replace(chosen, tracker=replace(chosen.tracker, picture_box=box2d))
     with stage("tracking"):
-        if source.tracked is not None:
-            tracked = source.tracked
-        elif source.observations is None:
+        if source.observations is None:
             tracked = track(source.drive, settings=chosen, progress=progress)
         else:
             tracked = track_observations(

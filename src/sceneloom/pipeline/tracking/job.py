@@ -42,7 +42,6 @@ def track(
     drive: DetectedDrive,
     *,
     settings: TrackingSettings | None = None,
-    within_ns: tuple[int, int] | None = None,
     progress: Progress | None = None,
 ) -> TrackedDrive:
     """Follow the objects of a drive.
@@ -52,7 +51,6 @@ def track(
 
     Args:
         settings: how.
-        within_ns: [start, stop) of the sweeps to be gone through [ns]; None for all.
         progress: told after each sweep.
 
     Raises:
@@ -65,9 +63,8 @@ def track(
     groups = tuple(_groups(drive))
     for k, (of_group, recalls) in enumerate(groups):
         own = replace(wanted, fusion=replace(fusion, **recalls), tracker=replace(wanted.tracker, **recalls))
-        part = of_group if within_ns is None else of_group.between(within_ns)
-        steps = _Steps(progress, k, len(groups), len(part.boxes))
-        found, spent = _track_part(part, own, steps)
+        steps = _Steps(progress, k, len(groups), len(of_group.boxes))
+        found, spent = _track_group(of_group, own, steps)
         parts.append(found)
         seconds += spent
     return TrackedDrive(drive, joined_moments(parts), seconds)
@@ -126,7 +123,7 @@ def track_observations(
     return TrackedDrive(drive, found, seconds)
 
 
-def _track_part(
+def _track_group(
     drive: DetectedDrive, settings: TrackingSettings, steps: _Steps
 ) -> tuple[tuple[TrackedObjects, ...], float]:
     known = projection_settings(drive, settings.fusion)

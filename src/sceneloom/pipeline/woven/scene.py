@@ -10,7 +10,6 @@ from sceneloom.editing import annotations_to_world
 from sceneloom.editing.odometry import with_odometry
 from sceneloom.errors import DataError, OptionError
 from sceneloom.motion.ego_motion import find_ego_motion, is_computed, with_way_found
-from sceneloom.motion.odometry import OdometryRun
 from sceneloom.motion.sensor_paths import camera_path
 from sceneloom.pipeline.woven.origin import can_move, moved_scene
 from sceneloom.scene import (
@@ -60,7 +59,6 @@ def weave(
     stop: float | None = None,
     lenient: bool = False,
     progress: Progress | None = None,
-    odometry: OdometryRun | None = None,
 ) -> Woven:
     """Choose the part and the ego's way, and put the world's origin at its first position; z stays up.
 
@@ -70,7 +68,6 @@ def weave(
     Args:
         lenient: pass over sweeps that cannot be read while the way is found.
         progress: told after each sweep that the way is found from.
-        odometry: what was made of the sweeps before; else they are followed now, where they are needed.
 
     Raises:
         PoseError: the sensors' motion is not known.
@@ -91,9 +88,7 @@ def weave(
         return Woven(part, None, np.zeros(3))
     if is_computed(scene, trajectory):
         with stage("finding the way"):
-            ego = find_ego_motion(
-                part, name=trajectory, heading=heading, lenient=lenient, progress=progress, odometry=odometry
-            )
+            ego = find_ego_motion(part, name=trajectory, heading=heading, lenient=lenient, progress=progress)
         part = with_way_found(part, ego)
     else:
         # chosen from the whole drive: a heading comes from the way before the part, too

@@ -54,7 +54,7 @@ def codes(run) -> set[str]:
 
 def test_sweeps_of_one_period_make_one_cloud_with_every_point_at_its_own_time(scene):
     sweeps = SceneSweeps.of(scene)
-    clouds = [cloud for _, cloud in sweeps.clouds(sweeps.rows_within(None))]
+    clouds = [cloud for _, cloud in sweeps.clouds()]
     first, second = (list(lidar.frames) for lidar in scene.lidars)
     assert len(clouds) == FRAMES
     for k, cloud in enumerate(clouds):

@@ -1,1 +1,0 @@
-"""What the parts of a drive leave for the task that joins them."""

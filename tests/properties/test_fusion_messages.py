@@ -1,7 +1,6 @@
 """Records of DB34/T 4101-2022 come back from every form as they were; what is not a record is told as such."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,7 +22,6 @@ from sceneloom.fusion.messages import (
     Timestamp,
     kind_of,
 )
-from sceneloom.fusion.messages.foxglove_form import from_foxglove, to_foxglove
 from sceneloom.fusion.messages.json_form import format_json, from_json, parse_json, to_json
 from sceneloom.fusion.messages.protobuf_form import (
     decode,
@@ -36,7 +34,6 @@ from sceneloom.fusion.messages.protobuf_form import (
     to_protobuf,
     to_send_request,
 )
-from sceneloom.fusion.messages.ros_form import from_ros, to_ros
 from sceneloom.fusion.messages.wire import fusion_pb2
 
 SENDABLE = ("raw", "image", "points", "boxes_3d", "boxes_2d", "box_3d", "box_2d")
@@ -434,90 +431,3 @@ def test_a_request_with_other_bytes_somewhere_is_a_record_or_a_fault(kind, seed,
 def test_a_time_stamp_comes_back_from_nanoseconds_and_from_text(timestamp):
     assert Timestamp.of(timestamp.nanoseconds) == timestamp
     assert Timestamp.parse(str(timestamp)) == timestamp
-
-
-def as_single_bits(values):
-    """Directions of any length as unit ones."""
-    wide = values.astype(np.float64)
-    return wide / np.linalg.norm(wide, axis=1, keepdims=True)
-
-
-ROS_LOSES = {
-    "points": ("sensor_type", "beam", "ring"),
-    "boxes_3d": ("directions", "velocities", "velocity_vectors"),
-}
-FOXGLOVE_LOSES = {"points": ("sensor_type", "beam", "ring"), "boxes_3d": ("velocity_vectors",)}
-
-
-def assert_same_but(assert_same, read, expected, lost):
-    """Compare two records field by field but for those that a form has no place for."""
-    for name in expected.__dataclass_fields__:
-        if name not in lost:
-            assert_same(getattr(read, name), getattr(expected, name))
-
-
-@pytest.mark.parametrize("kind", ["image", "points", "boxes_3d", "boxes_2d"])
-@settings(max_examples=20)
-@given(seed=SEEDS)
-def test_a_record_comes_back_from_ros_but_for_what_it_cannot_say(kind, seed, assert_same):
-    record = RECORDS[kind](Draws(seed))
-    if record.timestamp.s >= 2**31:
-        with pytest.raises(DataError, match=r"stamp\.sec"):
-            to_ros(record, frame_id="rig")
-        return
-    if kind == "image" and (record.pixels is None or record.channel > 4):
-        return  # bytes that are no file have no size
-    back = from_ros(to_ros(record, frame_id="rig"), sensor_id=record.sensor_id, seq=record.seq)
-    assert_same_but(assert_same, back, record, ROS_LOSES.get(kind, ()))
-    if kind == "boxes_3d":
-        # the quaternion is float64, the direction read from it rounded to 32 bits
-        np.testing.assert_allclose(
-            as_single_bits(back.directions), as_single_bits(record.directions), atol=1e-6
-        )
-
-
-@pytest.mark.parametrize("kind", ["image", "points", "boxes_3d", "boxes_2d"])
-@settings(max_examples=20)
-@given(seed=SEEDS)
-def test_a_record_comes_back_from_foxglove_but_for_what_it_cannot_say(kind, seed, assert_same):
-    record = RECORDS[kind](Draws(seed))
-    if kind == "image" and (record.pixels is None or record.encoding == "raw"):
-        return  # bytes that are no file have no size, and raw pixels are shown as some colours
-    (message,) = to_foxglove(record, frame_id="rig").values()
-    back = from_foxglove(message, sensor_id=record.sensor_id, seq=record.seq)
-    assert_same_but(assert_same, back, record, FOXGLOVE_LOSES.get(kind, ()))
-
-
-def as_content(message):
-    """A message's fields as JSON would bring them, bytes as lists."""
-    if isinstance(message, dict):
-        return {name: as_content(value) for name, value in message.items()}
-    return [as_content(value) for value in message] if isinstance(message, list | tuple | bytes) else message
-
-
-@pytest.mark.parametrize("form", ["ros", "foxglove"])
-@pytest.mark.parametrize("kind", ["image", "points", "boxes_3d", "boxes_2d"])
-@settings(max_examples=40)
-@given(seed=SEEDS, data=st.data())
-def test_a_foreign_message_with_another_value_somewhere_is_a_record_or_a_fault(form, kind, seed, data):
-    record = replace(RECORDS[kind](Draws(seed)), timestamp=Timestamp(5, 6))
-    if kind == "image":
-        record = replace(
-            record, encoding="mono8", channel=1, data=np.zeros(record.height * record.width, np.uint8)
-        )
-    if form == "ros":
-        message, read = to_ros(record, frame_id="rig"), from_ros
-    else:
-        (message,), read = to_foxglove(record, frame_id="rig").values(), from_foxglove
-    content = as_content(message.content)
-    *path, last = data.draw(st.sampled_from([p for p in places(content) if p]))
-    parent = content
-    for step in path:
-        parent = parent[step]
-    if isinstance(parent, dict) and data.draw(st.booleans()):
-        del parent[last]
-    else:
-        parent[last] = data.draw(mutations(parent[last]))
-    changed = replace(message, content=content)
-    found = record_or_fault(lambda: read(changed, sensor_id=1, seq=2))
-    assert isinstance(found, DataError) or kind_of(found).name == kind

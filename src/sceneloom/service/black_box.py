@@ -3,16 +3,18 @@
 import logging
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from google.protobuf.message import Message
 
+from sceneloom.formats.mcap.foxglove_writing import encode as encode_shown
 from sceneloom.formats.mcap.schemas import foxglove_type, serialised
+from sceneloom.formats.topics.records import AnyRecord, Boxes3DRecord
 from sceneloom.fusion.admitted import Admitted
 from sceneloom.fusion.events import Dropped, Event, Refused, Result
-from sceneloom.fusion.messages.foxglove_form import FoxgloveMessage, to_foxglove
 from sceneloom.fusion.messages.fused import FusedDetections
 from sceneloom.fusion.messages.protobuf_form import encode, encode_in, fill_message
 from sceneloom.fusion.messages.records import ResultRecord, SentRecord, kind_of, size_of
@@ -20,9 +22,8 @@ from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.fusion.queues import Flushed, Moved
 from sceneloom.fusion.setting import Setting
 from sceneloom.service.log_file import LogWriter
-from sceneloom.service.log_frames import frame_transforms, lens_messages
 from sceneloom.service.log_queue import LogQueue, NotLoggedError
-from sceneloom.service.log_schemas import shown_bytes
+from sceneloom.service.log_shown import shown_lenses, shown_records, shown_transforms
 from sceneloom.service.motion_form import motion_request
 from sceneloom.service.replies import properties_message
 from sceneloom.service.values import value_to_protobuf
@@ -141,6 +142,7 @@ class SessionLog:
         self._session = session
         self._shown = shown
         self._setting: Setting | None = None
+        self._drawn: dict[str, set[str]] = {}
 
     def __call__(self, event: Event) -> None:
         """Let an event be written.
@@ -229,26 +231,23 @@ class SessionLog:
             self._show_setting(setting)
 
     def _show_setting(self, setting: Setting) -> None:
-        for camera_id, message in lens_messages(setting, self._frame).items():
-            self._add(f"camera/{camera_id}/lens", message, "shown")
-        self._add("frames", frame_transforms(setting, self._frame), "shown")
+        for camera_id, lens in shown_lenses(setting, self._frame).items():
+            self._add_shown(f"camera/{camera_id}/lens", lens)
+        for transform in shown_transforms(setting, self._frame):
+            self._add_shown("frames", transform)
 
     def _show(self, name: str, record: SentRecord, kind: str, sensor_id: int) -> None:
-        if kind_of(record).name == "raw":
-            return
-        frame_id = self._frame(kind, sensor_id)
-        for part, message in to_foxglove(record, frame_id=frame_id).items():  # type: ignore[arg-type]
-            self._add_shown(f"{name}/{part}_shown", message, record.timestamp.nanoseconds)
+        for part, shown in shown_records(record, self._frame(kind, sensor_id)).items():
+            self._add_shown(f"{name}/{part}_shown", shown, record.timestamp.nanoseconds)
 
     def _show_result(self, result: Result) -> None:
         record = result.record
         lidar, camera = self._frame("lidar", record.lidar_id), self._frame("camera", record.camera_id)
         in_camera = not isinstance(record, FusedDetections) and record.point_frame == "camera"
-        parts = to_foxglove(record, frame_id=camera if in_camera else lidar, image_frame_id=camera)
-        for part, message in parts.items():
+        for part, shown in shown_records(record, camera if in_camera else lidar, camera).items():
             topic = f"fused/camera{record.camera_id}_lidar{record.lidar_id}/{part}"
             if part != "image":  # it is there as it was sent
-                self._add_shown(topic, message, record.timestamp.nanoseconds)
+                self._add_shown(topic, shown, record.timestamp.nanoseconds)
 
     def _frame(self, kind: str, sensor_id: int) -> str:
         return f"{self._session}/{kind}{sensor_id}"
@@ -260,8 +259,13 @@ class SessionLog:
     def _add(self, name: str, message: Message, what: str) -> None:
         self._write(name, type(message), serialised(message), what)
 
-    def _add_shown(self, name: str, message: FoxgloveMessage, timestamp_ns: int) -> None:
-        self._write(name, foxglove_type(message.schema), shown_bytes(message), "shown", timestamp_ns)
+    def _add_shown(self, name: str, record: AnyRecord, timestamp_ns: int | None = None) -> None:
+        if isinstance(record, Boxes3DRecord):  # viewers keep a box until it is taken away
+            drawn = {box.id for box in record.boxes}
+            record = replace(record, gone=tuple(sorted(self._drawn.get(name, set()) - drawn)))
+            self._drawn[name] = drawn
+        schema, parts = encode_shown(record)
+        self._write(name, foxglove_type(schema), b"".join(parts), "shown", timestamp_ns)
 
     def _write(
         self,

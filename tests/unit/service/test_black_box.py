@@ -5,6 +5,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
+from scipy.spatial.transform import Rotation
 
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.fusion.calibration.entries import CalibrationEntry, format_calibrations
@@ -24,6 +26,7 @@ from sceneloom.fusion.rig import Rig
 from sceneloom.scene.poses import PosePath
 from sceneloom.service.black_box import BlackBox
 from sceneloom.service.log_file import LogWriter, is_complete, read_log, unfinished_path
+from sceneloom.service.log_shown import shown_records
 from sceneloom.service.replay import compare, replay
 
 WIDTH, HEIGHT = 64, 48
@@ -186,7 +189,7 @@ def test_viewers_find_pictures_clouds_boxes_and_depths_in_schemas_that_they_know
         "/rig/camera/1/image/image_shown": "RawImage",
         "/rig/camera/1/boxes_2d/boxes_2d_shown": "ImageAnnotations",
         "/rig/camera/1/lens": "CameraCalibration",
-        "/rig/frames": "FrameTransforms",
+        "/rig/frames": "FrameTransform",
         "/rig/lidar/0/points/points_shown": "PointCloud",
         "/rig/lidar/0/boxes_3d/boxes_3d_shown": "SceneUpdate",
         "/rig/fused/camera1_lidar0/depth": "RawImage",
@@ -219,13 +222,50 @@ def test_viewers_find_pictures_clouds_boxes_and_depths_in_schemas_that_they_know
         (pytest.approx(0.6), pytest.approx(0.6)),
         (4, 2),
     ]
-    transform = shown["/rig/frames"][0][1].transforms[0]
+    transform = shown["/rig/frames"][0][1]
     assert (transform.parent_frame_id, transform.child_frame_id) == ("rig/lidar0", "rig/camera1")
     # a camera that looks forward: x right, y down, z forward seen from x forward, y left, z up
     q = [transform.rotation.x, transform.rotation.y, transform.rotation.z, transform.rotation.w]
     assert np.allclose(np.array(q) * np.sign(q[3]), [-0.5, 0.5, -0.5, 0.5])
     lens = shown["/rig/camera/1/lens"][0][1]
     assert list(lens.K) == [50, 0, 31.5, 0, 50, 23.5, 0, 0, 1]
+
+
+def test_viewers_are_told_to_remove_boxes_that_the_next_list_does_not_have(tmp_path):
+    path, first = tmp_path / "session.mcap", boxes_3d(5, 0)
+    kept = {
+        name: getattr(first, name)[:1]
+        for name in ("id", "class_names", "confidence", "centers", "sizes_lwh", "directions", "velocities")
+    }
+    with BlackBox(path) as box, begun(box, inline=True) as fusion:
+        fusion.send(first)
+        fusion.send(replace(boxes_3d(105, 1), **kept))
+    updates = [message for name, _, message in messages_of(path) if name == "foxglove.SceneUpdate"]
+    assert [[entity.id for entity in update.entities] for update in updates] == [["0", "1", "2"], ["0"]]
+    assert [[gone.id for gone in update.deletions] for update in updates] == [[], ["1", "2"]]
+
+
+def test_viewers_see_where_boxes_point_and_pixels_that_they_know():
+    directions = np.array([[1, 2, 0.5], [-3, 0.1, 2], [0, 0, -1]], np.float32)
+    boxes = shown_records(replace(boxes_3d(0, 0), directions=directions), "lidar")["boxes_3d"].boxes
+    for box, direction in zip(boxes, directions.astype(float), strict=True):
+        turned = Rotation.from_quat(box.quaternion_xyzw).apply([[1, 0, 0], [0, 1, 0]])
+        assert np.allclose(turned[0], direction / np.linalg.norm(direction))
+        assert turned[1, 2] == pytest.approx(0)  # no roll
+    pixels = np.zeros(HEIGHT * WIDTH * 2, np.uint8)
+    assert shown_records(replace(image(0, 0), encoding="raw", channel=2, data=pixels), "camera") == {}
+    grey = replace(image(0, 0), encoding="raw", channel=1, data=pixels[: HEIGHT * WIDTH])
+    assert shown_records(grey, "camera")["image"].encoding == "mono8"
+
+
+@pytest.mark.parametrize("colour", [0.5, 256.0, -1.0, np.inf])
+def test_colours_that_are_no_bytes_are_shown_as_the_numbers_that_they_are(colour):
+    points = np.array([[1, 2, 3, 0, 255, colour]], np.float32)
+    names = ("x", "y", "z", "r", "g", "b")
+    record = replace(cloud(0, 0), number=1, fields=names, fields_number=6, data=points)
+    shown = shown_records(record, "lidar")["points"]
+    assert [field.name for field in shown.fields] == list(names)
+    assert np.array_equal(np.frombuffer(shown.data, "<f4"), points[0])
 
 
 def test_a_log_played_again_gives_the_same_bytes(logged):

@@ -5,7 +5,6 @@ from sceneloom.fusion.messages.scene_form.boxes import (
     boxes_2d_record,
     boxes_3d_of,
     boxes_3d_record,
-    whole_corners,
 )
 from sceneloom.fusion.messages.scene_form.clouds import (
     COLOR_NAMES,
@@ -53,5 +52,4 @@ __all__ = [
     "result_fields",
     "rgb_of_pixels",
     "sensor_fusion_of",
-    "whole_corners",
 ]

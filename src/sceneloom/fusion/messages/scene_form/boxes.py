@@ -97,7 +97,7 @@ def boxes_2d_record(
     Raises:
         DataError: a number cannot stand in the record.
     """
-    corners = whole_corners(boxes.corners_xyxy, size_wh)
+    corners = _whole_corners(boxes.corners_xyxy, size_wh)
     sides = corners[:, 2:] > corners[:, :2]
     kept = np.logical_and(sides[:, 0], sides[:, 1])
     return Boxes2d(
@@ -111,7 +111,7 @@ def boxes_2d_record(
     )
 
 
-def whole_corners(corners_xyxy: Float64Array, size_wh: tuple[int, int] | None) -> UInt32Array:
+def _whole_corners(corners_xyxy: Float64Array, size_wh: tuple[int, int] | None) -> UInt32Array:
     """Give the whole pixels that boxes touch.
 
     Args:

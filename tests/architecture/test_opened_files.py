@@ -50,7 +50,6 @@ ALLOWED = {
         "sceneloom.pipeline.colouring.map_scene",
         "np.memmap",
     ): "what was written before, in a folder of our own",
-    ("sceneloom.pipeline.sharing.hidden_videos", ".open"): "what was written before, in a folder of our own",
     ("sceneloom.kernels.cache", "read_bytes"): "an index of compiled kernels that was found in a folder",
     ("sceneloom.service.fetched", "ZipFile"): "for writing",
     ("sceneloom.view.depths", "np.load"): "after `check_regular`",

@@ -7,6 +7,8 @@ import pytest
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
+from sceneloom.editing.hiding import PictureBox
+from sceneloom.pipeline.sharing import blur_files
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 
@@ -39,6 +41,48 @@ def test_boxes_are_hidden_in_the_written_drive_and_the_rest_is_not(call, drives,
         assert np.array_equal(new.timestamps_ns, old.timestamps_ns)
         assert np.abs(new[0].rgb.astype(int) - old[0].rgb).mean() < 8
         assert np.abs(new[1].rgb[:, 64:].astype(int) - old[1].rgb[:, 64:]).mean() < 8
+
+
+def test_a_video_is_encoded_again_and_the_loss_report_says_so(call, drives, tmp_path):
+    outcome = call(
+        "edit",
+        "blur",
+        drives / "recording",
+        "-o",
+        tmp_path / "o.sfs",
+        "--boxes",
+        drives / "boxes.csv",
+        "--json",
+    )
+    told = json.loads(outcome.out)
+    assert told["cameras"][0]["encoded"] == 3
+    (loss,) = [one for one in told["losses"]["losses"] if "encoded again" in one["what"]]
+    assert (loss["field"], loss["fate"], loss["count"]) == ("sensors[camera0].video", "approximated", 3)
+
+
+def blurred(folder, size, **how):
+    camera = CameraSpec(Camera("pinhole", *size, 60.0, 60.0, 47.5, 31.5))
+    drive = simulate_street(1, frames=2, lidar=LidarSpec(beams=4, steps=60), cameras=(camera,))
+    sceneloom.write(drive.scene, folder / "in", **how)
+    box = PictureBox((20.0, 10.0, 60.0, 50.0), number=1)
+    report = blur_files(folder / "in", folder / "out", boxes=[box], fill="black", margin=0.0)
+    with sceneloom.open(folder / "in") as before, sceneloom.open(folder / "out") as after:
+        old, new = before.cameras[0], after.cameras[0]
+        assert np.array_equal(new.pictures.timestamps_ns, old.pictures.timestamps_ns)
+        return report, [picture.rgb for picture in old.pictures], [picture.rgb for picture in new.pictures]
+
+
+def test_a_lossless_video_stays_so_but_for_what_is_hidden(tmp_path):
+    report, old, new = blurred(tmp_path, (96, 64), pictures="ffv1")
+    assert not [loss for loss in report.edit.losses if "encoded again" in loss.what]
+    old[1][10:50, 20:60] = 0
+    assert np.array_equal(new, old)
+
+
+def test_pictures_of_a_video_whose_codec_cannot_hold_their_size_go_one_by_one(tmp_path):
+    report, old, new = blurred(tmp_path, (95, 63), pictures="ffv1")
+    assert (report.cameras[0].encoded, new[1][12:48, 22:58].max()) == (2, 0)
+    assert np.array_equal(new[0], old[0])
 
 
 def test_it_is_told_in_words_too_and_without_boxes_nothing_is_written(call, drives, tmp_path):

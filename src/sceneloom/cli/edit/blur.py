@@ -102,7 +102,7 @@ def blur(
 def _print_cameras(report: "BlurReport") -> None:
     rows = [("camera", "boxes", "places hidden", "in pictures", "outside", "video")]
     for one in report.cameras:
-        video = "" if one.encoded is None else f"{one.encoded} encoded anew, {one.copied} copied"
+        video = "" if one.encoded is None else f"{one.encoded} encoded again"
         outside = str(one.outside + one.without_picture)
         pictures = f"{one.pictures} of {one.of_pictures}"
         rows.append((str(one.camera), str(one.boxes), str(one.hidden), pictures, outside, video))

@@ -15,7 +15,7 @@ _LEAST_CELL = 4
 """No mean is of fewer pixels along a side, but at the box's last row and column [px]."""
 
 
-def filled(image: UInt8Array, boxes: Int64Array, *, fill: str = "blur", black: int = 0) -> UInt8Array:
+def filled(image: UInt8Array, boxes: Int64Array, *, fill: str = "blur") -> UInt8Array:
     """Give a copy of an image whose boxes are hidden, one after the other.
 
     Args:
@@ -23,7 +23,6 @@ def filled(image: UInt8Array, boxes: Int64Array, *, fill: str = "blur", black: i
         boxes: (K, 4) int64 [px], rows left, top, right, bottom of pixels, right and bottom exclusive, in the image.
         fill: "blur": the means of at most 4 x 4 cells, with smooth changes between them; "pixelate": the same with
             the cells' edges; "black": nothing at all.
-        black: the value that is black.
 
     Raises:
         OptionError: there is no such fill.
@@ -35,12 +34,11 @@ def filled(image: UInt8Array, boxes: Int64Array, *, fill: str = "blur", black: i
     for left, top, right, bottom in boxes.tolist():
         region = hidden[top:bottom, left:right]
         if region.size:
-            region[...] = paint(region, black)
+            region[...] = paint(region)
     return hidden
 
 
-def _blurred(region: UInt8Array, black: int) -> UInt8Array:
-    del black
+def _blurred(region: UInt8Array) -> UInt8Array:
     rows, columns = _cells(region)
     means = _means(region, rows, columns)
     down, across = _weights(rows, region.shape[0]), _weights(columns, region.shape[1])
@@ -48,8 +46,7 @@ def _blurred(region: UInt8Array, black: int) -> UInt8Array:
     return np.asarray(np.clip(np.rint(smooth), 0, 255), np.uint8)
 
 
-def _pixelated(region: UInt8Array, black: int) -> UInt8Array:
-    del black
+def _pixelated(region: UInt8Array) -> UInt8Array:
     rows, columns = _cells(region)
     means = np.asarray(np.rint(_means(region, rows, columns)), np.uint8)
     height, width = region.shape[:2]
@@ -57,11 +54,11 @@ def _pixelated(region: UInt8Array, black: int) -> UInt8Array:
     return np.asarray(np.repeat(spread, np.diff([*columns, width]), axis=1), np.uint8)
 
 
-def _blackened(region: UInt8Array, black: int) -> UInt8Array:
-    return np.full_like(region, black)
+def _blackened(region: UInt8Array) -> UInt8Array:
+    return np.zeros_like(region)
 
 
-FILLS: Mapping[str, Callable[[UInt8Array, int], UInt8Array]] = MappingProxyType(
+FILLS: Mapping[str, Callable[[UInt8Array], UInt8Array]] = MappingProxyType(
     {"blur": _blurred, "pixelate": _pixelated, "black": _blackened}
 )
 """The ways to hide, by name."""

@@ -101,7 +101,7 @@ def copy_packets(
         output = open_container(target, container, pictures=len(times.pts), header_bytes=header)
         try:
             with writing_faults(called):
-                stream = same_stream(output, opened.stream, times.tick)
+                stream = _same_stream(output, opened.stream, times.tick)
             for position, packet in enumerate(_taken(iter_picture_packets(opened, name), taken)):
                 set_times(packet, times, position, name)
                 packet.stream = stream
@@ -116,7 +116,7 @@ def copy_packets(
         opened.close()
 
 
-def same_stream(output: OutputContainer, original: VideoStream, tick: Fraction) -> VideoStream:
+def _same_stream(output: OutputContainer, original: VideoStream, tick: Fraction) -> VideoStream:
     """Add a stream like another one to a file, with ticks of its own."""
     stream = output.add_stream_from_template(original, opaque=True)
     stream.time_base = tick

@@ -1,7 +1,8 @@
 """The job of hiding places in pictures: read a drive, hide boxes for good, write it, say what was done."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -17,13 +18,15 @@ from sceneloom.editing.hiding import (
     regions_of,
 )
 from sceneloom.errors import OptionError
+from sceneloom.formats.loss import Fate, Loss, LossReport
 from sceneloom.formats.table import check_scene_output
-from sceneloom.formats.video.replacing import ReplacedPictures
+from sceneloom.formats.video import VideoWriter
 from sceneloom.pipeline.edited import EditReport, edit_files
 from sceneloom.pipeline.sharing.hidden_pictures import with_hidden_files
-from sceneloom.pipeline.sharing.hidden_videos import HiddenVideos
-from sceneloom.scene import Identifier, Scene
-from sceneloom.scene.types import Progress, key_of
+from sceneloom.scene import CameraSensor, Identifier, Scene, Sensor, VideoContent
+from sceneloom.scene.types import Key, Progress, key_of
+
+_DEFAULT_FPS = 25.0
 
 
 class CameraBlur(msgspec.Struct, frozen=True, kw_only=True):
@@ -38,9 +41,7 @@ class CameraBlur(msgspec.Struct, frozen=True, kw_only=True):
         without_picture: boxes that name a picture which is not there.
         outside: boxes that lie outside of their picture or have no size.
         cut: boxes that reach beyond an edge of their picture; what is inside was hidden.
-        encoded: pictures of its video that were encoded anew; None where it has no video.
-        copied: pictures of its video that were copied as they are.
-        reason: why all pictures of a video were encoded anew, where one would have liked to copy some.
+        encoded: pictures of its video, all of which are encoded again; None where it has no video.
     """
 
     camera: Identifier
@@ -52,8 +53,6 @@ class CameraBlur(msgspec.Struct, frozen=True, kw_only=True):
     outside: int
     cut: int
     encoded: int | None = None
-    copied: int | None = None
-    reason: str | None = None
 
 
 class BlurReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -89,9 +88,9 @@ def blur_files(
 ) -> BlurReport:
     """Hide boxes in the pictures of a drive, and write it.
 
-    Videos keep their times. In H.264, groups of pictures none of which is touched are copied; other videos with
-    touched pictures are encoded anew. Of pictures in files of their own only touched ones are encoded anew; all lose
-    what their files say besides the picture. Of videos only the pictures go over.
+    Videos are encoded again, FFV1 as FFV1 and others as H.264, which the loss report lists; the pictures keep their
+    times, and nothing else of the videos goes over. Of pictures in files of their own only touched ones are encoded
+    anew; all lose what their files say besides the picture.
 
     Args:
         source: a file or folder of any format.
@@ -119,11 +118,12 @@ def blur_files(
         )
     check_scene_output(Path(output), overwrite=overwrite)
     told: list[CameraBlur] = []
+    losses: list[Loss] = []
     with TemporaryDirectory(dir=Path(output).parent, prefix=".sceneloom-blur-") as folder:
         settings = _Settings(tuple(boxes), chosen, fill, margin, hold, drop_colours)
 
         def change(scenes: Sequence[Scene], _: Any) -> Scene:
-            changed, done = settings.hidden(scenes[0], Path(folder))
+            changed, done = settings.hidden(scenes[0], Path(folder), losses)
             told.extend(done)
             return changed
 
@@ -137,6 +137,7 @@ def blur_files(
             overwrite=overwrite,
             **writing,
         )
+    report = msgspec.structs.replace(report, losses=LossReport.of([*report.losses, *losses]))
     return BlurReport(edit=report, fill=fill, margin=margin, cameras=tuple(told))
 
 
@@ -151,27 +152,81 @@ class _Settings:
     hold: float
     drop_colours: bool
 
-    def hidden(self, scene: Scene, folder: Path) -> tuple[Scene, list[CameraBlur]]:
-        """Hide in a scene; its videos are written into a folder."""
+    def hidden(self, scene: Scene, folder: Path, losses: list[Loss]) -> tuple[Scene, list[CameraBlur]]:
+        """Hide in a scene; its videos are written into a folder, and what they lose is added to `losses`."""
         hidings = find_hidings(scene, boxes=self.boxes, labels=self.labels, hold=self.hold)
         regions = regions_of(scene, hidings, margin=self.margin)
         pixels = {key: found.pixels for key, found in regions.items()}
         bare = hide_in_pictures(
             scene, hidings, fill=self.fill, margin=self.margin, drop_colours=self.drop_colours
         )
-        videos = HiddenVideos(folder, self.fill)
-        changed = videos.scene(scene, with_hidden_files(scene, bare, pixels), pixels)
+        changed, encoded = _with_videos(scene, with_hidden_files(scene, bare, pixels), folder, losses)
         counts = {key_of(camera.id): len(camera.pictures) for camera in scene.cameras}
         return changed, [
-            _camera_blur(hiding, regions[key], counts[key], videos.written.get(key))
+            _camera_blur(hiding, regions[key], counts[key], counts[key] if key in encoded else None)
             for hiding in hidings
             for key in [key_of(hiding.camera_id)]
         ]
 
 
-def _camera_blur(
-    hiding: Hiding, regions: HiddenRegions, pictures: int, video: ReplacedPictures | None
-) -> CameraBlur:
+def _with_videos(
+    scene: Scene, hidden: Scene, folder: Path, losses: list[Loss]
+) -> tuple[Scene, frozenset[Key]]:
+    """Encode the pictures of videos again; of odd sizes, which H.264 cannot hold, they stay single pictures.
+
+    Args:
+        scene: before anything was hidden, with its videos.
+        hidden: afterwards, without them.
+        folder: where the videos have to stay until the scene is written.
+        losses: what the videos lose is added to it.
+
+    Returns:
+        the scene with its videos, and the cameras that have one.
+
+    Raises:
+        DataError: a video is damaged.
+        OutputError: the folder cannot be written.
+    """
+    codecs = {key_of(camera.id): camera.video.codec for camera in scene.cameras if camera.video is not None}
+    sensors: list[Sensor] = []
+    encoded = set[Key]()
+    for sensor in hidden.sensors:
+        key = key_of(sensor.id)
+        if not isinstance(sensor, CameraSensor) or key not in codecs or not len(sensor.pictures):
+            sensors.append(sensor)
+            continue
+        codec = "ffv1" if codecs[key] == "ffv1" else "h264"
+        size = sensor.pictures[0].camera
+        if codec == "h264" and (size.width % 2 or size.height % 2):
+            what = "its odd size is not that of an H.264 video: the pictures go one by one"
+            losses.append(Loss(field=f"sensors[{sensor.id}].video", what=what, fate=Fate.CONVERTED))
+            sensors.append(sensor)
+            continue
+        target = folder / f"video{len(encoded)}{'.mkv' if codec == 'ffv1' else '.mp4'}"
+        _encode(sensor, target, codec)
+        if codec == "h264":
+            what = "the video is encoded again, as H.264 of quality 18"
+            count = len(sensor.pictures)
+            losses.append(
+                Loss(field=f"sensors[{sensor.id}].video", what=what, count=count, fate=Fate.APPROXIMATED)
+            )
+        sensors.append(replace(sensor, video=VideoContent(partial(target.open, "rb"), codec)))
+        encoded.add(key)
+    return replace(hidden, sensors=tuple(sensors)), frozenset(encoded)
+
+
+def _encode(camera: CameraSensor, target: Path, codec: str) -> None:
+    times_ns = camera.pictures.timestamps_ns
+    seconds = (times_ns - times_ns[0]) * 1e-9
+    fps = (len(seconds) - 1) / seconds[-1] if seconds[-1] > 0 else _DEFAULT_FPS
+    size = camera.pictures[0].camera
+    count = len(seconds)
+    with VideoWriter(target, size.width, size.height, fps, codec=codec, pictures=count) as writer:
+        for picture, time in zip(camera.pictures, seconds.tolist(), strict=True):
+            writer.add(picture.rgb, time)
+
+
+def _camera_blur(hiding: Hiding, regions: HiddenRegions, pictures: int, encoded: int | None) -> CameraBlur:
     return CameraBlur(
         camera=hiding.camera_id,
         boxes=hiding.given,
@@ -181,7 +236,5 @@ def _camera_blur(
         without_picture=hiding.unmatched,
         outside=regions.outside,
         cut=regions.cut,
-        encoded=None if video is None else video.encoded,
-        copied=None if video is None else video.pictures - video.encoded,
-        reason=None if video is None else video.reason,
+        encoded=encoded,
     )

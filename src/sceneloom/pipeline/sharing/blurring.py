@@ -18,6 +18,7 @@ from sceneloom.editing.hiding import (
     regions_of,
 )
 from sceneloom.errors import OptionError
+from sceneloom.formats.files import open_file
 from sceneloom.formats.loss import Fate, Loss, LossReport
 from sceneloom.formats.table import check_scene_output
 from sceneloom.formats.video import VideoWriter
@@ -210,7 +211,7 @@ def _with_videos(
             losses.append(
                 Loss(field=f"sensors[{sensor.id}].video", what=what, count=count, fate=Fate.APPROXIMATED)
             )
-        sensors.append(replace(sensor, video=VideoContent(partial(target.open, "rb"), codec)))
+        sensors.append(replace(sensor, video=VideoContent(partial(open_file, target), codec)))
         encoded.add(key)
     return replace(hidden, sensors=tuple(sensors)), frozenset(encoded)
 

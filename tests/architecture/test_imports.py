@@ -48,7 +48,7 @@ WRAPPERS = {
     "duckdb": {"catalog"},
     "fsspec": {"formats"},
     "scipy": {"checks", "motion", "tracking", "calibrate", "detections", "evaluate"},
-    "matplotlib": {"evaluate"},
+    "matplotlib": {"report", "evaluate"},
     "jinja2": {"report"},
     "dask": {"batch"},
     "distributed": {"batch"},

@@ -34,34 +34,19 @@ function look() {
     if (!node.data.trim() || !element.checkVisibility() || element.closest("title, desc, style")) continue;
     texts += 1;
     const style = getComputedStyle(element);
-    const colour = parse(element.closest("svg") ? style.fill : style.color);
+    const colour = parse(style.color);
     const [light, dark] = [luminance(colour), luminance(ground(element))].sort((a, b) => b - a);
     const ratio = (light + 0.05) / (dark + 0.05);
     if (ratio < 4.5) faint.push(`${node.data.trim().slice(0, 40)}: ${ratio.toFixed(2)}`);
   }
-  const small = [...document.querySelectorAll("svg text")]
-    .filter((text) => text.checkVisibility())
-    .map((text) => ({ text: text.textContent, height: text.getBoundingClientRect().height }))
-    .filter((text) => text.height > 0 && text.height < 9);
-  const clipped = [...document.querySelectorAll("svg")].flatMap((svg) => {
-    const frame = svg.getBoundingClientRect();
-    return [...svg.querySelectorAll("text")]
-      .filter((text) => {
-        const box = text.getBoundingClientRect();
-        return box.left < frame.left - 1 || box.right > frame.right + 1;
-      })
-      .map((text) => text.textContent);
-  });
   return {
     texts,
     faint,
-    small,
-    clipped,
     overflow: document.documentElement.scrollWidth - window.innerWidth,
     headings: [...document.querySelectorAll("h1, h2")].filter((h) => h.checkVisibility()).map((h) => h.textContent),
     unseen: [...document.images].filter((image) => !image.complete || image.naturalWidth === 0).length,
     images: document.images.length,
-    drawings: document.querySelectorAll("svg").length,
+    drawings: document.querySelectorAll("img.plot").length,
     background: getComputedStyle(document.body).backgroundColor,
   };
 }

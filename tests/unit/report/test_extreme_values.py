@@ -7,8 +7,6 @@ from sceneloom.arrays import finite_rows
 from sceneloom.checks import annotation_times
 from sceneloom.pictures.cloud_above import layout_map
 from sceneloom.pictures.clouds import sample_polyline
-from sceneloom.report.drawings.plan import _grid
-from sceneloom.report.drawings.svg import Svg
 from sceneloom.report.numbers.clouds import CloudTally
 
 LARGEST = float(np.finfo(np.float32).max)
@@ -38,7 +36,6 @@ def test_lines_with_huge_corners_have_finite_points(far):
 def test_maps_of_places_that_are_far_off_have_no_endless_grid(far):
     layout = layout_map((far, -far), 50.0, (640, 480))
     assert len(layout.grid(0, 10.0)) < 1000
-    _grid(Svg(100, 100), np.array([far, -far]), 1e-3, 100.0)
 
 
 def test_bounds_of_times_stay_within_64_bits():

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from sceneloom.report.collecting import collect
+from sceneloom.report.drawings import COLOURS
 from sceneloom.report.page.rendering import render_page
 from sceneloom.report.settings import ReportSettings
 from sceneloom.scene import (
@@ -90,7 +91,6 @@ def check_sound(page: Page) -> None:
         for name in ("aria-labelledby", "aria-describedby"):
             assert set(attributes.get(name, "").split()) <= set(ids)
     assert all(image.get("alt") for image in page.all("img"))
-    assert all(drawing.get("role") == "img" for drawing in page.all("svg"))
     assert all(head.get("scope") in {"col", "row"} for head in page.all("th"))
     assert len(page.all("caption")) == len(page.all("table"))
     assert page.all("html")[0]["lang"] == "en"
@@ -260,14 +260,13 @@ def test_colours_of_texts_have_contrast():
     pairs = [
         *((text, ground) for text in ("ink", "faint", "link") for ground in ("paper", "panel")),
         *((kind, f"{kind}-panel") for kind in ("bad", "warn", "good", "hint")),
-        *((text, "ground") for text in ("ink", "faint")),
     ]
     for name, block in blocks.items():
         colours = dict(re.findall(r"--([a-z0-9-]+): (#[0-9a-f]{3,6});", block))
         for text, ground in pairs:
             assert contrast(colours[text], colours[ground]) >= 4.5, (name, text, ground)
-        for k in range(1, 9):
-            assert contrast(colours[f"s{k}"], colours["paper"]) >= 3.0, (name, k)
+    for colour in COLOURS:
+        assert contrast(colour, "#ffffff") >= 3.0, colour
 
 
 def contrast(first: str, second: str) -> float:

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sceneloom.report.album import Photo
-from sceneloom.report.drawings.svg import Svg
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,19 +13,17 @@ class Drawing:
     Attributes:
         title: what it is.
         text: what it shows, for those who cannot see it.
-        svg: the drawing.
+        svg: the file.
         caption: how it is to be read, for all.
         kind: "plot"; "tall" stands beside several plots; "wide" takes the whole width, and on small screens is moved
             sideways; "map" takes it, too.
-        named: the looks in it that stand for something, each with its name.
     """
 
     title: str
     text: str
-    svg: Svg
+    svg: bytes
     caption: str = ""
     kind: str = "plot"
-    named: Sequence[tuple[str, str]] = ()
 
 
 @dataclass(frozen=True, slots=True)

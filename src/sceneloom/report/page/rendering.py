@@ -4,12 +4,12 @@ from base64 import b64encode
 from collections.abc import Iterator
 from functools import partial
 from importlib.resources import files
-from itertools import count
+from importlib.util import find_spec
 from typing import Any
 
 from sceneloom.errors import MissingExtraError, how_to_install
 from sceneloom.report.album import Album, Photo
-from sceneloom.report.drawings.svg import plain
+from sceneloom.report.drawings import plain
 from sceneloom.report.numbers.drive import DriveReport
 from sceneloom.report.numbers.verdict import Advice
 from sceneloom.report.page.content import Drawing, Section
@@ -34,15 +34,17 @@ MARKS = {"sound": "✔", "look": "▲", "faulty": "✖"}
 
 
 def check_extra() -> Any:
-    """Give the package that fills the template.
+    """Give the package that fills the template; matplotlib, which draws, is looked for, too.
 
     Raises:
-        MissingExtraError: it is not installed.
+        MissingExtraError: one of them is not installed.
     """
     try:
         import jinja2
     except ImportError:
         raise MissingExtraError(f"a report needs jinja2: {how_to_install('report')}") from None
+    if find_spec("matplotlib") is None:
+        raise MissingExtraError(f"a report needs matplotlib: {how_to_install('report')}")
     return jinja2
 
 
@@ -53,7 +55,6 @@ def render_page(report: DriveReport, album: Album) -> str:
         MissingExtraError: what fills the template is not installed.
     """
     jinja2 = check_extra()
-    numbers = count(1)
     environment = jinja2.Environment(
         autoescape=True,
         undefined=jinja2.StrictUndefined,
@@ -62,7 +63,6 @@ def render_page(report: DriveReport, album: Album) -> str:
         finalize=partial(_plain, whole=_source_path(report), name=report.name),
         loader=jinja2.FunctionLoader(_resource),
     )
-    environment.filters["drawn"] = lambda drawing: _drawn(drawing, next(numbers))
     environment.filters["data_uri"] = _data_uri
     shown, further = _advices(report)
     page: str = environment.get_template("report.html.j2").render(
@@ -123,9 +123,6 @@ def _plain(value: Any, *, whole: str, name: str) -> Any:
     return plain(value)
 
 
-def _drawn(drawing: Drawing, number: int) -> str:
-    return drawing.svg.document(f"drawing-{number}", drawing.title, drawing.text)
-
-
-def _data_uri(photo: Photo) -> str:
-    return f"data:image/jpeg;base64,{b64encode(photo.jpeg).decode('ascii')}"
+def _data_uri(shown: Photo | Drawing) -> str:
+    kind, content = ("jpeg", shown.jpeg) if isinstance(shown, Photo) else ("svg+xml", shown.svg)
+    return f"data:image/{kind};base64,{b64encode(content).decode('ascii')}"

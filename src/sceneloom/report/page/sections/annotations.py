@@ -3,7 +3,7 @@
 from itertools import pairwise
 
 from sceneloom.report.album import Album
-from sceneloom.report.drawings.axes import bars, columns, line_plot
+from sceneloom.report.drawings import bars, columns, line_plot
 from sceneloom.report.numbers.drive import DriveReport
 from sceneloom.report.numbers.labels import ClassNumbers, Labels, Spread
 from sceneloom.report.page.content import Block, Column, Drawing, Section, Table
@@ -77,16 +77,14 @@ def _plots(labels: Labels) -> list[Drawing]:
     if shown:
         names, objects = [c.label for c in shown], [c.objects for c in shown]
         text = "; ".join(f"{name} {number:,}" for name, number in zip(names, objects, strict=True))
-        svg = bars(names, objects, told=[f"{number:,}" for number in objects])
+        svg = bars(names, objects, labels=[f"{number:,}" for number in objects])
         found.append(Drawing("Objects by class", text, svg))
     if len(labels.over_time) > 1:
         svg = line_plot([labels.over_time], x_name="time [s]", y_name="boxes", with_zero=True)
         most = max(number for _, number in labels.over_time)
         found.append(Drawing("Boxes over time", f"At most {most:,} boxes at one time", svg))
     if labels.range_counts:
-        svg = columns(
-            _ranges(labels.range_edges), labels.range_counts, x_name="range [m]", y_name="boxes", unit="m"
-        )
+        svg = columns(_ranges(labels.range_edges), labels.range_counts, x_name="range [m]", y_name="boxes")
         found.append(
             Drawing("Boxes by range", f"Boxes at {several(labels.moments, 'moment')} by distance", svg)
         )

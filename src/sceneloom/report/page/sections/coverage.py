@@ -2,8 +2,7 @@
 
 from itertools import pairwise
 
-from sceneloom.report.drawings.around import draw_around, named_shapes
-from sceneloom.report.drawings.axes import bars, columns
+from sceneloom.report.drawings import bars, columns, draw_around
 from sceneloom.report.numbers.clouds import CloudCoverage
 from sceneloom.report.numbers.drive import DriveReport
 from sceneloom.report.numbers.surroundings import CameraView, Coverage
@@ -84,7 +83,7 @@ def _around(coverage: Coverage) -> list[Drawing]:
         "direction, from the sensor. Wedges: the middle rows of the pictures; their length means nothing."
     )
     text = "; ".join([*reaches, *looks])
-    return [Drawing("Around the ego", text, svg, caption, kind="tall", named=named_shapes(coverage))]
+    return [Drawing("Around the ego", text, svg, caption, kind="tall")]
 
 
 def _plots(cloud: CloudCoverage) -> list[Drawing]:
@@ -92,7 +91,7 @@ def _plots(cloud: CloudCoverage) -> list[Drawing]:
     if cloud.range_counts:
         edges = [*(f"{edge:g}" for edge in cloud.range_edges)]
         names = [*(f"{a}–{b}" for a, b in pairwise(edges)), f"{edges[-1]}+"]
-        svg = columns(names, cloud.range_counts, x_name="range [m]", y_name="points of a sweep", unit="m")
+        svg = columns(names, cloud.range_counts, x_name="range [m]", y_name="points of a sweep")
         told = f"Half of the points lie within {cloud.range_median:.0f} m, 95 % within {cloud.range_95:.0f} m"
         found.append(Drawing(f"Points of {cloud.sensor} by range", told, svg))
     if len(cloud.rings) > 1:
@@ -112,7 +111,7 @@ def _shares(report: DriveReport) -> list[Drawing]:
     shares = [camera.in_picture_percent for camera in cameras]
     told = [f"{share:.1f} %" for share in shares]
     text = "; ".join(f"{name} {share}" for name, share in zip(names, told, strict=True))
-    svg = bars(names, shares, told=told, most=max(100.0 if max(shares) > 50 else 50.0, *shares))
+    svg = bars(names, shares, labels=told, most=max(100.0 if max(shares) > 50 else 50.0, *shares))
     return [Drawing("Share of all points in each camera's pictures", text, svg)]
 
 

@@ -1,7 +1,6 @@
 """When the streams of the drive give something."""
 
-from sceneloom.report.drawings.axes import histogram
-from sceneloom.report.drawings.streams import MOST_ROWS, draw_streams
+from sceneloom.report.drawings import MOST_STREAMS, draw_streams, histogram
 from sceneloom.report.numbers.drive import DriveReport
 from sceneloom.report.numbers.timing import StreamTiming, Timing
 from sceneloom.report.page.content import Block, Column, Drawing, Section, Table
@@ -44,7 +43,7 @@ def _overview(timing: Timing) -> list[Drawing]:
     gaps = sum(stream.gap_count for stream in timing.streams)
     told = "; ".join(
         f"{s.name} from {s.start:.2f} to {s.stop:.2f} s"
-        for s in timing.streams[:MOST_ROWS]
+        for s in timing.streams[:MOST_STREAMS]
         if s.start is not None
     )
     caption = "Bars: from the first stamp to the last. Red: gaps. Green behind: when all give something."
@@ -97,9 +96,7 @@ def _intervals(streams: list[StreamTiming]) -> list[Drawing]:
     for stream in streams:
         if stream.bins is None or stream.period_ms is None or len(found) >= MOST_PLOTS or stream.count < 4:
             continue
-        svg = histogram(
-            stream.bins.edges_ms, stream.bins.counts, x_name="interval [ms]", y_name="count", unit="ms"
-        )
+        svg = histogram(stream.bins.edges_ms, stream.bins.counts, x_name="interval [ms]", y_name="count")
         told = (
             f"Most intervals are about {stream.period_ms:.2f} ms; the longest is {stream.longest_ms:.1f} ms"
         )

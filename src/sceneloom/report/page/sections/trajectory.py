@@ -1,7 +1,6 @@
 """Where the ego went."""
 
-from sceneloom.report.drawings.axes import line_plot
-from sceneloom.report.drawings.plan import degrees_text, draw_plan, named_lines
+from sceneloom.report.drawings import degrees_text, draw_plan, line_plot, middle_text
 from sceneloom.report.numbers.drive import DriveReport
 from sceneloom.report.numbers.ways import Fixes, Way, Ways
 from sceneloom.report.page.content import Block, Column, Drawing, Section, Table
@@ -66,7 +65,10 @@ def _plan(ways: Ways) -> list[Drawing]:
         if ways.north or not ways.ways
         else "x of the world to the right, y up; north is not known."
     )
-    caption = f"{north} Circle: start; square: end; dots: satellite fixes. The bar is as long as a side of the squares."
+    middle = middle_text(ways)
+    caption = (
+        f"{north} Circle: start; square: end; dots: satellite fixes.{f' Middle: {middle}.' if middle else ''}"
+    )
     return [
         Drawing(
             "The drive from above",
@@ -74,7 +76,6 @@ def _plan(ways: Ways) -> list[Drawing]:
             svg,
             caption,
             "map",
-            named_lines(ways),
         )
     ]
 

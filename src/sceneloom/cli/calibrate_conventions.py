@@ -11,7 +11,7 @@ from sceneloom.cli.identifiers import known_id_or_none
 from sceneloom.cli.printing import print_corrections, print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
-    from sceneloom.calibrate.conventions.report import ConventionsReport, ExtrinsicFound
+    from sceneloom.calibrate.conventions import ConventionsReport, ExtrinsicFound
     from sceneloom.scene import Scene
 
 WRONG = 4
@@ -29,7 +29,7 @@ def check_conventions(
     reading: dict[str, Any],
 ) -> int:
     """Judge a file, by a drive where one is given, or a drive; print what was found, and give the exit code."""
-    from sceneloom.calibrate.conventions.checking import check_drive, check_file
+    from sceneloom.calibrate.conventions import check_drive, check_file
     from sceneloom.formats import open_scene
 
     def opened(place: Path | str, judge: Callable[["Scene"], "ConventionsReport"]) -> "ConventionsReport":

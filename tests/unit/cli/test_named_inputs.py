@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from sceneloom.batch import inputs
-from sceneloom.calibrate.conventions.reading import read_extrinsics
+from sceneloom.calibrate.conventions import read_extrinsics
 from sceneloom.catalog import query
 from sceneloom.detections.detector_files import read_detectors
 from sceneloom.errors import DataError

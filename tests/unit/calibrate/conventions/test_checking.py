@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.calibrate.conventions.checking import check_drive, check_file
+from sceneloom.calibrate.conventions import check_drive, check_file
 from sceneloom.calibrate.frames import calibration_frames
 from sceneloom.errors import DataError
 from sceneloom.geometry.rigid import RigidTransform

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sceneloom.calibrate.conventions import hypotheses
-from sceneloom.calibrate.conventions.hypotheses import groups
+from sceneloom.calibrate.conventions import groups, hypotheses
 
 ROTATION = Rotation.from_euler("ZYX", [-88.0, 1.5, -91.0], degrees=True)
 TRANSLATION = np.array([0.1, -0.3, 0.2])

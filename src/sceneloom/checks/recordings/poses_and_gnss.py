@@ -22,12 +22,9 @@ _FEWEST_FIXES = 10
 _LEAST_SPREAD = 5.0
 _USUAL_ACCURACY = 5.0
 _CLEARLY = 0.3
-"""What explains a distance leaves less than this part of it."""
+"""A mirrored trajectory fits better if it leaves less than this part of the distance."""
 _MIRRORED_TOLD = 2.0
 """Ways less bent [m] have no left and right."""
-_SCALES = (0.9, 1.1)
-_UNITS = {1000.0: "millimetres", 100.0: "centimetres", 1.0 / 0.3048: "feet"}
-_LONGEST_SHIFT, _SHIFT_STEP = 2.0, 0.1
 _HEIGHTS_TELL = 3.0
 _TURNED_HEIGHTS = -0.7
 
@@ -52,25 +49,17 @@ class _Case:
     tolerance: float
     vertical: float
 
-    def places(self, shift: float = 0.0) -> "np.ndarray[tuple[int], np.dtype[np.complex128]]":
-        """Where the trajectory was at the time of each fix, or so much later [s]: (N,) x + iy [m], world."""
-        return np.asarray(self._at(shift, 0) + 1j * self._at(shift, 1))
+    def places(self) -> "np.ndarray[tuple[int], np.dtype[np.complex128]]":
+        """Where the trajectory was at the time of each fix: (N,) x + iy [m], world."""
+        return np.asarray(self._at(0) + 1j * self._at(1))
 
     def heights(self) -> Float64Array:
         """How high the trajectory was at the time of each fix, (N,) [m]."""
-        return self._at(0.0, 2)
+        return self._at(2)
 
-    def _at(self, shift: float, axis: int) -> Float64Array:
+    def _at(self, axis: int) -> Float64Array:
         seconds = (self.way.timestamps_ns - self.way.timestamps_ns[0]) / 1e9
-        return np.interp(self.seconds + shift, seconds, self.way.positions[:, axis])
-
-
-@dataclass(frozen=True, slots=True)
-class _Fit:
-    """Fixes laid onto a trajectory: how far apart they are then in the middle [m], and the scale between them."""
-
-    distance: float
-    scale: float
+        return np.interp(self.seconds, seconds, self.way.positions[:, axis])
 
 
 def _cases(subject: Subject) -> Iterator[_Case]:
@@ -105,20 +94,21 @@ def _usual(accuracies: Float64Array) -> float:
     return float(np.median(known)) if len(known) else _USUAL_ACCURACY
 
 
-def _fit(case: _Case, *, mirrored: bool = False, scaled: bool = False, shift: float = 0.0) -> _Fit:
-    """Lay the trajectory onto the fixes by turning and shifting it; once more without the farthest ones."""
-    places = case.places(shift)
+def _fit(case: _Case, *, mirrored: bool = False) -> float:
+    """Distance [m] of half of the fixes once the trajectory is laid onto them by a rotation and a translation.
+
+    It is laid once more without the farthest ones.
+    """
+    places = case.places()
     ways = np.conj(places) if mirrored else places
     kept = np.ones(len(ways), np.bool_)
     for _ in range(2):
         wanted, given = case.fixes - case.fixes[kept].mean(), ways - ways[kept].mean()
         product = np.vdot(given[kept], wanted[kept])
-        energy = float((np.abs(given[kept]) ** 2).sum())
-        scale = float(np.abs(product)) / energy if energy > 0 else 1.0
         turn = product / np.abs(product) if product else 1.0
-        away = np.abs(wanted - turn * given * (scale if scaled else 1.0))
+        away = np.abs(wanted - turn * given)
         kept = away <= 3.0 * np.median(away) + 1e-9
-    return _Fit(float(np.median(away)), scale)
+    return float(np.median(away))
 
 
 def _far_apart(subject: Subject) -> Iterator[Hit]:
@@ -127,46 +117,18 @@ def _far_apart(subject: Subject) -> Iterator[Hit]:
         moved = float(np.abs(case.places() - case.places().mean()).max())
         if max(spread, moved) < max(_LEAST_SPREAD, 2.0 * case.tolerance):
             continue
-        found = _fit(case)
-        if found.distance <= case.tolerance and not _is_mirrored(case, found):
+        away, mirrored = _fit(case), _fit(case, mirrored=True)
+        # so much better that no drift explains it, though both may be near
+        is_mirrored = mirrored < _CLEARLY * away and away > _MIRRORED_TOLD
+        if away <= case.tolerance and not is_mirrored:
             continue
         told = (
-            f"turned and shifted as well as can be, half of the fixes lie more than {found.distance:.1f} m off; "
+            f"turned and shifted as well as can be, half of the fixes lie more than {away:.1f} m off; "
             f"expected {case.tolerance:.1f} m at most"
         )
-        yield Hit(f"trajectories[{case.way.name}]", f"{told}{_reason(case, found)}")
-
-
-def _is_mirrored(case: _Case, found: _Fit) -> bool:
-    """Whether the mirrored way fits so much better that no drift explains it, though both are near."""
-    return found.distance > _MIRRORED_TOLD and _fit(case, mirrored=True).distance < _CLEARLY * found.distance
-
-
-def _reason(case: _Case, found: _Fit) -> str:
-    for mirrored in (False, True):
-        for scaled in (False, True):
-            fit = _fit(case, mirrored=mirrored, scaled=scaled)
-            if fit.distance < max(_CLEARLY * found.distance, 0.5 * case.tolerance) and (mirrored or scaled):
-                return f": probably {_in_words(fit.scale, mirrored=mirrored)}"
-    shifts = np.arange(-_LONGEST_SHIFT, _LONGEST_SHIFT + _SHIFT_STEP, _SHIFT_STEP)
-    fits = [_fit(case, shift=float(shift)).distance for shift in shifts]
-    best = int(np.argmin(fits))
-    if fits[best] < _CLEARLY * found.distance:
-        later = "late" if shifts[best] < 0 else "early"
-        return f": probably the fixes are stamped {abs(shifts[best]):.1f} s too {later}"
-    return ""
-
-
-def _in_words(scale: float, *, mirrored: bool) -> str:
-    what = (
-        ["the trajectory is mirrored (x and y exchanged, as north and east are, or one negated)"]
-        if mirrored
-        else []
-    )
-    if not _SCALES[0] <= scale <= _SCALES[1]:
-        unit = next((f", as of {name}" for factor, name in _UNITS.items() if 0.9 < scale * factor < 1.1), "")
-        what.append(f"the trajectory is {1.0 / scale:.3g} times as large as the way of the fixes{unit}")
-    return " and ".join(what) or "the trajectory was bent"
+        if is_mirrored:
+            told += f", and it is {mirrored:.1f} m if x and y are exchanged, or one is negated (mirrored)"
+        yield Hit(f"trajectories[{case.way.name}]", told)
 
 
 def _upside_down(subject: Subject) -> Iterator[Hit]:

@@ -1,125 +1,228 @@
 """Rules about poses that do not agree with the IMU: gravity, turning, clocks."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from sceneloom.checks.recordings.exchanged_axes import axes_in_words, best_axes
-from sceneloom.checks.recordings.pose_verdicts import (
-    GREATEST_TILT_DEG,
-    LEAST_COHERENCE,
-    LEAST_CORRELATION,
-    PoseVerdict,
-    pose_verdicts,
-)
+from sceneloom.arrays import BoolArray, Float64Array
+from sceneloom.checks.recordings.turning import CleanSamples, PoseIntervals, finite_rows, orientation_noise
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
-from sceneloom.scene import Severity
+from sceneloom.geometry.rotations import normalise_quaternion
+from sceneloom.scene import ImuSensor, Severity, Trajectory
 
-_SHIFT_TOLD = 0.05
+_LEAST_CORRELATION = 0.8
+"""Turn rates of orientations and of the gyroscope that correlate less do not agree."""
+_GREATEST_TILT_DEG = 25.0
+"""So far off up the mean of the accelerometer may be: a vehicle that brakes all the time leaves 20°."""
+_LEAST_COHERENCE = 0.6
+"""The accelerometer's mean in the world has to be this part of its mean length: gravity does not turn with a device,
+and hard turns all the time leave 0.8."""
+_LEAST_TURNING, _TURNING_PER_NOISE = 0.03, 2.0
+"""The gyroscope's means have to vary so much (rms) [rad/s], and so many times their noise, to be compared."""
+_FEWEST_INTERVALS = 10
+_GREATEST_SHIFT, _SHIFT_STEP, _SHIFTS_SHARE = 1.0, 0.02, 0.2
+"""Shifts of the clocks are tried up to so long, in such steps [s], and up to this part of the time in common."""
+_LEAST_SHIFT = 0.05
 """Shorter shifts between poses and IMU [s] are for `sceneloom sync` to find."""
 _SURE = 0.9
 _SCALES = (0.6, 1.6)
-_DEGREES = float(np.degrees(1.0))
 _NEAR_DEGREES = 0.2
-_OWN_AXES = np.eye(3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Comparison:
+    """A trajectory beside what the IMU measured over the same intervals.
+
+    Attributes:
+        name: of the trajectory.
+        up: (3,) mean of the accelerometer in the world, as part of its mean length; None where not known.
+        shifts: (S,) float64 [s], by which the gyroscope's times were taken to be later; empty where it hardly turned.
+        correlations: (S,) of the turn rates of all axes together.
+        tolerance: samples and poses are so far apart [s] that shorter shifts are not known.
+        measured, told: root mean square of the turn rates of the gyroscope and of the orientations [rad/s].
+    """
+
+    name: str
+    up: Float64Array | None
+    shifts: Float64Array
+    correlations: Float64Array
+    tolerance: float
+    measured: float
+    told: float
+
+    @property
+    def correlation(self) -> float:
+        """Without a shift; 1 where the turning is not known."""
+        return float(self.correlations[len(self.shifts) // 2]) if len(self.shifts) else 1.0
+
+    @property
+    def best_correlation(self) -> float:
+        """The greatest over all shifts; 1 where the turning is not known."""
+        return float(self.correlations.max()) if len(self.shifts) else 1.0
+
+
+def _comparisons(subject: Subject) -> Sequence[_Comparison]:
+    return subject.table("poses beside the IMU", _compare_all)
+
+
+def _compare_all(subject: Subject) -> list[_Comparison]:
+    imu = next((sensor for sensor in subject.scene.sensors if isinstance(sensor, ImuSensor)), None)
+    ways = [way for way in subject.scene.trajectories.values() if way.quaternions_xyzw is not None]
+    found = [] if imu is None else [_compared(way, imu) for way in ways]
+    return [comparison for comparison in found if comparison is not None]
+
+
+def _compared(way: Trajectory, imu: ImuSensor) -> _Comparison | None:
+    intervals = PoseIntervals.of(way)
+    if len(intervals) < _FEWEST_INTERVALS:
+        return None
+    origin_ns = int(way.timestamps_ns[0])
+    quaternions = normalise_quaternion(way.poses.quaternions_xyzw)
+    up = _up(intervals, quaternions, CleanSamples.of(imu.streams.get("accelerometer"), origin_ns))
+    rates = CleanSamples.of(imu.streams.get("gyroscope"), origin_ns)
+    turning = None if rates is None else _turning(intervals, quaternions, rates)
+    if rates is None or turning is None:
+        none = np.zeros(0)
+        return None if up is None else _Comparison(way.name, up, none, none, 0.0, 0.0, 0.0)
+    tolerance = max(
+        float(np.median(np.diff(rates.seconds))), float(np.median(np.diff(way.timestamps_ns))) / 1e9
+    )
+    shifts, correlations, measured, told = turning
+    return _Comparison(way.name, up, shifts, correlations, tolerance, measured, told)
+
+
+def _up(
+    intervals: PoseIntervals, quaternions_xyzw: Float64Array, forces: CleanSamples | None
+) -> Float64Array | None:
+    """The accelerometer's mean in the world as part of its mean length, (3,); None for too few samples."""
+    if forces is None:
+        return None
+    measured = forces.means(intervals.starts, intervals.stops)
+    known = finite_rows(measured)
+    if np.count_nonzero(known) < _FEWEST_INTERVALS or not measured[known].any():
+        return None
+    world = intervals.to_world(quaternions_xyzw, measured)[known]
+    return np.asarray(world.mean(axis=0) / np.linalg.norm(measured[known], axis=1).mean())
+
+
+def _turning(
+    intervals: PoseIntervals, quaternions_xyzw: Float64Array, rates: CleanSamples
+) -> tuple[Float64Array, Float64Array, float, float] | None:
+    """Shifts, correlations, measured and told turn rates; None where the device hardly turned."""
+    first = rates.means(intervals.starts, intervals.stops)
+    if _rms(first[finite_rows(first)]) < 0.5 * _LEAST_TURNING:  # before rates are measured for every shift
+        return None
+    overlap = min(rates.seconds[-1], intervals.stops[-1]) - max(rates.seconds[0], intervals.starts[0])
+    count = int(min(_GREATEST_SHIFT, max(0.0, _SHIFTS_SHARE * overlap)) / _SHIFT_STEP)
+    shifts = np.asarray(np.arange(-count, count + 1) * _SHIFT_STEP, np.float64)
+    measured = np.stack([rates.means(intervals.starts + s, intervals.stops + s) for s in shifts])
+    known = np.flatnonzero(np.isfinite(measured).all(axis=(0, 2)))
+    if len(known) < _FEWEST_INTERVALS:
+        return None
+    length = float(np.median(intervals.lengths))
+    noise = max(rates.noise(length), np.sqrt(2.0) * orientation_noise(quaternions_xyzw) / length)
+    if _rms(measured[count][known]) < max(_LEAST_TURNING, _TURNING_PER_NOISE * noise):
+        return None
+    told = intervals.rates(quaternions_xyzw)[known]
+    kept = _without_jumps(told)
+    told, measured = _centred(told[kept]), measured[:, known[kept]]
+    measured = measured - measured.mean(axis=1, keepdims=True)
+    products = np.einsum("smk,mk->s", measured, told)
+    lengths = np.sqrt((measured * measured).sum(axis=(1, 2)) * (told * told).sum())
+    correlations = np.divide(products, lengths, out=np.zeros(len(products)), where=lengths > 0)
+    return shifts, correlations, _rms(measured[count]), _rms(told)
+
+
+def _centred(rates: Float64Array) -> Float64Array:
+    """Rates (M, K) without their mean, which a bias may be."""
+    return np.asarray(rates - rates.mean(axis=0)) if len(rates) else rates
+
+
+def _rms(rates: Float64Array) -> float:
+    centred = _centred(rates)
+    return float(np.sqrt((centred * centred).sum(axis=1).mean())) if len(rates) else 0.0
+
+
+def _without_jumps(rates: Float64Array) -> BoolArray:
+    """Which rates are not far beyond the usual, (M,) bool: a single wrong pose shows nothing about the others."""
+    lengths = np.linalg.norm(rates, axis=1)
+    return np.asarray(lengths <= 3.0 * np.percentile(lengths, 95.0) + 0.1)
 
 
 def _gravity(subject: Subject) -> Iterator[Hit]:
-    for verdict in pose_verdicts(subject):
-        given = verdict.given
-        if given.stands_upright or given.up is None:
+    for found in _comparisons(subject):
+        coherence = 0.0 if found.up is None else float(np.linalg.norm(found.up))
+        if found.up is None or coherence == 0.0:
             continue
-        x, y, z = given.up / given.coherence
-        told = (
-            f"the accelerometer's mean, turned into the world, points to {x:.2f}, {y:.2f}, {z:.2f}, "
-            f"{given.tilt_deg:.0f}° off up, and is {given.coherence:.0%} as long as in the device; expected 0, 0, 1 "
-            f"within {GREATEST_TILT_DEG:.0f}°, and {LEAST_COHERENCE:.0%} or more"
-        )
-        yield Hit(_place(verdict), f"{told}{_reason(verdict) or _reason_of_tilt(verdict)}")
+        x, y, z = found.up / coherence
+        tilt_deg = float(np.degrees(np.arccos(np.clip(z, -1.0, 1.0))))
+        if tilt_deg > _GREATEST_TILT_DEG or coherence < _LEAST_COHERENCE:
+            problem = (
+                f"the accelerometer's mean, turned into the world, points to {x:.2f}, {y:.2f}, {z:.2f}, "
+                f"{tilt_deg:.0f}° off up, and is {coherence:.0%} as long as in the device; expected 0, 0, 1 "
+                f"within {_GREATEST_TILT_DEG:.0f}°, and {_LEAST_COHERENCE:.0%} or more"
+            )
+            yield Hit(f"trajectories[{found.name}]", problem)
 
 
-def _reason(verdict: PoseVerdict) -> str:
-    return f": probably {verdict.probably}" if verdict.probably else ""
-
-
-def _reason_of_tilt(verdict: PoseVerdict) -> str:
-    given = verdict.given
-    if given.turns_alike and given.coherence > _SURE:
-        return ": probably the accelerometer's axes are not the gyroscope's, or the world is not level"
-    return ""
-
-
-def _turning(subject: Subject) -> Iterator[Hit]:
-    for verdict in pose_verdicts(subject):
-        if verdict.given.turns_alike:
-            continue
-        found = float(verdict.given.correlations[len(verdict.shifts) // 2])
-        told = (
-            f"turn rates of the orientations and of the gyroscope correlate by {found:.2f}; "
-            f"expected at least {LEAST_CORRELATION}"
-        )
-        yield Hit(_place(verdict), f"{told}{_reason(verdict) or _reason_of_axes(verdict)}")
-
-
-def _reason_of_axes(verdict: PoseVerdict) -> str:
-    if not verdict.told.any():
-        return ": the orientations do not turn"
-    axes, score = best_axes(verdict.measured, verdict.told)
-    if score < LEAST_CORRELATION or np.array_equal(axes, _OWN_AXES):
-        return ""
-    return f": probably the gyroscope's axes x, y, z are {axes_in_words(axes)} of the poses' device"
+def _gyroscope(subject: Subject) -> Iterator[Hit]:
+    for found in _comparisons(subject):
+        if found.best_correlation < _LEAST_CORRELATION:
+            problem = (
+                f"turn rates of the orientations and of the gyroscope correlate by {found.correlation:.2f}; "
+                f"expected at least {_LEAST_CORRELATION}"
+            )
+            still = "" if found.told else ": the orientations do not turn"
+            yield Hit(f"trajectories[{found.name}]", f"{problem}{still}")
 
 
 def _scale(subject: Subject) -> Iterator[Hit]:
-    for verdict in pose_verdicts(subject):
-        if not verdict.told.any() or not verdict.given.correlation > _SURE:
+    for found in _comparisons(subject):
+        if not found.told or found.best_correlation <= _SURE:
             continue
-        scale = float(np.sqrt((verdict.measured**2).sum() / (verdict.told**2).sum()))
+        scale = found.measured / found.told
         if not _SCALES[0] <= scale <= _SCALES[1]:
-            hint = ": probably degrees per second" if abs(scale / _DEGREES - 1) < _NEAR_DEGREES else ""
-            told = (
-                f"the gyroscope turns {scale:.3g} times as fast as the orientations of {verdict.name!r}{hint}"
+            hint = ": probably degrees per second" if abs(np.radians(scale) - 1) < _NEAR_DEGREES else ""
+            problem = (
+                f"the gyroscope turns {scale:.3g} times as fast as the orientations of {found.name!r}{hint}"
             )
-            yield Hit("sensors[imu].streams.gyroscope", told)
+            yield Hit("sensors[imu].streams.gyroscope", problem)
 
 
 def _clocks(subject: Subject) -> Iterator[Hit]:
-    for verdict in pose_verdicts(subject):
-        correlations = verdict.given.correlations if verdict.better is None else verdict.better
-        if not len(correlations) or len(verdict.shifts) < 3:
+    for found in _comparisons(subject):
+        if len(found.shifts) < 3:
             continue
-        best = int(correlations.argmax())
-        shift, now = float(verdict.shifts[best]), float(correlations[len(correlations) // 2])
-        is_better = correlations[best] > _SURE and 1.0 - correlations[best] < 0.5 * (1.0 - now)
-        if abs(shift) > max(_SHIFT_TOLD, verdict.tolerance) and is_better:
+        best = int(found.correlations.argmax())
+        shift, now, reached = float(found.shifts[best]), found.correlation, found.best_correlation
+        is_better = reached > _SURE and 1.0 - reached < 0.5 * (1.0 - now)
+        if abs(shift) > max(_LEAST_SHIFT, found.tolerance) and is_better:
             later = "later" if shift > 0 else "earlier"
-            at_least = "at least " if best in {0, len(correlations) - 1} else ""
-            told = (
-                f"turn rates agree best ({correlations[best]:.3f} in place of {now:.3f}) if the IMU's times are "
+            at_least = "at least " if best in {0, len(found.shifts) - 1} else ""
+            problem = (
+                f"turn rates agree best ({reached:.3f} in place of {now:.3f}) if the IMU's times are "
                 f"{at_least}{abs(shift):.2f} s {later} than those of the poses"
             )
-            yield Hit(_place(verdict), told)
-
-
-def _place(verdict: PoseVerdict) -> str:
-    return f"trajectories[{verdict.name}]"
+            yield Hit(f"trajectories[{found.name}]", problem)
 
 
 RULES: tuple[Rule, ...] = (
     Rule(
         "poses-against-gravity",
         Severity.WARNING,
-        f"What the accelerometer measures points up in the world of the poses, within {GREATEST_TILT_DEG:.0f}°.",
-        "Write poses as device to world, quaternions as x, y, z, w, in a world whose z points up.",
+        f"What the accelerometer measures points up in the world of the poses, within {_GREATEST_TILT_DEG:.0f}°.",
+        "Write poses of the IMU as device to world, quaternions as x, y, z, w, in a world whose z points up; see "
+        "whether the accelerometer has the gyroscope's axes, and points up at rest.",
         find=_gravity,
     ),
     Rule(
         "poses-against-gyroscope",
         Severity.WARNING,
-        f"Orientations turn as the gyroscope measures: their rates correlate by {LEAST_CORRELATION} or more.",
-        "Write poses as device to world, of the IMU's own axes, in a right-handed world.",
-        find=_turning,
+        f"Orientations turn as the gyroscope measures: their rates correlate by {_LEAST_CORRELATION} or more.",
+        "Write poses as device to world, quaternions as x, y, z, w, of the IMU's own axes, in a right-handed world.",
+        find=_gyroscope,
     ),
     Rule(
         "gyroscope-scale",
@@ -131,7 +234,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "poses-clock",
         Severity.WARNING,
-        f"Orientations turn at the time at which the gyroscope does, within {_SHIFT_TOLD} s.",
+        f"Orientations turn at the time at which the gyroscope does, within {_LEAST_SHIFT} s.",
         "Find the offset with `sceneloom sync`, and bring both to one clock.",
         find=_clocks,
     ),

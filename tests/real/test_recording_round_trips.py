@@ -10,7 +10,8 @@ NAMES = ("kitti_drive", "pandaset", "kitti_oxts_0000")
 
 
 def lines_of(folder):
-    return [json.loads(line) for line in (folder / "data.jsonl").read_text().splitlines()]
+    lines = [json.loads(line) for line in (folder / "data.jsonl").read_text().splitlines()]
+    return sorted(lines, key=lambda line: (line["time"], json.dumps(line, sort_keys=True)))
 
 
 def files_of(folder):

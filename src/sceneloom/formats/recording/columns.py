@@ -14,7 +14,6 @@ class Columns:
     Attributes:
         width: numbers per sample.
         code: what stands for this stream in `LineLog.codes`.
-        form: the first line that says nothing but a sample, as text.
         seconds: times [s].
         values: the samples one after another.
         further: by row, the text of a line that holds more than these columns do.
@@ -22,7 +21,6 @@ class Columns:
 
     width: int
     code: int = 0
-    form: str | None = None
     seconds: "array[float]" = field(default_factory=lambda: array("d"))
     values: "array[float]" = field(default_factory=lambda: array("d"))
     further: dict[int, str] = field(default_factory=dict)

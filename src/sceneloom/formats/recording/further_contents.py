@@ -8,16 +8,21 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.files import read_bytes
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.calibration import Calibration
-from sceneloom.formats.recording.column_arrays import by_time, further_by_time, lines_of, row_keys, view
+from sceneloom.formats.recording.column_arrays import (
+    by_time,
+    further_by_time,
+    line_seconds,
+    lines_of,
+    row_keys,
+    view,
+)
 from sceneloom.formats.recording.columns import TEXT, Columns, RecordingColumns
 from sceneloom.formats.recording.frame_notes import frame_notes
-from sceneloom.formats.recording.line_order import filled_seconds, line_order
-from sceneloom.formats.recording.number_sensors import GPS_ORIGIN, RECEIVER, imu_streams, receivers
+from sceneloom.formats.recording.number_sensors import BAROMETER, GPS_ORIGIN, RECEIVER, imu_streams, receivers
 from sceneloom.formats.recording.old_forms import PARAMETERS_FILE
 from sceneloom.scene import NoticeKind, Trajectory
 
@@ -62,16 +67,12 @@ def further_contents(contents: RecordingContents, ledger: Ledger, *, alone: bool
         trajectory_origins: by name of a trajectory, the root key of its lines ("" for poses at the root itself) and the
             name there, where these are not both the trajectory's name.
         receiver_origins: the same of all satellite receivers but that of `gps` lines.
-        line_forms: by stream, a line as it stands in the file: the order of its keys.
+        sensor_barometer: whether the air pressure comes in `sensor` lines, and not in `barometer` lines.
         frame_lines: what pictures do not tell of their lines; `FrameNotes` describes it.
-        line_order: of lines of one time; `LineOrder` describes it.
     """
     columns, streams = contents.columns, named_streams(contents)
     as_texts = _poses_as_text(contents)
-    seconds = filled_seconds(columns)
-    texts, anchors = _other_lines(columns, as_texts, seconds)
-    names = {stream.code: name for name, stream in streams.items()}
-    as_text = np.array([line for line, _ in as_texts], np.int64)
+    texts, anchors = _other_lines(columns, as_texts)
     found = {
         "calibration": dict(contents.calibration.content),
         "vio_config": None
@@ -92,9 +93,8 @@ def further_contents(contents: RecordingContents, ledger: Ledger, *, alone: bool
         "receiver_origins": {
             name: list(origin) for name, (origin, _) in receivers(columns).items() if origin != GPS_ORIGIN
         },
-        "line_forms": {name: stream.form for name, stream in streams.items() if stream.form is not None},
+        "sensor_barometer": BAROMETER in columns.sensors and not len(columns.barometer),
         "frame_lines": frame_notes(columns.frames, contents.folder / contents.data_name),
-        "line_order": line_order(columns, names, as_text, seconds),
     }
     return {name: value for name, value in found.items() if value}
 
@@ -159,9 +159,12 @@ def pose_text(origin: tuple[str, str], values: list[float], seconds: float) -> s
 
 
 def _other_lines(
-    columns: RecordingColumns, as_texts: list[tuple[int, str]], seconds: Float64Array
+    columns: RecordingColumns, as_texts: list[tuple[int, str]]
 ) -> tuple[list[str], dict[str, float]]:
-    """Texts in the order of the file, and the times of those that have none of their own."""
+    """Texts in the order of the file, and for those without a time that of the line before."""
+    seconds = line_seconds(columns)
+    timed = np.maximum.accumulate(np.where(np.isnan(seconds), -1, np.arange(len(seconds))))
+    seconds = np.where(timed >= 0, seconds[timed], -np.inf) if len(seconds) else seconds
     lines = lines_of(columns.log, TEXT).tolist()
     entries = sorted([*zip(lines, columns.other_lines, strict=True), *as_texts])
     untimed = set(np.asarray(lines, np.int64)[np.isnan(view(columns.other_seconds))].tolist())

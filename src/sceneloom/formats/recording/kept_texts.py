@@ -8,9 +8,8 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS
-from sceneloom.formats.recording.line_order import BEFORE_ALL_NS, FRAMES
 from sceneloom.formats.recording.line_shapes import RECORD_KEYS
-from sceneloom.formats.recording.merged_lines import WrittenLine
+from sceneloom.formats.recording.merged_lines import BEFORE_ALL_NS, FRAMES, WrittenLine
 
 _encode = msgspec.json.Encoder().encode
 _decode = msgspec.json.Decoder(dict[str, Any]).decode
@@ -18,16 +17,13 @@ _decode_raw = msgspec.json.Decoder(dict[str, msgspec.Raw]).decode
 
 
 def completed(text: str, before: str) -> str:
-    """Write a line with what else it once said; just as it was, where its numbers are still the same.
+    """Write a line with what else it once said.
 
     Args:
         text: the line as it is made from its sample.
         before: the line that the sample was read from.
     """
-    old, new = _decode(before), _decode(text)
-    merged = _over(old, new)
-    if merged == old:
-        return before.strip()
+    merged = _over(_decode(before), _decode(text))
     # the time may have more decimals than a 64-bit number
     return _encode({**merged, "time": _decode_raw(text)["time"]}).decode()
 
@@ -131,23 +127,31 @@ def _without_hosts(text: str) -> str:
     return text if len(kept) == len(fields) or not kept.keys() & RECORD_KEYS else _encode(kept).decode()
 
 
-def other_lines(texts: Sequence[str], anchors: Mapping[str, float] | None = None) -> list[WrittenLine]:
-    """Lines that hold nothing that a scene has a place for, as they were.
+def timed_lines(texts: Sequence[str]) -> list[WrittenLine]:
+    """Lines that hold nothing that a scene has a place for, as they were; those that have a time."""
+    lines = [written_line(text) for text in texts]
+    return sorted((line for line in lines if line.timestamp_ns != BEFORE_ALL_NS), key=lambda line: line[:2])
+
+
+def untimed_lines(texts: Sequence[str], anchors: Mapping[str, float]) -> list[WrittenLine]:
+    """The others, which follow the lines of another time.
 
     Args:
-        texts: the lines, in the order of the file.
-        anchors: by index in `texts`, the time of the line before [s]; other lines without a time come first.
+        texts: all such lines, in the order of the file.
+        anchors: by index in `texts`, the time of the line before [s]; lines that have none come first.
     """
     lines = []
     for place, text in enumerate(texts):
-        seconds = (anchors or {}).get(str(place))
-        lines.append(written_line(text, seconds))
+        if written_line(text).timestamp_ns == BEFORE_ALL_NS:
+            seconds = anchors.get(str(place))
+            stamp = (BEFORE_ALL_NS, 0.0) if seconds is None else (round(seconds * 1e9), seconds)
+            lines.append(WrittenLine(*stamp, text.strip()))
     return sorted(lines, key=lambda line: line[:2])
 
 
-def written_line(text: str, seconds: float | None = None) -> WrittenLine:
-    """A line with its time, or with another one."""
-    found = _seconds_of(text) if seconds is None else seconds
+def written_line(text: str) -> WrittenLine:
+    """A line with its time."""
+    found = _seconds_of(text)
     if found is None:
         return WrittenLine(BEFORE_ALL_NS, 0.0, text.strip())
     return WrittenLine(round(found * 1e9), found, text.strip())

@@ -11,7 +11,6 @@ from msgspec import UNSET, UnsetType
 from sceneloom.formats.recording.columns import (
     SEVERAL,
     TEXT,
-    Columns,
     PoseColumns,
     RecordingColumns,
     SharedLine,
@@ -230,8 +229,8 @@ class LineReader:
     def _note(self, takings: Takings, *, says_more: bool) -> None:
         """Note which streams took a line, and keep its text where it says more than one of them holds."""
         log, streams = self.columns.log, takings.streams
-        if any(stream.form is None for stream in streams):
-            self._note_forms(streams)
+        if any(len(stream) == 1 for stream in streams):  # the next ones are taken fast
+            self.bind()
         if not streams and not takings.frames:
             self._keep_text(takings.seconds, "" if not takings.leftover else "sensor")
         elif len(streams) + takings.frames > 1:
@@ -245,12 +244,6 @@ class LineReader:
             if says_more:
                 stream.further[len(stream) - 1] = self._text.decode()
             log.codes.append(stream.code)
-
-    def _note_forms(self, streams: Sequence[Columns]) -> None:
-        """Note how the first line of each stream is written, and let the next ones be taken fast."""
-        for stream in streams:
-            stream.form = stream.form or self._text.decode()
-        self.bind()
 
     def _keep_text(self, seconds: float | None, key: str) -> None:
         columns = self.columns

@@ -1,12 +1,10 @@
-"""Lines of numbers as templates: text with gaps for numbers, in the order of keys that a file had."""
+"""Lines of numbers as templates: text with gaps for numbers."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import msgspec
-
-from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 
 TIME, ROW = -1, -2
 """Slots of the time, and of all numbers of a row with commas between them."""
@@ -36,40 +34,11 @@ class LineTemplate:
     slots: tuple[int, ...]
 
 
-def line_template(fields: Mapping[str, Any], form: str | None = None) -> LineTemplate:
-    """Make a template.
-
-    Args:
-        fields: of the line, with slots for its numbers.
-        form: a line with the order of keys that is wanted.
-    """
+def line_template(fields: Mapping[str, Any]) -> LineTemplate:
+    """Make a template of the fields of a line, with slots for its numbers."""
     slots: list[int] = []
-    text = _text(arranged(fields, _example(form)), slots)
+    text = _text(fields, slots)
     return LineTemplate(text, tuple(slots))
-
-
-def arranged(fields: Mapping[str, Any], example: object) -> dict[str, Any]:
-    """Put fields, and those inside them, into the order of an example; those that it has none of come last."""
-    if not isinstance(example, dict):
-        return dict(fields)
-    keys = [*(key for key in example if key in fields), *(key for key in fields if key not in example)]
-    return {
-        key: arranged(fields[key], example.get(key)) if isinstance(fields[key], dict) else fields[key]
-        for key in keys
-    }
-
-
-def example_of(form: str | None) -> dict[str, Any] | None:
-    """Parse a line that shows an order of keys, None for none."""
-    example = _example(form)
-    return example if isinstance(example, dict) else None
-
-
-def _example(form: str | None) -> object:
-    try:
-        return None if form is None else msgspec.json.decode(form)
-    except DECODER_FAULTS:
-        return None
 
 
 def _text(value: object, slots: list[int]) -> str:

@@ -10,8 +10,13 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.formats.recording.line_order import LineOrder
 from sceneloom.formats.recording.number_texts import exact_seconds
+
+BEFORE_ALL_NS = -(2**63)
+"""Stands for the time of lines without one that no line with one comes before."""
+
+FRAMES = "frames"
+"""Name of the stream of images."""
 
 _BLOCK = 2048
 """Lines that are in memory together, or as many more as have one time."""
@@ -78,31 +83,20 @@ class OneByOne:
             yield line.text
 
 
-def merged_lines(
-    streams: Sequence[LineStream], order_of_ties: LineOrder | None = None
-) -> Iterator[list[str]]:
-    """Give the lines of all streams, block after block.
-
-    Args:
-        streams: in the order of lines of one time, where nothing else is known.
-        order_of_ties: what is known of it.
-    """
+def merged_lines(streams: Sequence[LineStream]) -> Iterator[list[str]]:
+    """Give the lines of all streams, which are in the order of lines of one time, block after block."""
     stamps = np.concatenate([stream.timestamps_ns for stream in streams] or [np.zeros(0, np.int64)])
     known = np.concatenate([stream.seconds for stream in streams] or [np.zeros(0)])
     ranks = np.repeat(np.arange(len(streams)), [len(stream.timestamps_ns) for stream in streams])
-    found = (order_of_ties or LineOrder()).places(
-        [stream.name for stream in streams], [stream.timestamps_ns for stream in streams]
-    )
-    places = np.concatenate([*found, np.zeros(0, np.int64)])
-    order = np.lexsort((places, known, stamps))
-    stamps, ranks, known, places = stamps[order], ranks[order], known[order], places[order]
+    order = np.lexsort((ranks, known, stamps))
+    stamps, ranks, known = stamps[order], ranks[order], known[order]
     done = np.zeros(len(streams), np.int64)
     start = 0
     while start < len(stamps):
         stop = _end_of_block(stamps, start)
         counts = np.bincount(ranks[start:stop], minlength=len(streams))
         span = slice(start, stop)
-        yield _block(streams, done, counts, stamps[span], ranks[span], known[span], places[span])
+        yield _block(streams, done, counts, stamps[span], ranks[span], known[span])
         done += counts
         start = stop
 
@@ -120,7 +114,6 @@ def _block(
     stamps: Int64Array,
     ranks: Int64Array,
     known: Float64Array,
-    places: Int64Array,
 ) -> list[str]:
     spans = [slice(begin, begin + count) for begin, count in zip(done.tolist(), counts.tolist(), strict=True)]
     makers = [stream.lines(span.start, span.stop) for stream, span in zip(streams, spans, strict=True)]
@@ -130,4 +123,4 @@ def _block(
         told[ranks == rank] = stream.seconds[span]
     if np.array_equal(told, known):
         return lines
-    return [lines[k] for k in np.lexsort((places, told, stamps)).tolist()]
+    return [lines[k] for k in np.lexsort((ranks, told, stamps)).tolist()]

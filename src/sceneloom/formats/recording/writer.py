@@ -14,10 +14,8 @@ from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats.loss import Fate, Loss, LossReport
 from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.formats.recording.calibration import CALIBRATION_FILE
-from sceneloom.formats.recording.kept_texts import SharedLines, other_lines
-from sceneloom.formats.recording.line_order import FRAMES, OTHER, SHARED
-from sceneloom.formats.recording.line_templates import example_of
-from sceneloom.formats.recording.merged_lines import LineStream, OneByOne, merged_lines
+from sceneloom.formats.recording.kept_texts import SharedLines, timed_lines, untimed_lines
+from sceneloom.formats.recording.merged_lines import FRAMES, LineStream, OneByOne, WrittenLine, merged_lines
 from sceneloom.formats.recording.picture_rows import PictureRows, grouping_losses, picture_rows
 from sceneloom.formats.recording.place import DATA_FILE
 from sceneloom.formats.recording.writing_plan import WritingPlan
@@ -123,12 +121,20 @@ class _RecordingWriter:
             pictures = frames.stream()
             shared = SharedLines(plan.notes.shared_lines, self._hosts(pictures))
             self._numbers = NumberLines(
-                self._times, plan.notes.further_keys, forms=plan.notes.line_forms, shared=shared
+                self._times,
+                plan.notes.further_keys,
+                shared=shared,
+                sensor_barometer=plan.notes.sensor_barometer,
             )
             sweeps = self._sweep_writers(shared)
             # of one time, the small lines come first: a filter then knows all up to a picture when it gets it
             self._write_lines(
-                [*self._number_streams(shared), *(sweep.stream() for sweep in sweeps), pictures]
+                [
+                    *self._number_streams(shared),
+                    *(sweep.stream() for sweep in sweeps),
+                    pictures,
+                    _kept_stream(untimed_lines(plan.notes.other_lines, plan.notes.other_seconds)),
+                ]
             )
             for sink in sinks:
                 sink.close()
@@ -160,9 +166,8 @@ class _RecordingWriter:
         for index, lidar in enumerate(plan.lidars):
             mount, name = plan.mounts[len(plan.cameras) + index], sweep_stream(lidar, index)
             further = {**plan.notes.further_keys.get(name, {}), **shared.texts_for(name)}
-            example = example_of(plan.notes.line_forms.get(name))
             writers.append(
-                SweepWriter(lidar, index, mount, plan.ego_path, self._folder, self._times, further, example)
+                SweepWriter(lidar, index, mount, plan.ego_path, self._folder, self._times, further)
             )
         return writers
 
@@ -173,15 +178,11 @@ class _RecordingWriter:
         streams += [] if plan.imu is None else lines.imu(plan.imu)
         for sensor in receivers:
             streams.append(lines.gnss(sensor, receiver_origin(sensor, notes.receiver_origins, receivers)))
-        texts = {SHARED: shared.lines(), OTHER: other_lines(notes.other_lines, notes.other_seconds)}
-        for name, kept in texts.items():
-            stamps = np.array([line.timestamp_ns for line in kept], np.int64)
-            streams.append(OneByOne(stamps, kept, name))
-        return streams
+        return [*streams, _kept_stream(shared.lines()), _kept_stream(timed_lines(notes.other_lines))]
 
     def _write_lines(self, streams: Sequence[LineStream]) -> None:
         with (self._folder / DATA_FILE).open("wb") as file:
-            for lines in merged_lines(streams, self._plan.notes.line_order):
+            for lines in merged_lines(streams):
                 file.write("\n".join([*lines, ""]).encode())
         if not any(len(stream.timestamps_ns) for stream in streams):
             raise DataError(self._plan.scene.source, "", "holds nothing that a recording could hold")
@@ -204,6 +205,10 @@ class _RecordingWriter:
         if cameras or lidars or further:
             text = msgspec.json.format(msgspec.json.encode(content), indent=2)
             (self._folder / CALIBRATION_FILE).write_bytes(text + b"\n")
+
+
+def _kept_stream(lines: Sequence[WrittenLine]) -> LineStream:
+    return OneByOne(np.array([line.timestamp_ns for line in lines], np.int64), lines)
 
 
 def _time_losses(times: TimeWriter) -> list[Loss]:

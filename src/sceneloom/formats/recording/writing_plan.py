@@ -10,7 +10,6 @@ from sceneloom.errors import CalibrationError
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.frame_notes import FrameNotes
 from sceneloom.formats.recording.kept_texts import SharedText
-from sceneloom.formats.recording.line_order import LineOrder
 from sceneloom.formats.recording.trajectories import RANKS
 from sceneloom.formats.recording.unreplayable import unreplayable
 from sceneloom.formats.recording.unwritten import unwritten
@@ -36,8 +35,7 @@ class RecordingNotes(msgspec.Struct):
         shared_lines: lines that several streams have a part in.
         trajectory_origins: root key and name of trajectories that were renamed.
         receiver_origins: root key and name of satellite receivers that were renamed.
-        line_forms: by stream, a line with the order of keys that it has.
-        line_order: of lines of one time.
+        sensor_barometer: whether the air pressure came in `sensor` lines.
         frame_lines: of lines of pictures that are not what would be written else.
     """
 
@@ -49,8 +47,7 @@ class RecordingNotes(msgspec.Struct):
     shared_lines: list[SharedText] = []
     trajectory_origins: dict[str, tuple[str, str]] = {}
     receiver_origins: dict[str, tuple[str, str]] = {}
-    line_forms: dict[str, str] = {}
-    line_order: LineOrder = msgspec.field(default_factory=LineOrder)
+    sensor_barometer: bool = False
     frame_lines: FrameNotes | None = None
 
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.kept_parameters import LENS, MOUNT, PictureParameters
-from sceneloom.formats.recording.line_order import FRAMES
-from sceneloom.formats.recording.merged_lines import LineStream, OneByOne, WrittenLine
+from sceneloom.formats.recording.merged_lines import FRAMES, LineStream, OneByOne, WrittenLine
 from sceneloom.formats.recording.picture_rows import PictureRows
 from sceneloom.formats.recording.picture_table import OWN_FIELDS
 from sceneloom.formats.recording.written_lines import make_line

@@ -16,8 +16,6 @@ from sceneloom.formats.recording.line_templates import (
     TIME,
     LineTemplate,
     Slot,
-    arranged,
-    example_of,
     line_template,
 )
 from sceneloom.formats.recording.merged_lines import LineStream, OneByOne, WrittenLine
@@ -38,12 +36,10 @@ def make_line(
     timestamp_ns: int,
     times: TimeWriter,
     file_seconds: float | None = None,
-    *,
-    example: Mapping[str, Any] | None = None,
 ) -> WrittenLine:
-    """Put the time to the fields of a line; an example gives the order of its keys."""
+    """Put the time to the fields of a line."""
     time = times.text(timestamp_ns, file_seconds)
-    line = arranged({**fields, "time": msgspec.Raw(time.encode())}, example)
+    line = {**fields, "time": msgspec.Raw(time.encode())}
     return WrittenLine(timestamp_ns, float(time), _encode(line).decode())
 
 
@@ -100,22 +96,22 @@ class NumberLines:
         times: TimeWriter,
         further_keys: Mapping[str, Mapping[str, str]],
         *,
-        forms: Mapping[str, str] | None = None,
         shared: SharedLines | None = None,
+        sensor_barometer: bool = False,
     ) -> None:
         """Begin.
 
         Args:
             times: writes the times.
             further_keys: by stream and key of a row, the text of a line that once said more than its sample.
-            forms: by stream, a line with the order of keys that is wanted.
             shared: takes the rows that are written in one line with others.
+            sensor_barometer: whether the air pressure goes into `sensor` lines.
         """
         self.losses: list[Loss] = []
         self._times = times
         self._further_keys = further_keys
-        self._forms = forms or {}
         self._shared = shared or SharedLines((), {})
+        self._sensor_barometer = sensor_barometer
 
     def imu(self, sensor: ImuSensor) -> list[LineStream]:
         """One stream of lines per stream of the IMU."""
@@ -134,9 +130,8 @@ class NumberLines:
         return streams
 
     def _sample_fields(self, name: str, width: int) -> dict[str, Any]:
-        """The pressure of the air has lines of its own, unless it was read from others."""
-        form = example_of(self._forms.get(f"imu.{name}")) or {}
-        if name == BAROMETER and width == 1 and (BAROMETER in form or "sensor" not in form):
+        """The air pressure has lines of its own, unless it was read from others."""
+        if name == BAROMETER and width == 1 and not self._sensor_barometer:
             return {BAROMETER: {"pressureHectopascals": Slot(0)}}
         return {"sensor": {"type": name.removeprefix("sensor:"), "values": Slot(ROW)}}
 
@@ -153,12 +148,11 @@ class NumberLines:
         order = writing_order(sensor.timestamps_ns, sensor.file_seconds)
         rows = order[usable[order]]
         name = receiver_stream(sensor)
-        example = example_of(self._forms.get(name))
         stamps = sensor.timestamps_ns[rows]
         texts = self._further_keys.get(name, {})
         further = {row: texts[key] for key, row in rows_of(texts, stamps).items()}
         lines = (
-            _and_further(self._fix(sensor, row, origin, example), further.get(place))
+            _and_further(self._fix(sensor, row, origin), further.get(place))
             for place, row in enumerate(rows.tolist())
         )
         taken = self._shared.rows(name, stamps)
@@ -170,9 +164,7 @@ class NumberLines:
         kept = [row for row in range(len(made)) if row not in taken]
         return OneByOne(stamps[kept], (made[row] for row in kept), name)
 
-    def _fix(
-        self, sensor: GnssSensor, row: int, origin: tuple[str, str], example: dict[str, Any] | None
-    ) -> WrittenLine:
+    def _fix(self, sensor: GnssSensor, row: int, origin: tuple[str, str]) -> WrittenLine:
         root, name = origin
         latitude, longitude, altitude = sensor.positions_lla[row].tolist()
         fix: dict[str, Any] = {"name": name} if root == "pose" and name != "pose" else {}
@@ -181,7 +173,7 @@ class NumberLines:
         fix |= _given("verticalAccuracy", sensor.vertical_accuracies[row])
         seconds = None if sensor.file_seconds is None else float(sensor.file_seconds[row])
         timestamp_ns = int(sensor.timestamps_ns[row])
-        return make_line({root: fix}, timestamp_ns, self._times, seconds, example=example)
+        return make_line({root: fix}, timestamp_ns, self._times, seconds)
 
     def trajectory(self, trajectory: Trajectory, origin: tuple[str, str] | None) -> LineStream:
         """The poses of a trajectory.
@@ -214,7 +206,7 @@ class NumberLines:
     ) -> LineStream:
         order = writing_order(samples.timestamps_ns, samples.file_seconds)
         rows = order[usable[order]]
-        template = line_template({**fields, "time": Slot(TIME)}, self._forms.get(name))
+        template = line_template({**fields, "time": Slot(TIME)})
         whole = self._rows(name, samples, values, rows, template)
         taken = self._shared.rows(name, whole.timestamps_ns)
         if not taken:

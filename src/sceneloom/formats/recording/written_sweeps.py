@@ -62,7 +62,6 @@ class SweepWriter:
         folder: Path,
         times: TimeWriter,
         further_keys: Mapping[str, str],
-        example: Mapping[str, Any] | None = None,
     ) -> None:
         """Begin.
 
@@ -74,14 +73,13 @@ class SweepWriter:
             folder: the recording that is being written.
             times: writes the times.
             further_keys: by key of a sweep, the text of a line that once said more than it.
-            example: a line with the order of keys that is wanted.
 
         Raises:
             PoseError: the points are in the world, and it is not known where the lidar was.
         """
         self.losses = _losses_of_all(sensor)
         self._sensor, self._index, self._mount = sensor, index, mount
-        self._folder, self._times, self._example = folder, times, example
+        self._folder, self._times = folder, times
         self._names: set[str] = set()
         rows = rows_of(further_keys, sensor.frames.timestamps_ns)
         self._further = {row: further_keys[key] for key, row in rows.items()}
@@ -105,7 +103,7 @@ class SweepWriter:
                 sweep["lidarInd"] = self._index
             fields: dict[str, Any] = {"lidar": sweep}
             seconds = frame.extras.get("file_seconds")
-            line = make_line(fields, frame.timestamp_ns, self._times, seconds, example=self._example)
+            line = make_line(fields, frame.timestamp_ns, self._times, seconds)
             further = self._further.get(k)
             yield line if further is None else line._replace(text=completed(line.text, further))
 

@@ -9,7 +9,7 @@ from sceneloom.editing.retimed_lines import LINES, SHARED, TEXTS, streams_of
 from sceneloom.scene import Scene
 from sceneloom.scene.part_annotations import Interval
 
-_OTHER, _ANCHORS, _FORMS, _FRAMES = "other_lines", "other_seconds", "line_forms", "frame_lines"
+_OTHER, _ANCHORS, _FRAMES = "other_lines", "other_seconds", "frame_lines"
 
 
 def cut_lines(scene: Scene, part: Interval | None) -> Mapping[str, Any]:
@@ -28,7 +28,7 @@ def cut_lines(scene: Scene, part: Interval | None) -> Mapping[str, Any]:
     there = {f"trajectories.{name}" for name in scene.trajectories}
     there |= {name for sensor in scene.sensors for name in streams_of(sensor)}
     changed = {**kept, **_other_lines(kept, part)}
-    texts, shared, forms = kept.get(TEXTS), kept.get(SHARED), kept.get(_FORMS)
+    texts, shared = kept.get(TEXTS), kept.get(SHARED)
     if isinstance(texts, Mapping):
         changed[TEXTS] = {
             name: {key: text for key, text in lines.items() if _is_key_inside(key, part)}
@@ -37,8 +37,6 @@ def cut_lines(scene: Scene, part: Interval | None) -> Mapping[str, Any]:
         }
     if isinstance(shared, list):
         changed[SHARED] = [line for line in shared if _stays(line, there, part)]
-    if isinstance(forms, Mapping):
-        changed[_FORMS] = {name: form for name, form in forms.items() if name in there}
     if part is not None:
         changed.pop(_FRAMES, None)
     left = {name: value for name, value in changed.items() if value or value == kept.get(name)}

@@ -9,7 +9,6 @@ from scipy import ndimage
 from sceneloom.arrays import Float32Array, Float64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import lens_vector
-from sceneloom.kernels.blurring import blur, box_means
 
 DIRECTIONS = 4
 """Edges are told apart by the direction across them: 0, 45, 90, 135 degrees from rightward to downward."""
@@ -53,6 +52,16 @@ class MeasuredPicture:
     edges: dict[str, Float32Array]
     levels: Float32Array
     plainness: float
+
+
+def blur(image: Float32Array, width: float) -> Float32Array:
+    """Blur an image (H, W) float32 by a Gaussian of a standard deviation [px], up to three of it; borders mirror."""
+    return np.asarray(ndimage.gaussian_filter(image, width, truncate=3.0), np.float32)
+
+
+def box_means(image: Float32Array, size: int) -> Float32Array:
+    """Average an image (H, W) float32 over squares of an odd side [px]; the border's pixels go on beyond it."""
+    return np.asarray(ndimage.uniform_filter(image, size, mode="nearest"), np.float32)
 
 
 def measured_picture(

@@ -20,11 +20,10 @@ from scipy import ndimage
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array
 from sceneloom.calibrate.frames import CalibrationFrame, moved_by
 from sceneloom.calibrate.measures.features import visible_points
-from sceneloom.calibrate.measures.pictures import reduced_picture
+from sceneloom.calibrate.measures.pictures import blur, reduced_picture
 from sceneloom.calibrate.planes.surfaces import Planes, find_planes
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import project_unbounded, unproject
-from sceneloom.kernels.blurring import blur
 
 
 class Level(NamedTuple):

@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float32Array, Float64Array
-from sceneloom.calibrate.measures.pictures import evened
+from sceneloom.calibrate.measures.pictures import blur, box_means, evened
 from sceneloom.calibrate.refinement.cues import CHANNELS, LEVEL_MAP, Cues
 from sceneloom.calibrate.refinement.moving_pixels import moving_pixels
 from sceneloom.kernels.aligned_maps import sum_maps
-from sceneloom.kernels.blurring import blur, box_means
 
 WIDTHS_PX = (6.0, 3.0, 1.0)
 """How far pictures are blurred [px of the measured picture], from the first look to the last."""

@@ -34,9 +34,7 @@ _LINES = (
     "other_seconds",
     "further_keys",
     "shared_lines",
-    "line_forms",
     "frame_lines",
-    "line_order",
 )
 """What is kept of a recording's lines word by word, with all its places and times."""
 

@@ -74,7 +74,7 @@ def speed(places: list[Path], scratch: Path, frames: int) -> None:
     sides = {
         "pool, 1 worker": lambda: ProcessPool(1, MODULES),
         "pool, 2 workers": lambda: ProcessPool(2, MODULES),
-        "dask local, 2 workers": lambda: DaskCluster.local(2, MODULES),
+        "dask local, 2 workers": lambda: DaskCluster.local(2),
     }
     seconds, busy, found = {}, {}, {}
     for name, make in sides.items():
@@ -193,7 +193,7 @@ def kills(places: list[Path], scratch: Path) -> None:
     expected = hashes(calm)
     for name, make in {
         "pool": lambda: ProcessPool(2, MODULES),
-        "dask local": lambda: DaskCluster.local(2, MODULES),
+        "dask local": lambda: DaskCluster.local(2),
     }.items():
         out = scratch / "kills" / name
         summary, made, killed = disturbed(places, out, make(), KILL_SECONDS)

@@ -23,7 +23,6 @@ from typing import Any, Self
 import msgspec
 
 from sceneloom.batch.jobs import Outcome, Task
-from sceneloom.batch.nursery import Nursery
 from sceneloom.batch.outputs import OUTCOME
 from sceneloom.batch.pool import LOST
 from sceneloom.batch.working import NUMBA, THREADS, run_task
@@ -34,7 +33,6 @@ from sceneloom.version import __version__
 try:
     import dask
     from distributed import Client, Future, KilledWorker, LocalCluster
-    from distributed.utils import get_mp_context
 except ImportError as missing:
     raise MissingExtraError(f"{missing}; install the extra: {how_to_install('cluster')}") from missing
 
@@ -92,24 +90,13 @@ class DaskCluster:
         self._room, self._counted = 0, -_COUNTING_SECONDS
 
     @classmethod
-    def local(cls, workers: int, modules: Sequence[str] = ()) -> Self:
-        """Start a scheduler and so many workers on this machine, each with one thread.
-
-        Args:
-            workers: how many.
-            modules: what they import, once for all of them.
-        """
+    def local(cls, workers: int) -> Self:
+        """Start a scheduler and so many workers on this machine, each with one thread."""
         environment = {name: os.environ.get(name, "1") for name in THREADS}
         with ExitStack() as stack:
-            nursery = Nursery(["distributed", *modules])
-            nursery.open()
-            stack.callback(nursery.close)
             # until the end: dask starts a worker anew where one was lost
-            settings = {**_ALLOCATION, **_WATCHING, **_LASTING, _METHOD: nursery.method}
+            settings = {**_ALLOCATION, **_WATCHING, **_LASTING, _METHOD: "spawn"}
             stack.enter_context(dask.config.set(settings))
-            if nursery.method == "forkserver":
-                get_mp_context()  # once, before modules are named: dask names its own then
-                nursery.open()
             cluster = LocalCluster(
                 n_workers=workers, threads_per_worker=1, memory_limit=0, dashboard_address="127.0.0.1:0",
                 silence_logs=logging.CRITICAL, env=environment,
@@ -192,9 +179,9 @@ def _close(cluster: LocalCluster) -> None:
         cluster.close(timeout=_CLOSING_SECONDS)
 
 
-def open_cluster(place: str, workers: int, modules: Sequence[str] = ()) -> DaskCluster:
+def open_cluster(place: str, workers: int) -> DaskCluster:
     """Use workers of dask: so many of our own if `place` is `local`, else those of the scheduler there."""
-    return DaskCluster.local(workers, modules) if place == LOCAL else DaskCluster.at(place)
+    return DaskCluster.local(workers) if place == LOCAL else DaskCluster.at(place)
 
 
 def run_packed(version: str, packed: bytes) -> bytes:

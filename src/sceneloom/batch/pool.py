@@ -1,27 +1,30 @@
 """Workers on this machine: processes of their own, each of which may die without harm to the others."""
 
+import multiprocessing
 import os
 import signal
 import sys
+import threading
 from collections.abc import Iterator, Mapping, Sequence
-from collections.abc import Set as AbstractSet
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkServerContext, SpawnContext
 from multiprocessing.process import BaseProcess
+from multiprocessing.util import get_temp_dir
 from typing import Protocol
 
 from sceneloom.batch.jobs import Outcome, Task
-from sceneloom.batch.nursery import Nursery
 from sceneloom.batch.working import NUMBA, THREADS, run_task
 from sceneloom.errors import SceneloomError
 
 LOST = "Lost"
 """Kind of the error of a worker that is gone."""
 
-_ENDING_SECONDS = 5.0
 _STARTS = 5
 """How often a worker is tried to be started: what forks them may be killed at any moment."""
+_LONGEST_FOLDER = 80
+"""Longest name of the temporary folder: that of a fork server's socket in it may have 107 bytes."""
 
 
 class Executor(Protocol):
@@ -45,111 +48,122 @@ class Executor(Protocol):
         ...
 
 
-@dataclass(slots=True)
-class _Worker:
-    process: BaseProcess
-    pipe: Connection
-    task: Task | None = None
-
-
 class ProcessPool:
-    """Processes of this machine, each with one thread; those that die are replaced."""
+    """Processes of this machine, each with one thread; those that die are replaced.
+
+    Each has an executor of its own: one whose process dies takes no other task than its own.
+    """
 
     def __init__(self, workers: int, modules: Sequence[str] = ()) -> None:
         """Have so many workers, which are started when they are needed.
 
         Args:
             workers: how many.
-            modules: what they import, once for all of them.
+            modules: what they import, with a fork server once for all of them; they must start no threads.
         """
-        self._nursery = Nursery(modules)
-        self._most = workers
-        self._workers: list[_Worker] = []
+        self._most, self._modules = workers, list(modules)
+        self._idle: list[ProcessPoolExecutor] = []
+        self._busy: dict[Future[Outcome], tuple[Task, ProcessPoolExecutor, BaseProcess]] = {}
 
     @property
     def free(self) -> int:
         """How many more tasks it takes now."""
-        return self._most - sum(worker.task is not None for worker in self._workers)
+        return self._most - len(self._busy)
 
     def submit(self, task: Task) -> None:
-        """Begin a task; there must be a free worker."""
-        idle = [worker for worker in self._workers if worker.task is None]
-        worker = idle[0] if idle else self._start()
-        worker.task = task
-        with suppress(OSError):  # it is gone, which `finished` finds
-            worker.pipe.send(task)
+        """Begin a task; there must be a free worker.
+
+        Raises:
+            SceneloomError: no worker can be started.
+        """
+        error: Exception | None = None
+        for _ in range(_STARTS):
+            with one_thread(), _without_main():
+                worker = self._idle.pop() if self._idle else self._started()
+                try:
+                    future = worker.submit(run_task, task)
+                except (
+                    BrokenProcessPool,
+                    EOFError,
+                    OSError,
+                ) as fault:  # it died idle, or what forks it is gone
+                    error = fault
+                    worker.shutdown(wait=False)
+                    continue
+            (process,) = _processes(worker)
+            self._busy[future] = task, worker, process
+            return
+        raise SceneloomError(f"no worker can be started: {error or type(error).__name__}") from error
 
     def finished(self, seconds: float) -> list[tuple[Task, Outcome]]:
         """Wait, at most so long, for tasks that have ended, well or with their worker."""
-        busy = [worker for worker in self._workers if worker.task is not None]
-        ready = set(wait([end for worker in busy for end in (worker.pipe, worker.process.sentinel)], seconds))
-        return [done for worker in busy if (done := self._done(worker, ready)) is not None]
-
-    def _done(self, worker: _Worker, ready: AbstractSet[object]) -> tuple[Task, Outcome] | None:
-        task = worker.task
-        if task is None or (worker.pipe not in ready and worker.process.sentinel not in ready):
-            return None
-        outcome = None
-        with suppress(EOFError, OSError):
-            if worker.pipe.poll():
-                outcome = worker.pipe.recv()
-        if outcome is None:
-            outcome = self._buried(worker, task)
-        worker.task = None
-        return task, outcome
-
-    def _buried(self, worker: _Worker, task: Task) -> Outcome:
-        worker.process.kill()
-        worker.process.join(_ENDING_SECONDS)
-        worker.pipe.close()
-        self._workers.remove(worker)
-        code = worker.process.exitcode
-        how = signal.Signals(-code).name if code is not None and code < 0 else f"exit code {code}"
-        told = f"the worker is gone ({how}): ended from outside, out of memory, or crashed"
-        return Outcome(number=task.number, error=told, kind=LOST, passing=True)
+        ended = []
+        for future in wait(self._busy, seconds, FIRST_COMPLETED).done:
+            task, worker, process = self._busy.pop(future)
+            fault = future.exception()
+            if fault is None:
+                self._idle.append(worker)
+                ended.append((task, future.result()))
+                continue
+            worker.shutdown()
+            ended.append((task, _lost(task, process, fault)))
+        return ended
 
     def stop(self) -> None:
         """End all workers at once."""
-        for worker in self._workers:
-            worker.process.kill()
-        for worker in self._workers:
-            worker.process.join(_ENDING_SECONDS)
-            worker.pipe.close()
-        self._workers.clear()
-        self._nursery.close()
+        workers = [*self._idle, *(worker for _, worker, _ in self._busy.values())]
+        for process in [process for worker in workers for process in _processes(worker)]:
+            process.kill()
+        for worker in workers:
+            worker.shutdown(cancel_futures=True)
+        self._idle.clear()
+        self._busy.clear()
 
-    def _start(self) -> _Worker:
-        for left in reversed(range(_STARTS)):
-            context = self._nursery.open()
-            ours, theirs = context.Pipe()
-            process = context.Process(target=_work, args=(theirs,), name="sceneloom batch", daemon=True)
-            try:
-                with one_thread(), _without_main():
-                    process.start()
-            except (EOFError, ConnectionError) as error:  # what forks workers is gone: it is started anew
-                ours.close()
-                if not left:
-                    raise SceneloomError(
-                        f"no worker can be started: {error or type(error).__name__}"
-                    ) from error
-                continue
-            finally:
-                theirs.close()
-            break
-        worker = _Worker(process, ours)
-        self._workers.append(worker)
-        return worker
+    def _started(self) -> ProcessPoolExecutor:
+        context = _context()
+        if isinstance(context, ForkServerContext):
+            context.set_forkserver_preload(self._modules)
+        return ProcessPoolExecutor(1, context, initializer=_begin, initargs=(dict(os.environ),))
 
 
-def _work(pipe: Connection) -> None:
-    """Do tasks until there are no more; Ctrl-C is the parent's."""
+def _context() -> ForkServerContext | SpawnContext:
+    """Fork workers from a process that has imported their modules, where that can be; else start them afresh."""
+    if sys.platform == "linux" and len(os.fsencode(get_temp_dir())) < _LONGEST_FOLDER:
+        return multiprocessing.get_context("forkserver")
+    return multiprocessing.get_context("spawn")
+
+
+def _processes(worker: ProcessPoolExecutor) -> list[BaseProcess]:
+    # nothing public tells which process it is, to end it at once and to say how it ended
+    return list((worker._processes or {}).values())  # noqa: SLF001
+
+
+def _lost(task: Task, process: BaseProcess, fault: BaseException) -> Outcome:
+    if not isinstance(fault, BrokenProcessPool):
+        return Outcome(number=task.number, error=str(fault), kind=type(fault).__name__)
+    process.join()
+    code = process.exitcode
+    how = signal.Signals(-code).name if code is not None and code < 0 else f"exit code {code}"
+    told = f"the worker is gone ({how}): ended from outside, out of memory, or crashed"
+    return Outcome(number=task.number, error=told, kind=LOST, passing=True)
+
+
+def _begin(environment: Mapping[str, str]) -> None:
+    """Make a process a worker: with the environment of the run, ended with it, and deaf to Ctrl-C, which it takes."""
+    os.environ.clear()
+    os.environ.update(environment)
+    os.environ.setdefault(NUMBA, "1")
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN if name == "SIGINT" else signal.SIG_DFL)
-    os.environ.setdefault(NUMBA, "1")
-    with suppress(EOFError, OSError, KeyboardInterrupt):
-        while True:
-            pipe.send(run_task(pipe.recv()))
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 @contextmanager
@@ -157,17 +171,11 @@ def one_thread() -> Iterator[None]:
     """Let processes that are started now have one thread in each library, unless the user said otherwise."""
     # Numba, which may be at work here, looks at its own again and again: workers set it themselves
     wanted = {name: "1" for name in THREADS if name not in os.environ and name != NUMBA}
-    with _environment(wanted):
-        yield
-
-
-@contextmanager
-def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    os.environ.update(values)
+    os.environ.update(wanted)
     try:
         yield
     finally:
-        for name in values:
+        for name in wanted:
             os.environ.pop(name, None)
 
 
@@ -178,7 +186,7 @@ def _without_main() -> Iterator[None]:
     known = {name: getattr(main, name) for name in ("__file__", "__spec__") if hasattr(main, name)}
     try:
         main.__spec__ = None
-        if "__file__" in known:
+        with suppress(AttributeError):
             del main.__file__
         yield
     finally:

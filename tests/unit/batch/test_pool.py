@@ -1,12 +1,8 @@
 """Workers of their own, and what becomes of a run when they die."""
 
 import multiprocessing.context
-import sys
-
-import pytest
 
 from sceneloom.batch import run
-from sceneloom.batch.pool import ProcessPool
 from sceneloom.batch.record import Record
 
 
@@ -27,22 +23,34 @@ def test_workers_have_one_thread_unless_the_user_says_otherwise(tmp_path, drives
     assert (tmp_path / "out" / "a.txt").read_text() == "13"
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="workers are forked on Linux only")
-def test_a_killed_fork_server_is_started_anew(monkeypatch):
-    pool = ProcessPool(1)
+def test_a_worker_that_cannot_be_started_is_started_once_more(tmp_path, drives, job, monkeypatch):
     starts = []
-    start = multiprocessing.context.ForkServerProcess.start
+    for process in (multiprocessing.context.ForkServerProcess, multiprocessing.context.SpawnProcess):
 
-    def killed_once(process):
-        starts.append(process)
-        if len(starts) == 1:
-            raise EOFError
-        start(process)
+        def killed_once(process, start=process.start):
+            starts.append(process)
+            if len(starts) == 1:
+                raise EOFError
+            start(process)
 
-    monkeypatch.setattr(multiprocessing.context.ForkServerProcess, "start", killed_once)
-    monkeypatch.setattr(multiprocessing.context.SpawnProcess, "start", killed_once)
-    try:
-        worker = pool._start()
-        assert (len(starts), worker.process.is_alive()) == (2, True)
-    finally:
-        pool.stop()
+        monkeypatch.setattr(process, "start", killed_once)
+    summary = run(job("copy", drives("a.sfs")), tmp_path / "out", workers=1)
+    assert (summary.done, summary.retried, len(starts)) == (1, 0, 2)
+
+
+def test_a_fault_of_a_worker_that_is_no_outcome_is_one_of_its_task(tmp_path, drives, job, monkeypatch):
+    monkeypatch.setattr("sceneloom.batch.pool.run_task", print_nothing)
+    summary = run(job("copy", drives("a.sfs")), tmp_path / "out", workers=1)
+    assert summary.failed == 1
+
+
+def print_nothing(task):
+    raise RuntimeError(task.place)
+
+
+def test_what_workers_have_in_their_environment_is_that_of_the_run(tmp_path, drives, job, monkeypatch):
+    for name, threads in (("first", "2"), ("second", "5")):
+        monkeypatch.setenv("OMP_NUM_THREADS", threads)
+        monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
+        run(job("environment", drives("a.sfs")), tmp_path / name, workers=1)
+        assert (tmp_path / name / "a.txt").read_text() == f"{threads}1"

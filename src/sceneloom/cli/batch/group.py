@@ -198,7 +198,7 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
     )  # fmt: skip
     inputs, files = give_files(found, said, taken)
     further = _further(name, values)
-    executor = _cluster(name, own, workers)
+    executor = _cluster(own, workers)
     job = Job(
         verb=name,
         call=CALL,
@@ -263,13 +263,13 @@ def _all_told(told: "Told | None", metrics: Path | None) -> "Told | None":
     return both
 
 
-def _cluster(name: str, own: dict[str, Any], workers: int) -> "Executor | None":
+def _cluster(own: dict[str, Any], workers: int) -> "Executor | None":
     """The workers of dask that were asked for, and where dask shows them."""
     if own["cluster"] is None:
         return None
     from sceneloom.batch.cluster import open_cluster
 
-    cluster = open_cluster(own["cluster"], workers, BATCHED[name].modules)
+    cluster = open_cluster(own["cluster"], workers)
     if cluster.dashboard and not own["quiet"]:
         click.echo(f"dask's dashboard: {cluster.dashboard}", err=True)
     return cluster

@@ -46,7 +46,7 @@ def send(
     **further: Any,
 ) -> None:
     """Send a drive to a fusion service as its sensors would have sent it; or a log of `serve --log` once more."""
-    from sceneloom.service.log_file import is_log
+    from sceneloom.service.replay import is_log
 
     calls = {name: further.pop(name) for name in _CALLING}
     with connected(address, **calls) as open_client, progress_bar("sending", quiet=quiet) as progress:

@@ -94,7 +94,7 @@ def serve(
         security.check_host(host)
         observe: Any = None
         if log is not None:
-            from sceneloom.service.black_box import BlackBox
+            from sceneloom.service.session_log import BlackBox
 
             observe = stack.enter_context(BlackBox(log, overwrite=overwrite)).session
         settings = ServerSettings(

@@ -1,5 +1,7 @@
-"""Plays a log of the black box again: the same records under the same configurations give the same results."""
+"""Reads a log of sessions, and replays it: the same records under the same configurations give the same results."""
 
+import os
+import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -7,21 +9,97 @@ from types import MappingProxyType
 from typing import Any
 
 from sceneloom.errors import DataError
+from sceneloom.formats.files import open_file
 from sceneloom.fusion.calibration.entries import CalibrationEntry
 from sceneloom.fusion.calibration.table import CalibrationTable
 from sceneloom.fusion.events import Event, Result
 from sceneloom.fusion.intake import admitted_alone
 from sceneloom.fusion.interface import FusionInterface
-from sceneloom.fusion.messages.protobuf_form import encode, from_protobuf
+from sceneloom.fusion.messages.protobuf_form import encode, from_protobuf, parse_message
 from sceneloom.fusion.messages.records import kind_of
+from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.fusion.motion import RecentWay
 from sceneloom.fusion.properties import Snapshot
 from sceneloom.fusion.queues import Flushed, Moved
 from sceneloom.fusion.setting import Setting
-from sceneloom.service.log_file import LogEntry, is_complete, read_log
 from sceneloom.service.motion_form import path_of
 from sceneloom.service.received import snapshot_of
 from sceneloom.service.values import value_from_protobuf
+
+_MAGIC_BYTES = 8
+_OURS = fusion_pb2.DESCRIPTOR.package
+
+
+@dataclass(frozen=True, slots=True)
+class LogEntry:
+    """One message of a log.
+
+    Attributes:
+        session: that it is of.
+        what: what it says.
+        topic: of its channel.
+        log_time_ns: when it was written.
+        message: of our `.proto`.
+    """
+
+    session: str
+    what: str
+    topic: str
+    log_time_ns: int
+    message: Any
+
+
+def is_log(path: Path) -> bool:
+    """Whether a file begins as an MCAP file does."""
+    if not path.is_file():
+        return False
+    with open_file(path) as file:
+        return file.read(6) == b"\x89MCAP0"
+
+
+def is_complete(path: Path) -> bool:
+    """Whether a log was closed, rather than cut off by a crash."""
+    if not is_log(path) or path.stat().st_size < 2 * _MAGIC_BYTES:
+        return False
+    with open_file(path) as file:
+        start = file.read(_MAGIC_BYTES)
+        file.seek(-_MAGIC_BYTES, os.SEEK_END)
+        return file.read() == start
+
+
+def read_log(path: Path) -> Iterator[LogEntry]:
+    """Give the messages of our schemas in the order in which they were written; what a crash cut off ends it.
+
+    Raises:
+        DataError: the file is no MCAP file, or holds none of our messages.
+    """
+    from mcap.records import Channel, Schema
+    from mcap.records import Message as Record
+
+    schemas: dict[int, Any] = {}
+    channels: dict[int, Any] = {}
+    found = False
+    for record in _records(path):
+        if isinstance(record, Schema):
+            schemas[record.id] = _message_type(record.name)
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Record):
+            channel = channels[record.channel_id]
+            message_type = schemas.get(channel.schema_id)
+            if message_type is None or "what" not in channel.metadata:
+                continue
+            found = True
+            told = channel.metadata
+            yield LogEntry(
+                told.get("session", ""),
+                told["what"],
+                channel.topic,
+                record.log_time,
+                parse_message(message_type, record.data),
+            )
+    if not found:
+        raise DataError(path, "", f"no messages of {_OURS}; expected a log of this service")
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,3 +259,24 @@ _STEPS = {
     "flush": _Session.flush,
 }
 """What each entry of a log does; the others are only told."""
+
+
+def _message_type(schema: str) -> type[Any] | None:
+    package, _, name = schema.rpartition(".")
+    return getattr(fusion_pb2, name, None) if package == _OURS else None
+
+
+def _records(path: Path) -> Iterator[Any]:
+    """The records of a file up to its end, or to where it was cut off."""
+    from mcap.exceptions import EndOfFile, McapError, RecordLengthLimitExceeded
+    from mcap.stream_reader import StreamReader
+
+    if not is_log(path):
+        raise DataError(path, "", "no MCAP file")
+    with open_file(path) as file:
+        try:
+            yield from StreamReader(file, record_size_limit=path.stat().st_size).records
+        except (EndOfFile, RecordLengthLimitExceeded, struct.error):
+            return  # it ends in the middle of a record
+        except (McapError, RuntimeError, ValueError) as error:
+            raise DataError(path, f"byte {file.tell()}", f"cannot be read: {error}") from error

@@ -1,4 +1,4 @@
-"""Sends a log of the black box once more: what came into its sessions, under the same configurations."""
+"""Sends a log of sessions once more: what came into its sessions, under the same configurations."""
 
 import time
 from collections import Counter
@@ -10,9 +10,9 @@ from typing import Any
 from sceneloom.fusion.messages.protobuf_form import from_protobuf
 from sceneloom.fusion.outcome import Cause
 from sceneloom.fusion.properties import Property
-from sceneloom.service.log_file import LogEntry, read_log
 from sceneloom.service.motion_form import path_of
 from sceneloom.service.received import property_of
+from sceneloom.service.replay import LogEntry, read_log
 from sceneloom.service.sending import Pace, Receiver, SendReport, Tally, must
 from sceneloom.service.values import value_from_protobuf
 

@@ -18,8 +18,8 @@ from sceneloom.fusion.events import Refused
 from sceneloom.fusion.messages.protobuf_form import to_send_request
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.service.limits import ServiceLimits
-from sceneloom.service.log_file import is_complete, read_log, unfinished_path
-from sceneloom.service.replay import compare
+from sceneloom.service.replay import compare, is_complete, read_log
+from sceneloom.service.session_log import unfinished_path
 
 PATIENCE_S = 60
 """For other processes on a busy machine."""

@@ -16,10 +16,10 @@ from sceneloom.fusion.outcome import DONE, Cause, refused
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline import iter_fused
 from sceneloom.scene import CameraSensor, PointsFrame
-from sceneloom.service.black_box import BlackBox
 from sceneloom.service.replay import compare
 from sceneloom.service.sending import PATIENCE_MS, Pace, Tally, send_scene
 from sceneloom.service.sending_logs import send_log
+from sceneloom.service.session_log import BlackBox
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 from sceneloom.visibility import project_cuboids
 

@@ -24,10 +24,9 @@ from sceneloom.fusion.messages.protobuf_form import encode
 from sceneloom.fusion.queues import Flushed
 from sceneloom.fusion.rig import Rig
 from sceneloom.scene.poses import PosePath
-from sceneloom.service.black_box import BlackBox
-from sceneloom.service.log_file import LogWriter, is_complete, read_log, unfinished_path
 from sceneloom.service.log_shown import shown_records
-from sceneloom.service.replay import compare, replay
+from sceneloom.service.replay import compare, is_complete, read_log, replay
+from sceneloom.service.session_log import BlackBox, LogWriter, unfinished_path
 
 WIDTH, HEIGHT = 64, 48
 FORWARD = (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
@@ -379,7 +378,7 @@ def test_several_sessions_stand_side_by_side_in_one_file(tmp_path):
 CRASHING = """
 import os, signal, sys
 sys.path.insert(0, {folder!r})
-from test_black_box import BlackBox, begun, drive
+from test_session_log import BlackBox, begun, drive
 box = BlackBox({path!r}, kept_back_s=0)
 drive(begun(box.session("rig"), inline=True), 3)
 os.kill(os.getpid(), signal.SIGKILL)
@@ -500,8 +499,8 @@ def test_a_log_with_a_gap_goes_on_after_it(tmp_path, stalled):
     with begun(box.session("rig"), inline=True) as fusion:
         drive(fusion)
         stalled.set()
-        with box.queue._changed:
-            assert box.queue._changed.wait_for(box.queue._is_done, 60)
+        with box._changed:
+            assert box._changed.wait_for(box._is_done, 60)
         drive(fusion, 1, start=4)
     box.close()
     told = [entry.what for entry in read_log(path)]

@@ -115,7 +115,7 @@ def test_edit_relative_writes_a_drive_that_begins_at_zero(call, drives, tmp_path
     )
     assert outcome.code == 0, outcome.err
     codes = {notice["code"] for notice in json.loads(outcome.out)["notices"]}
-    assert {"fixes-left-out", "tells-place"} <= codes
+    assert "fixes-left-out" in codes
     with sceneloom.open(tmp_path / "r.sfs") as scene:
         way = next(iter(scene.trajectories.values()))
         first = min(sensor.frames.timestamps_ns[0] for sensor in scene.lidars)

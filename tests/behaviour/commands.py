@@ -1,16 +1,28 @@
 """The commands whose outputs make up the snapshot of behaviour: every verb, every format in both directions.
 
 Options are named as the snapshot was recorded with them; `RENAMED_OPTIONS` says what they are called since. `{data}`
-is the folder of real data, `{out}` the command's own folder, `{NAME}` the output folder of an earlier command.
+is the folder of real data, `{out}` the command's own folder, `{NAME}` the output folder of an earlier command,
+`{address}` that of a service that runs meanwhile; `&&` stands between commands that write into one folder.
 """
 
+import re
 from dataclasses import dataclass
 
 RENAMED_OPTIONS: dict[str, str] = {}
 """Options and verbs by the names that the snapshot was recorded with, and what they are called now."""
 
-RENAMED_FIELDS: dict[str, str] = {}
-"""Fields of `--json`, and of what is written as JSON, by the names of the snapshot, and what they are called now."""
+RENAMED_WORDS: tuple[tuple[str, str], ...] = ()
+"""Regular expressions of words in names of fields and files as the snapshot has them, and what replaces them now.
+
+They are applied one after the other to locations of the snapshot that are not found any more, and to its texts.
+"""
+
+
+def renamed(text: str) -> str:
+    """Say a name of the snapshot in the words of now."""
+    for pattern, word in RENAMED_WORDS:
+        text = re.sub(pattern, word, text)
+    return text
 
 
 @dataclass(frozen=True)
@@ -43,6 +55,7 @@ _TRACKING = "{data}/real/kitti_tracking --sequence 0012 --sequence 0014"
 
 COMMANDS: tuple[Command, ...] = (
     # a simulated drive with lidar, camera and boxes, and real ones
+    _command("inputs", "inputs {out}"),
     _command("demo", "demo --keep {out}/kept --frames 6"),
     _command("fuse_kitti", f"fuse {_KITTI} -o {{out}}/drive.sfs --trajectory lidar"),
     _command(
@@ -72,10 +85,10 @@ COMMANDS: tuple[Command, ...] = (
     _command("to_ros1", "convert {to_sfs}/drive.sfs {out}/drive.bag"),
     _command("to_ros2", "convert {to_sfs}/drive.sfs {out}/drive.ros2"),
     _command("to_kitti_raw", "convert {to_sfs}/drive.sfs {out}/drive --to kitti-raw"),
-    _command("to_kitti_object", "convert {demo}/kept/demo.sfs {out}/drive --to kitti-object"),
-    _command("to_kitti_tracking", "convert {demo}/kept/demo.sfs {out}/drive --to kitti-tracking"),
+    _command("to_kitti_object", "convert {inputs}/drive.sfs {out}/drive --to kitti-object"),
+    _command("to_kitti_tracking", "convert {inputs}/drive.sfs {out}/drive --to kitti-tracking"),
     _command("to_kitti_odometry", "convert {to_sfs}/drive.sfs {out}/drive --to kitti-odometry"),
-    _command("to_nuscenes", "convert {demo}/kept/demo.sfs {out}/drive --to nuscenes"),
+    _command("to_nuscenes", "convert {inputs}/drive.sfs {out}/drive --to nuscenes"),
     _command("to_openlabel", f"convert {_ARGOVERSE} {{out}}/labels.json --to openlabel"),
     _command("to_pcd", f"convert {_ARGOVERSE} {{out}}/drive --to pcd"),
     _command("to_ply", f"convert {_ARGOVERSE} {{out}}/drive --to ply"),
@@ -90,7 +103,9 @@ COMMANDS: tuple[Command, ...] = (
     _command("to_kitti_lines", f"convert {_PANDASET} {{out}}/drive.kitti"),
     _command("to_euroc_lines", f"convert {_PANDASET} {{out}}/drive.csv"),
     _command("to_csv", f"convert {_PANDASET} {{out}}/drive.csv --to csv"),
-    _command("to_gnss", "convert {data}/recordings/kitti_oxts_0000 {out}/fixes.csv --to gnss"),
+    _command(
+        "to_gnss", "convert {data}/recordings/kitti_oxts_0000 {out}/fixes.csv --to gnss --origin 49 8.4 110"
+    ),
     _command("oxts_smoothed", "convert {data}/recordings/kitti_oxts_0000 {out}/drive.tum --trajectory gnss"),
     *(
         _command(f"from_{name}", f"convert {{to_{name}}}/{place} {{out}}/drive.sfs {more}".strip())
@@ -137,10 +152,10 @@ COMMANDS: tuple[Command, ...] = (
     _command(
         "edit_merge", "edit merge {edit_crop}/drive.sfs {edit_thin}/drive.sfs -o {out}/drive.sfs --rename"
     ),
-    _command("edit_to_world", "edit to-world {demo}/kept/demo.sfs -o {out}/drive.sfs"),
+    _command("edit_to_world", "edit to-world {inputs}/drive.sfs -o {out}/drive.sfs"),
     _command("edit_to_ego", "edit to-ego {edit_to_world}/drive.sfs -o {out}/drive.sfs"),
     _command("edit_count", f"edit count {_ARGOVERSE} -o {{out}}/drive.sfs"),
-    _command("edit_project", "edit project {demo}/kept/demo.sfs -o {out}/drive.sfs"),
+    _command("edit_project", "edit project {inputs}/drive.sfs -o {out}/drive.sfs"),
     _command("edit_simplify", "edit simplify {to_sfs}/drive.sfs -o {out}/drive.sfs"),
     _command("edit_blur", "edit blur {edit_project}/drive.sfs -o {out}/drive.sfs --label car"),
     _command("edit_relative", "edit relative {to_sfs}/drive.sfs -o {out}/drive.sfs"),
@@ -156,10 +171,88 @@ COMMANDS: tuple[Command, ...] = (
     ),
     _command("sync", f"sync {_PANDASET}"),
     _command("calibrate", f"calibrate {_KITTI} --check"),
+    _command("sync_apply", "sync {inputs}/drive.sfs --streams groundTruth --apply {out}/drive.sfs"),
+    _command("calibrate_refine", "calibrate {inputs}/rotated --refine -o {out}/drive.sfs"),
+    _command("calibrate_table_3", "calibrate {inputs}/rotated --refine -o {out}/pair.json"),
+    _command("calibrate_hand_eye", "calibrate {data}/recordings/pandaset --hand-eye"),
+    _command("calibrate_two_lidars", "calibrate {inputs}/two_lidars --lidar-to-lidar --lidar lidar1"),
+    _command("calibrate_conventions", f"calibrate {_KITTI} --conventions"),
+    _command("calibrate_target", "calibrate {inputs}/rotated --target 7x5:0.12:1.1x0.86"),
+    _command("edit_apply", "edit apply {calibrate_refine}/drive.sfs -o {out}/drive.sfs"),
+    _command("edit_to_sensor", "edit to-sensor {inputs}/drive.sfs -o {out}/drive.sfs"),
+    _command("edit_lens", "edit lens {inputs}/drive.sfs -o {out}/drive.sfs --model fisheye"),
+    # read only, or files of one trajectory
+    _command("from_euroc_mav", "convert {inputs}/MH_01 {out}/drive.sfs"),
+    _command("from_rig", "convert {inputs}/rig {out}/drive.sfs"),
+    _command("from_pandaset", "convert {inputs}/pandaset {out}/drive.sfs"),
+    _command("to_jsonl", "convert {to_tum}/drive.tum {out}/drive.jsonl"),
+    _command("from_jsonl", "convert {to_jsonl}/drive.jsonl {out}/drive.tum"),
+    _command("from_kitti_lines", "convert {to_kitti_lines}/drive.kitti {out}/drive.tum --from-rate 10"),
+    _command("from_euroc_lines", "convert {to_euroc_lines}/drive.csv {out}/drive.tum --from-form euroc"),
+    _command("from_csv", "convert {to_csv}/drive.csv {out}/drive.tum --from-form csv"),
+    _command("from_gnss", "convert {to_gnss}/fixes.csv {out}/drive.csv --from-form gnss --to csv"),
+    *(
+        _command(f"info_{name}", f"info {{data}}/real/strangers/{path}")
+        for name, path in (
+            ("mcap", "mcap/custom-camera-model.mcap"),
+            ("ros1", "ros1_bags/test1.bag"),
+            ("ros1_lidar", "ros1_bags/tilt_laser.bag"),
+            ("ros2_lidar", "hesai_bag/xt32m"),
+            ("pcd", "pcd/lidar.pcd"),
+            ("t4", "t4"),
+            ("openlabel", "openlabel/uai/openlabel100_example_cuboids.json"),
+        )
+    ),
+    _command("info_euroc_mav", "info {inputs}/MH_01"),
+    _command("info_drive", "info {inputs}/drive.sfs"),
+    _command("fields_of_sfs", "formats sfs"),
+    _command("template", "formats --template {out}/rig.toml --from {inputs}/rig"),
+    _command("doctor", "doctor"),
+    *(_command(f"completion_{shell}", f"completion {shell}") for shell in ("bash", "zsh", "fish")),
+    # broken, and mended
+    _command("salvage", "salvage {inputs}/cut.sfs -o {out}/drive.sfs"),
+    _command("validate_cut", "validate {inputs}/cut.sfs"),
+    _command("validate_drive", "validate {inputs}/drive.sfs --strict"),
+    _command("validate_scale", "validate {inputs}/drive.sfs --profile scale --fix {out}/drive.sfs"),
+    _command("no_such_file", "info {inputs}/nothing.sfs"),
+    _command("no_such_option", "info {inputs}/drive.sfs --nothing"),
+    _command("no_such_format", "convert {inputs}/drive.sfs {out}/drive --to nothing"),
+    # what detectors found in a drive
+    _command(
+        "fuse_boxes",
+        "fuse {inputs}/drive.sfs --type detection --boxes3d {inputs}/boxes3d.jsonl"
+        " --boxes2d {inputs}/boxes2d.jsonl -o {out}/objects.jsonl",
+    ),
+    _command(
+        "track_boxes",
+        "track {inputs}/drive.sfs --boxes3d {inputs}/boxes3d.jsonl -o {out}/tracks.sfs --offline",
+    ),
+    _command(
+        "fuse_drive", "fuse {inputs}/drive.sfs -o {out}/drive.sfs --algorithm blending --pictures {out}/drawn"
+    ),
+    _command("fuse_gnss", "fuse {inputs}/drive.sfs -o {out}/drive.sfs --trajectory gnss"),
     # many drives
     _command("batch", f"batch convert {_KITTI} {_PANDASET} -o {{out}}/all --to mcap {_SHORT}"),
-    _command("catalog", "catalog build {to_sfs}/drive.sfs {demo}/kept/demo.sfs -o {out}/catalogue"),
+    _command(
+        "batch_fuse",
+        f"batch fuse {_KITTI} {{inputs}}/drive.sfs -o {{out}}/all {_SHORT} --trajectory identity",
+    ),
+    _command("batch_validate", "batch validate {inputs}/drive.sfs {inputs}/cut.sfs -o {out}/all"),
+    _command("batch_track", "batch track {data}/real/kitti_tracking -o {out}/all --sequence 0012"),
+    _command("batch_report", "batch report {inputs}/drive.sfs -o {out}/all --quick"),
+    _command("batch_status", "batch status {batch}/all"),
+    _command("catalog", "catalog build {to_sfs}/drive.sfs {inputs}/drive.sfs -o {out}/catalogue"),
     _command("catalog_query", "catalog query {catalog}/catalogue --label car"),
-    # the service is checked by the conformance kit against itself
-    _command("conformance", "conformance"),
+    _command(
+        "catalog_update",
+        "catalog build {to_sfs}/drive.sfs -o {out}/all && catalog update {out}/all {inputs}/drive.sfs",
+    ),
+    # the service
+    _command("conformance", "conformance {address}"),
+    _command(
+        "send_and_get",
+        "send {inputs}/drive.sfs {address} --rate 0 --session one"
+        " && get {address} --type sensor -o {out}/sensor --session one --count 4 --wait 60"
+        " && get {address} --type detection -o {out}/objects.jsonl --session one --wait 20",
+    ),
 )

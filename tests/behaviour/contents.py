@@ -15,11 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.behaviour.commands import renamed
 
 Found = dict[str, Any]
 """Of one location in what was written: how many values, a digest of their bytes, sums to compare within rounding."""
 
-SILENT = frozenset(
+_SILENT = frozenset(
     {"seconds", "stages", "took", "elapsed", "size_bytes", "bytes", "peak_memory", "memory", "cpu_seconds"}
     | {
         "path",
@@ -47,10 +48,13 @@ SILENT = frozenset(
         "version",
         "generator",
     }
+    | {"address", "port", "pid", "per_second", "mtime_ns", "processors", "said"}
     | {"created", "modified", "progress", "started", "finished"}
 )
+SILENT = _SILENT | {renamed(name) for name in _SILENT}
 """Fields of JSON whose values depend on the machine, on the moment, or are sentences."""
 
+_TEXTS = 12
 _CODE = re.compile(r"^[\w./:+-]{0,64}$")
 
 
@@ -58,13 +62,14 @@ class Digest:
     """Values of one location, taken one after the other.
 
     Numbers are counted, hashed as they are, and summed with weights that follow their order, so that two runs whose
-    bytes differ can still be told to agree within rounding.
+    bytes differ can still be shown to agree within rounding. A few texts are kept as they are.
     """
 
     def __init__(self) -> None:
         self.count = 0
         self.bytes = hashlib.sha256()
         self.sums = np.zeros(3)
+        self.texts: set[str] | None = set()
 
     def take(self, values: Any) -> None:
         """Take an array, a number, a flag or a short text."""
@@ -72,77 +77,81 @@ class Digest:
             content = values.encode() if isinstance(values, str) else values
             self.count += 1
             self.bytes.update(len(content).to_bytes(8, "little") + content)
+            self.texts = self.texts if isinstance(values, str) else None
+            if self.texts is not None and len(self.texts) <= _TEXTS:
+                self.texts.add(values)
             return
+        self.texts = None
         array = np.ascontiguousarray(values)
         self.count += array.size
         self.bytes.update(f"{array.dtype.str}{array.shape}".encode() + array.tobytes())
         if array.dtype.kind in "biuf" and array.size:
-            flat = array.astype(np.float64).ravel()
+            with np.errstate(invalid="ignore"):
+                flat = array.astype(np.float64).ravel()
             flat = np.where(np.isfinite(flat), flat, 0.0)
             weights = 1.0 + np.arange(flat.size) % 97 / 97.0
             self.sums += flat.sum(), np.abs(flat).sum(), float(flat @ weights)
 
     def found(self) -> Found:
         """Give what was taken as plain values."""
-        return {"count": self.count, "sha256": self.bytes.hexdigest()[:24], "sums": self.sums.tolist()}
+        if self.texts and len(self.texts) <= _TEXTS and sum(map(len, self.texts)) <= 400:
+            return {"n": self.count, "texts": sorted(self.texts)}
+        sums = [float(f"{value:.12g}") for value in self.sums]
+        return {"n": self.count, "sha": self.bytes.hexdigest()[:16]} | ({"sums": sums} if any(sums) else {})
 
 
-def contents(root: Path, renamed: Mapping[str, str]) -> dict[str, Found]:
+def contents(root: Path) -> dict[str, Found]:
     """Read everything below a path.
-
-    Args:
-        root: a file or a folder.
-        renamed: fields of JSON by their old names.
 
     Returns:
         by location (the file's name with digits as `#`, then the field inside it with indices as `[]`): what is there.
     """
     digests: dict[str, Digest] = {}
-    files = [root] if root.is_file() else sorted(file for file in root.rglob("*") if file.is_file())
-    for file in files:
-        name = re.sub(r"[0-9a-f]{8,}|\d+", "#", file.name if file == root else str(file.relative_to(root)))
-        for location, value in _values(file, renamed):
+    for file in sorted(file for file in root.rglob("*") if file.is_file()):
+        name = re.sub(r"[0-9a-f]{8,}|[0-9]+", "#", str(file.relative_to(root)))
+        for location, value in _values(file):
             digests.setdefault(f"{name}:{location}", Digest()).take(value)
     return {location: digest.found() for location, digest in sorted(digests.items())}
 
 
-def fields(value: Any, renamed: Mapping[str, str], location: str = "") -> Iterator[tuple[str, Any]]:
+def fields(value: Any, location: str = "") -> Iterator[tuple[str, Any]]:
     """Go through JSON, and give numbers, flags and words of a single piece with their locations."""
     if isinstance(value, Mapping):
         for key in sorted(value, key=str):
-            name = renamed.get(str(key), str(key))
-            if name not in SILENT and key not in SILENT:
-                yield from fields(
-                    value[key], renamed, f"{location}.{re.sub(r'[0-9a-f]{8,}|[0-9]+', '#', name)}"
-                )
+            name = str(key)
+            if name not in SILENT:
+                yield from fields(value[key], f"{location}.{re.sub(r'[0-9a-f]{8,}|[0-9]+', '#', name)}")
     elif isinstance(value, list):
         if value and all(type(one) in (int, float) for one in value):
             yield f"{location}[]", np.array(value, np.float64)
         else:
             for one in value:
-                yield from fields(one, renamed, f"{location}[]")
+                yield from fields(one, f"{location}[]")
     elif isinstance(value, str):
         if _CODE.match(value) and "/" not in value and "tmp" not in value:
-            yield location, renamed.get(value, value)
+            yield location, value
     elif value is not None:
         yield location, float(value) if isinstance(value, int | float) else value
 
 
-def _values(file: Path, renamed: Mapping[str, str]) -> Iterable[tuple[str, Any]]:
+def _values(file: Path) -> Iterable[tuple[str, Any]]:
     name = file.name.lower()
     for endings, read in _READERS:
         if name.endswith(endings):
-            return read(file, renamed)
+            try:
+                return list(read(file))
+            except (ValueError, KeyError):
+                break
     return [("bytes", file.read_bytes())]
 
 
-def _scene(file: Path, renamed: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
+def _scene(file: Path) -> Iterator[tuple[str, Any]]:
     """Read the header, which ends at the first NUL, and the arrays that its `$items` names."""
     content = file.read_bytes()
     end = content.index(b"\0")
     header = json.loads(content[:end])
     items = header.pop("$items", [])
-    yield from fields(header, renamed)
+    yield from fields(header)
     for item in items:
         keys = ".".join("[]" if isinstance(key, int) else str(key) for key in item["keys"])
         data = memoryview(content)[end + item["offset"] : end + item["offset"] + item["length"]]
@@ -154,16 +163,16 @@ def _scene(file: Path, renamed: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
         yield f".{keys} {dtype}", values
 
 
-def _json(file: Path, renamed: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
-    yield from fields(json.loads(file.read_text()), renamed)
+def _json(file: Path) -> Iterator[tuple[str, Any]]:
+    yield from fields(json.loads(file.read_text()))
 
 
-def _json_lines(file: Path, renamed: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
+def _json_lines(file: Path) -> Iterator[tuple[str, Any]]:
     for line in file.read_text().splitlines():
-        yield from fields(json.loads(line), renamed)
+        yield from fields(json.loads(line))
 
 
-def _text(file: Path, _: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
+def _text(file: Path) -> Iterator[tuple[str, Any]]:
     for line in file.read_text(errors="replace").splitlines():
         if not line.lstrip().startswith(("#", "//")):
             for word in re.split(r"[\s,;]+", line.strip()):
@@ -173,14 +182,14 @@ def _text(file: Path, _: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
                     yield "words", word
 
 
-def _image(file: Path, _: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
+def _image(file: Path) -> Iterator[tuple[str, Any]]:
     from PIL import Image
 
     with Image.open(file) as image:
         yield f"pixels {image.mode}", np.asarray(image)
 
 
-def _video(file: Path, _: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
+def _video(file: Path) -> Iterator[tuple[str, Any]]:
     import av
 
     with av.open(file) as container:
@@ -189,7 +198,7 @@ def _video(file: Path, _: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
             yield "pixels", frame.to_ndarray(format="gray")[::8, ::8]
 
 
-def _mcap(file: Path, _: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
+def _mcap(file: Path) -> Iterator[tuple[str, Any]]:
     from mcap.reader import make_reader
 
     with file.open("rb") as stream:
@@ -199,7 +208,7 @@ def _mcap(file: Path, _: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
             yield f"{channel.topic} {name} data", message.data
 
 
-def _bag(file: Path, _: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
+def _bag(file: Path) -> Iterator[tuple[str, Any]]:
     from rosbags.rosbag1 import Reader
 
     with Reader(file) as reader:
@@ -208,7 +217,7 @@ def _bag(file: Path, _: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
             yield f"{connection.topic} {connection.msgtype} data", bytes(content)
 
 
-def _sqlite_bag(file: Path, _: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
+def _sqlite_bag(file: Path) -> Iterator[tuple[str, Any]]:
     import sqlite3
 
     with sqlite3.connect(file) as tables:
@@ -221,7 +230,7 @@ def _sqlite_bag(file: Path, _: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
             yield f"{topic} {kind} data", content
 
 
-def _las(file: Path, _: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
+def _las(file: Path) -> Iterator[tuple[str, Any]]:
     import laspy
 
     points = laspy.read(file)
@@ -232,7 +241,7 @@ def _las(file: Path, _: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
 
 
 def _after(mark: bytes) -> Any:
-    def read(file: Path, _: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
+    def read(file: Path) -> Iterator[tuple[str, Any]]:
         head, found, body = file.read_bytes().partition(mark)
         lines = [
             line
@@ -245,18 +254,33 @@ def _after(mark: bytes) -> Any:
     return read
 
 
-def _arrays(file: Path, _: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
+def _arrays(file: Path) -> Iterator[tuple[str, Any]]:
     with zipfile.ZipFile(file) as members:
         for name in sorted(members.namelist()):
             if name.endswith(".npy"):
                 yield name.removesuffix(".npy"), np.load(io.BytesIO(members.read(name)), allow_pickle=False)
 
 
-def _nothing(file: Path, _: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
+def _floats(file: Path) -> Iterator[tuple[str, Any]]:
+    content = file.read_bytes()
+    yield (
+        "floats" if len(content) % 4 == 0 else "bytes",
+        np.frombuffer(content, "<f4" if len(content) % 4 == 0 else "u1"),
+    )
+
+
+def _table(file: Path) -> Iterator[tuple[str, Any]]:
+    import pyarrow.parquet
+
+    table = pyarrow.parquet.read_table(file)
+    yield from fields({name: table[name].to_pylist() for name in table.column_names})
+
+
+def _nothing(file: Path) -> Iterator[tuple[str, Any]]:
     yield "is written", file.stat().st_size > 0
 
 
-def _unpacked(file: Path, _: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
+def _unpacked(file: Path) -> Iterator[tuple[str, Any]]:
     yield "bytes", gzip.decompress(file.read_bytes())
 
 
@@ -273,7 +297,9 @@ _READERS: tuple[tuple[tuple[str, ...], Any], ...] = (
     ((".ply",), _after(b"end_header\n")),
     ((".pcd",), _after(b"\nDATA ")),
     ((".npz",), _arrays),
+    ((".bin",), _floats),
+    ((".parquet",), _table),
     ((".txt", ".csv", ".tum", ".kitti", ".toml"), _text),
     ((".gz",), _unpacked),
-    ((".html", ".rrd", ".parquet", ".yaml", ".svg", ".duckdb", ".db", ".md"), _nothing),
+    ((".html", ".rrd", ".yaml", ".svg", ".duckdb", ".db", ".md"), _nothing),
 )

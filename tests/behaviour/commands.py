@@ -199,7 +199,6 @@ COMMANDS: tuple[Command, ...] = (
             ("ros1_lidar", "ros1_bags/tilt_laser.bag"),
             ("ros2_lidar", "hesai_bag/xt32m"),
             ("pcd", "pcd/lidar.pcd"),
-            ("t4", "t4"),
             ("openlabel", "openlabel/uai/openlabel100_example_cuboids.json"),
         )
     ),

@@ -101,7 +101,7 @@ def run_all(names: list[str]) -> dict[str, Any]:
     """Run the named commands, or all, each after those that it needs, as many side by side as there are processors."""
     known = {command.name: command for command in COMMANDS}
     wanted: set[str] = set()
-    todo = names or list(known)
+    todo = list(names or known)
     while todo:
         name = todo.pop()
         wanted.add(name)

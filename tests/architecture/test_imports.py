@@ -37,7 +37,6 @@ ROW_OF = {room: number for number, row in enumerate(ROWS) for room in row}
 
 WRAPPERS = {
     "numba": {"kernels", "cameras"},
-    "llvmlite": {"kernels"},
     "av": {"formats", "simulate"},
     "simplejpeg": {"formats"},
     "PIL": {"formats", "pictures", "simulate"},

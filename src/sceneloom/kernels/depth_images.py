@@ -9,7 +9,6 @@ from numba import boolean, float32, int32, int64, types, void
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Int32Array
 from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.crew import ALONE, Crew
-from sceneloom.kernels.fetching import fetch
 from sceneloom.kernels.pixel_numbers import BLOCK, PART
 
 _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
@@ -32,10 +31,8 @@ def _pick(
 
 
 @numba.njit(**PART)
-def _draw(places: AnyArray, depths: Float32Array, coming: AnyArray, rows: Float32Array) -> None:
-    """Draw a block of points, and ask for the pixels of the block that is coming."""
+def _draw(places: AnyArray, depths: Float32Array, rows: Float32Array) -> None:
     for i in range(depths.shape[0]):
-        fetch(rows, np.int64(coming[i]))
         if places[i] >= 0:
             depth, p = depths[i], np.uint64(places[i])
             there = rows[p]
@@ -59,14 +56,12 @@ def _draw_rows(
     """Draw what falls into some rows of the image."""
     width, count = depth_image.shape[1], depths.shape[0]
     first, rows = top * width, depth_image.reshape(depth_image.size)[top * width : bottom * width]
-    places, coming = np.empty(BLOCK, np.int32), np.empty(BLOCK, np.int32)
-    for start in range(0, count + BLOCK, BLOCK):
+    places = np.empty(BLOCK, np.int32)
+    for start in range(0, count, BLOCK):
         stop = min(start + BLOCK, count)
-        if start < stop:
-            block = coming[: stop - start]
-            _pick(numbers[start:stop], depths[start:stop], visible[start:stop], first, rows.shape[0], block)
-        _draw(places, depths[max(start - BLOCK, 0) : min(start, count)], coming, rows)
-        places, coming = coming, places
+        block = places[: stop - start]
+        _pick(numbers[start:stop], depths[start:stop], visible[start:stop], first, rows.shape[0], block)
+        _draw(block, depths[start:stop], rows)
 
 
 def draw_depths(

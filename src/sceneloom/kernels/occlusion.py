@@ -10,7 +10,6 @@ from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, In
 from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.crew import ALONE, Crew
 from sceneloom.kernels.direction_grid import keep_nearest, place_grid, read_keys
-from sceneloom.kernels.lanes import LANES
 from sceneloom.kernels.occlusion_bounds import bound_hiding
 from sceneloom.kernels.occlusion_search import search_hiding
 
@@ -128,9 +127,7 @@ def mark_unhidden(
         _keep_nearest(*some, hiding[a:b], *corner, columns, rows, numbers[a:b], keys[part])
 
     crew.share(len(numbers), keep)
-    # Lanes beyond the last cell read what lies behind it.
-    held, bounds = np.empty((3, cells + LANES), np.float32), np.empty((2, cells), np.float32)
-    held[:, cells:] = 0.0
+    held, bounds = np.empty((3, cells), np.float32), np.empty((2, cells), np.float32)
     crew.share(cells, lambda _, a, b: _read_keys(keys, a, b, held[0], held[1], held[2]))
 
     def bound(_: int, first: int, last: int) -> None:

@@ -10,7 +10,6 @@ from numba import boolean, float32, float64, int32, int64, types, void
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array
 from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.direction_grid import INNER, fraction
-from sceneloom.kernels.lanes import LANES, find_beside, find_nearing, find_quadrants
 
 _BLOCK = 2048
 """Points that are picked from at once: few of them stay, and what is begun anew for each block is shared by many."""
@@ -25,24 +24,24 @@ _IN_I64_1D = types.Array(int64, 1, "C", readonly=True)
 
 _NOTHING, _ONE, _QUARTER, _BEHIND = np.float32(0.0), np.float32(1.0), np.float32(0.25), np.float32(1e-3)
 _ENDLESS = np.float32(math.inf)
-_QUADRANT, _NO_CELL = np.uint64(2**LANES - 1), np.uint64(0)
-_SECOND, _THIRD, _FOURTH = np.uint64(LANES), np.uint64(2 * LANES), np.uint64(3 * LANES)
 
 
 @numba.njit(**INNER)
-def _list_strips(size_x: int, size_y: int, columns: int) -> tuple[Int64Array, Float32Array, Float32Array]:
-    """List strips of as many cells as there are lanes, which cover so many cells to each side of a middle one.
+def _list_cells(size_x: int, size_y: int, columns: int) -> tuple[Int64Array, Float32Array, Float32Array]:
+    """List the cells of a window so many to each side of a middle one, the middle first, then ring by ring.
 
     Returns:
-        offsets: (K,) int64, from the number of the middle cell to that of a strip's first.
+        offsets: (K,) int64, from the number of the middle cell.
         right, down: (K,) float32, the same as columns and rows.
     """
-    rows, wide = 2 * size_y + 1, (2 * size_x + LANES) // LANES
-    offsets = np.empty(rows * wide, np.int64)
-    right, down = np.empty(rows * wide, np.float32), np.empty(rows * wide, np.float32)
-    for k in range(rows * wide):
-        dx, dy = k // rows * LANES - size_x, k % rows - size_y
-        offsets[k], right[k], down[k] = dy * columns + dx, dx, dy
+    count, size = 0, (2 * size_x + 1) * (2 * size_y + 1)
+    offsets, right, down = np.empty(size, np.int64), np.empty(size, np.float32), np.empty(size, np.float32)
+    for ring in range(max(size_x, size_y) + 1):
+        for dy in range(-min(ring, size_y), min(ring, size_y) + 1):
+            for dx in range(-min(ring, size_x), min(ring, size_x) + 1):
+                if max(abs(dx), abs(dy)) == ring:
+                    offsets[count], right[count], down[count] = dy * columns + dx, dx, dy
+                    count += 1
     return offsets, right, down
 
 
@@ -113,27 +112,39 @@ def _gather(
         room[3, k] = limits[1] / max(_ONE - _QUARTER * (a * a + b * b), _BEHIND)
 
 
+@numba.njit(**INLINED)
+def _gains(excess: Any, x: Any, y: Any, slope_squared: Any) -> Any:
+    """Say whether something is nearer by more than a surface gains over so short a distance."""
+    return excess * excess > slope_squared * (x * x + y * y)
+
+
+@numba.njit(**INLINED)
+def _in_ellipse(x: Any, y: Any, near: tuple[Any, Any, Any]) -> Any:
+    return near[0] * (x * x) + near[1] * (x * y) + near[2] * (y * y) <= _ONE
+
+
 @numba.njit(**INNER)
 def _search_beside(
     cells: AnyArray, a: Float32Array, b: Float32Array, thresholds: Float32Array, slopes_squared: Float32Array,
     nearest: Float32Array, right: Float32Array, down: Float32Array,
-    strips: tuple[Int64Array, Float32Array, Float32Array], near: tuple[Any, Any, Any],
+    window: tuple[Int64Array, Float32Array, Float32Array], near: tuple[Any, Any, Any],
     alone: AnyArray, others: AnyArray,
 ) -> tuple[int, int]:  # fmt: skip
     """List the points that anything in the ellipse around them hides, and the others; give how many each are."""
     hidden, free = 0, 0
     for k in range(cells.shape[0]):
-        found = _NO_CELL
-        for j in range(strips[0].shape[0]):
-            found |= find_beside(
-                nearest, right, down, np.uint64(cells[k] + strips[0][j]),
-                (strips[1][j] - a[k], strips[2][j] - b[k],
-                thresholds[k], slopes_squared[k], near[0], near[1], near[2]),
-            )  # fmt: skip
-        # Without branches: what is hidden cannot be predicted, and a wrong guess costs more than the search.
+        found = False
+        for j in range(window[0].shape[0]):
+            c = np.uint64(cells[k] + window[0][j])
+            excess = nearest[c] - thresholds[k]
+            if excess > _NOTHING:
+                x, y = right[c] + (window[1][j] - a[k]), down[c] + (window[2][j] - b[k])
+                if _in_ellipse(x, y, near) and _gains(excess, x, y, slopes_squared[k]):
+                    found = True
+                    break
         alone[hidden], others[free] = k, k
-        hidden += found != _NO_CELL
-        free += found == _NO_CELL
+        hidden += found
+        free += not found
     return hidden, free
 
 
@@ -141,23 +152,27 @@ def _search_beside(
 def _search_nearing(
     listed: AnyArray, cells: AnyArray, a: Float32Array, b: Float32Array, thresholds: Float32Array,
     slopes_squared: Float32Array, nearest: Float32Array, right: Float32Array, down: Float32Array,
-    strips: tuple[Int64Array, Float32Array, Float32Array], near: tuple[Any, Any, Any],
+    window: tuple[Int64Array, Float32Array, Float32Array], near: tuple[Any, Any, Any],
     inverse_ranges: Float32Array, shift_x: Float32Array, shift_y: Float32Array, nearing: Any,
     others: AnyArray, free: int,
 ) -> int:  # fmt: skip
     """Add those of the listed points to `others` that nothing hides which came nearer from the lidar to the camera."""
     for n in range(listed.shape[0]):
         k = np.uint32(listed[n])
-        found = _NO_CELL
-        for j in range(strips[0].shape[0]):
-            found |= find_nearing(
-                nearest, right, down, np.uint64(cells[k] + strips[0][j]),
-                (strips[1][j] - a[k], strips[2][j] - b[k],
-                thresholds[k], slopes_squared[k], near[0], near[1], near[2],
-                inverse_ranges[n], shift_x[n], shift_y[n], nearing),
-            )  # fmt: skip
+        found = False
+        for j in range(window[0].shape[0]):
+            c = np.uint64(cells[k] + window[0][j])
+            excess = nearest[c] - thresholds[k]
+            if excess > _NOTHING:
+                x, y = right[c] + (window[1][j] - a[k]), down[c] + (window[2][j] - b[k])
+                gained = nearest[c] - inverse_ranges[n]
+                x_from, y_from = x - gained * shift_x[n], y - gained * shift_y[n]
+                came = x * x_from + y * y_from <= nearing * (x_from * x_from + y_from * y_from)
+                if came and _in_ellipse(x, y, near) and _gains(excess, x, y, slopes_squared[k]):
+                    found = True
+                    break
         others[free] = k
-        free += found == _NO_CELL
+        free += not found
     return free
 
 
@@ -165,22 +180,27 @@ def _search_nearing(
 def _search_between(
     listed: AnyArray, picked: AnyArray, cells: AnyArray, a: Float32Array, b: Float32Array,
     thresholds: Float32Array, slopes_squared: Float32Array, nearest: Float32Array, right: Float32Array,
-    down: Float32Array, strips: tuple[Int64Array, Float32Array, Float32Array], window_squared: Any,
+    down: Float32Array, window: tuple[Int64Array, Float32Array, Float32Array], window_squared: Any,
     visible: BoolArray,
 ) -> None:  # fmt: skip
     """Write which of the listed points things in opposite quadrants around them do not hide."""
     for n in range(listed.shape[0]):
         k = np.uint32(listed[n])
-        found = _NO_CELL
-        for j in range(strips[0].shape[0]):
-            found |= find_quadrants(
-                nearest, right, down, np.uint64(cells[k] + strips[0][j]),
-                (strips[1][j] - a[k], strips[2][j] - b[k],
-                thresholds[k], slopes_squared[k], window_squared),
-            )  # fmt: skip
-        first, third = found & _QUADRANT, (found >> _THIRD) & _QUADRANT
-        second, fourth = (found >> _SECOND) & _QUADRANT, found >> _FOURTH
-        hidden = ((first != _NO_CELL) & (third != _NO_CELL)) | ((second != _NO_CELL) & (fourth != _NO_CELL))
+        # Each quadrant holds one of its two borders, so that opposite directions lie in opposite quadrants.
+        first, second, third, fourth, hidden = False, False, False, False, False
+        for j in range(window[0].shape[0]):
+            c = np.uint64(cells[k] + window[0][j])
+            excess = nearest[c] - thresholds[k]
+            if excess > _NOTHING:
+                x, y = right[c] + (window[1][j] - a[k]), down[c] + (window[2][j] - b[k])
+                if x * x + y * y <= window_squared and _gains(excess, x, y, slopes_squared[k]):
+                    first |= (x > _NOTHING) & (y >= _NOTHING)
+                    second |= (x <= _NOTHING) & (y > _NOTHING)
+                    third |= (x < _NOTHING) & (y <= _NOTHING)
+                    fourth |= (x >= _NOTHING) & (y < _NOTHING)
+                    hidden = (first & third) | (second & fourth)
+                    if hidden:
+                        break
         visible[picked[k]] = not hidden
 
 
@@ -267,7 +287,7 @@ def search_hiding(
         numbers: (M,) int32, their cells, 0 for none.
         per_cell: cells in a radian.
         columns: of the grid.
-        nearest, right, down: (cells and `LANES` more,) what the cells hold.
+        nearest, right, down: (cells,) what the cells hold.
         from_any, from_opposite: (cells,) their bounds.
         size_x, size_y: how many columns and rows away a single thing hides.
         border: how many cells away anything hides.
@@ -278,7 +298,7 @@ def search_hiding(
     """
     count, pitch, share = inverse_ranges.shape[0], np.float32(per_cell), limits[7]
     rule, near = (limits[0], limits[1], limits[2], limits[3]), (limits[4], limits[5], limits[6])
-    beside, around = _list_strips(size_x, size_y, columns), _list_strips(border, border, columns)
+    beside, around = _list_cells(size_x, size_y, columns), _list_cells(border, border, columns)
     picked, lists, room = (
         np.empty(_BLOCK, np.int32), np.empty((3, _BLOCK + 1), np.int32), np.empty((8, _BLOCK), np.float32)
     )  # fmt: skip

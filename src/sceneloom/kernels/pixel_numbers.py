@@ -13,7 +13,7 @@ PART: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 """Options of functions that are compiled, and cached, as parts of others."""
 
 BLOCK = 256
-"""Points whose pixels are picked at once, by vector instructions; those of the next are on their way meanwhile."""
+"""Points whose pixels are picked at once, by SIMD."""
 
 _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
 

@@ -14,7 +14,6 @@ from sceneloom.arrays import (
     UInt8Array,
 )
 from sceneloom.kernels.cache import kernel
-from sceneloom.kernels.fetching import fetch
 from sceneloom.kernels.pixel_numbers import BLOCK, PART
 
 _IN_I64_1D = types.Array(int64, 1, "C", readonly=True)
@@ -59,12 +58,11 @@ def _choose(
 
 @numba.njit(**PART)
 def _paint(
-    numbers: AnyArray, point_ids: Int64Array, coming: AnyArray, flat_rgb: UInt8Array, camera: int,
-    flat_colors: UInt8Array, camera_index: UInt8Array,
+    numbers: AnyArray, point_ids: Int64Array, flat_rgb: UInt8Array, camera: int, flat_colors: UInt8Array,
+    camera_index: UInt8Array,
 ) -> None:  # fmt: skip
-    """Copy the colours of the pixels of a block of points, and ask for those of the block that is coming."""
+    """Copy the colours of the pixels of a block of points."""
     for i in range(point_ids.shape[0]):
-        fetch(flat_rgb, np.int64(3) * np.int64(coming[i]))
         if numbers[i] >= 0:
             k = np.uint64(point_ids[i])
             source, target = np.uint64(3) * np.uint64(numbers[i]), np.uint64(3) * k
@@ -122,22 +120,11 @@ def paint_points(
         colors.reshape(colors.size),
     )
     count = point_ids.shape[0]
-    numbers, coming = np.empty(BLOCK, np.int32), np.empty(BLOCK, np.int32)
-    for start in range(0, count + BLOCK, BLOCK):
+    numbers, size = np.empty(BLOCK, np.int32), width * height
+    for start in range(0, count, BLOCK):
         stop = min(start + BLOCK, count)
-        if start < stop:
-            block, ids = coming[: stop - start], point_ids[start:stop]
-            _pick(
-                pixel_numbers[start:stop],
-                width * height,
-                visible[start:stop],
-                ids,
-                camera_index.shape[0],
-                block,
-            )
-            if eccentricities.shape[0] > 0:
-                between = flat_pixels[2 * start : 2 * stop]
-                _choose(ids, between, width, height, eccentricities, block)
-        ids = point_ids[max(start - BLOCK, 0) : min(start, count)]
-        _paint(numbers, ids, coming, flat_rgb, camera, flat_colors, camera_index)
-        numbers, coming = coming, numbers
+        block, ids = numbers[: stop - start], point_ids[start:stop]
+        _pick(pixel_numbers[start:stop], size, visible[start:stop], ids, camera_index.shape[0], block)
+        if eccentricities.shape[0] > 0:
+            _choose(ids, flat_pixels[2 * start : 2 * stop], width, height, eccentricities, block)
+        _paint(block, ids, flat_rgb, camera, flat_colors, camera_index)

@@ -33,15 +33,14 @@ from sceneloom.detections.fitting.fit import fit_columns
 from sceneloom.detections.projection import fuse_by_projection
 from sceneloom.detections.results import NO_BOX
 from sceneloom.detections.settings import ProjectionSettings
-from sceneloom.evaluate.detection import (
+from sceneloom.evaluate.detection.covariances import judge_covariances
+from sceneloom.evaluate.detection.evaluation import box_errors, score_detections
+from sceneloom.evaluate.detection.rules import (
     DIFFICULTIES,
     DetectionRules,
     ScoredDetections,
     at_difficulty,
-    box_errors,
-    judge_covariances,
     pair_detections,
-    score_detections,
 )
 from sceneloom.evaluate.objects import ObjectTable
 from sceneloom.evaluate.overlaps import FramePairs, covered_by

@@ -19,7 +19,8 @@ from sceneloom.geometry.rotations import (
     multiply_quaternions,
     rotation_vector_from_quaternion,
 )
-from sceneloom.motion.gnss_imu import GnssImuRun, SmootherSettings, gnss_imu_motion
+from sceneloom.motion.gnss_imu.run import GnssImuRun, gnss_imu_motion
+from sceneloom.motion.gnss_imu.settings import SmootherSettings
 from sceneloom.scene import GnssSensor, ImuSensor, Scene, VectorSamples
 from sceneloom.simulate.inertial import GRAVITY, ImuSpec, ImuTruth, imu_sensor, imu_truth
 from sceneloom.simulate.path import EgoPath, PathSpec, plan_path

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 import sceneloom
-from sceneloom.formats.sfs import SceneWriter
+from sceneloom.formats.sfs.writer import SceneWriter
 from sceneloom.scene import AttributePath, CuboidAnnotation, CuboidPath
 
 KEYFRAMES = 10

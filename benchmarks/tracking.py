@@ -21,7 +21,7 @@ from benchmarks.detector_fits import KITTI, kitti_examples
 from sceneloom.detections.fitting.examples import columns_of
 from sceneloom.detections.fitting.fit import FitSettings, fit_columns
 from sceneloom.detections.settings import ProjectionSettings
-from sceneloom.formats.kitti import KittiTracking, open_tracking_folder
+from sceneloom.formats.kitti.tracking_folder import KittiTracking, open_tracking_folder
 from sceneloom.pipeline.tracking.files import track_folder
 from sceneloom.pipeline.tracking.job import TrackingSettings
 from sceneloom.tracking import PictureBox

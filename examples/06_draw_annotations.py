@@ -14,7 +14,7 @@ from PIL import Image
 
 import sceneloom
 from sceneloom.pictures import contact_sheet
-from sceneloom.pictures.annotations import save_annotation_pictures
+from sceneloom.pictures.annotations.saving import save_annotation_pictures
 from sceneloom.simulate import annotate, demo_drive
 
 if __name__ == "__main__":

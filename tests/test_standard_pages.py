@@ -10,7 +10,7 @@ import pytest
 
 from sceneloom.fusion.messages.tables import TABLES
 from sceneloom.fusion.outcome import Cause
-from sceneloom.fusion.properties import PREDEFINED
+from sceneloom.fusion.properties.predefined import PREDEFINED
 
 pytest.importorskip("grpc", reason="the extra `serve` is not installed")
 

@@ -10,38 +10,82 @@ with sceneloom.open("drive/") as scene:
 Every name but the errors is imported when it is first used, so that a program that offers sceneloom starts quickly.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sceneloom.errors import SceneloomError
+from sceneloom.lazy import names_on_first_use
 from sceneloom.version import __version__
 
 if TYPE_CHECKING:
-    from sceneloom.checks import validate
-    from sceneloom.editing import (
-        apply_corrections,
-        crop_scene,
-        merge_scenes,
-        thin_scene,
-        to_ego,
-        to_sensor,
-        to_world,
-    )
-    from sceneloom.evaluate import evaluate_trajectory
-    from sceneloom.evaluate.detection import compare_detections
-    from sceneloom.evaluate.tracking import compare_tracks
-    from sceneloom.formats.sfs import SceneWriter, salvage
+    from sceneloom.checks.validation import validate
+    from sceneloom.editing.apply import apply_corrections
+    from sceneloom.editing.crop import crop_scene
+    from sceneloom.editing.differences.scenes import diff_scenes as diff
+    from sceneloom.editing.frames import to_ego, to_sensor, to_world
+    from sceneloom.editing.merge import merge_scenes
+    from sceneloom.editing.thin import thin_scene
+    from sceneloom.evaluate.detection.comparison import compare_detections
+    from sceneloom.evaluate.tracking.comparison import compare_tracks
+    from sceneloom.evaluate.trajectory import evaluate_trajectory
+    from sceneloom.formats.sfs.salvaging import salvage
+    from sceneloom.formats.sfs.writer import SceneWriter
     from sceneloom.formats.table import open_scene as open
     from sceneloom.formats.table import write_scene as write
-    from sceneloom.formats.trajectories import read_trajectory, write_trajectory
+    from sceneloom.formats.trajectories.table import read_trajectory, write_trajectory
     from sceneloom.motion.ego_motion import find_ego_motion
-    from sceneloom.pipeline import colour, convert, deskew, fuse, iter_fused, sync
+    from sceneloom.pipeline.colouring.job import colour
+    from sceneloom.pipeline.converting.job import convert
     from sceneloom.pipeline.depth_images import write_depth_images
+    from sceneloom.pipeline.deskewing.job import deskew
     from sceneloom.pipeline.found_objects import fuse_detections, track_objects
-    from sceneloom.scene import PosePath, Scene
+    from sceneloom.pipeline.fusing.job import fuse, iter_fused
+    from sceneloom.pipeline.syncing import sync
+    from sceneloom.scene.poses import PosePath
+    from sceneloom.scene.scene import Scene
     from sceneloom.service.client import FusionClient
-    from sceneloom.simulate import simulate_street
-    from sceneloom.visibility import count_points, project_cuboids
+    from sceneloom.simulate.drive import simulate_street
+    from sceneloom.visibility.points import count_points
+    from sceneloom.visibility.projected import project_cuboids
+else:
+    __getattr__, __dir__ = names_on_first_use(
+        __name__,
+        {
+            "FusionClient": "sceneloom.service.client:FusionClient",
+            "PosePath": "sceneloom.scene.poses:PosePath",
+            "Scene": "sceneloom.scene.scene:Scene",
+            "SceneWriter": "sceneloom.formats.sfs.writer:SceneWriter",
+            "apply_corrections": "sceneloom.editing.apply:apply_corrections",
+            "colour": "sceneloom.pipeline.colouring.job:colour",
+            "compare_detections": "sceneloom.evaluate.detection.comparison:compare_detections",
+            "compare_tracks": "sceneloom.evaluate.tracking.comparison:compare_tracks",
+            "convert": "sceneloom.pipeline.converting.job:convert",
+            "count_points": "sceneloom.visibility.points:count_points",
+            "crop_scene": "sceneloom.editing.crop:crop_scene",
+            "deskew": "sceneloom.pipeline.deskewing.job:deskew",
+            "diff": "sceneloom.editing.differences.scenes:diff_scenes",
+            "evaluate_trajectory": "sceneloom.evaluate.trajectory:evaluate_trajectory",
+            "find_ego_motion": "sceneloom.motion.ego_motion:find_ego_motion",
+            "fuse": "sceneloom.pipeline.fusing.job:fuse",
+            "fuse_detections": "sceneloom.pipeline.found_objects:fuse_detections",
+            "iter_fused": "sceneloom.pipeline.fusing.job:iter_fused",
+            "merge_scenes": "sceneloom.editing.merge:merge_scenes",
+            "open": "sceneloom.formats.table:open_scene",
+            "project_cuboids": "sceneloom.visibility.projected:project_cuboids",
+            "read_trajectory": "sceneloom.formats.trajectories.table:read_trajectory",
+            "salvage": "sceneloom.formats.sfs.salvaging:salvage",
+            "simulate_street": "sceneloom.simulate.drive:simulate_street",
+            "sync": "sceneloom.pipeline.syncing:sync",
+            "thin_scene": "sceneloom.editing.thin:thin_scene",
+            "to_ego": "sceneloom.editing.frames:to_ego",
+            "to_sensor": "sceneloom.editing.frames:to_sensor",
+            "to_world": "sceneloom.editing.frames:to_world",
+            "track_objects": "sceneloom.pipeline.found_objects:track_objects",
+            "validate": "sceneloom.checks.validation:validate",
+            "write": "sceneloom.formats.table:write_scene",
+            "write_depth_images": "sceneloom.pipeline.depth_images:write_depth_images",
+            "write_trajectory": "sceneloom.formats.trajectories.table:write_trajectory",
+        },
+    )
 
 __all__ = [
     "FusionClient",
@@ -81,54 +125,3 @@ __all__ = [
     "write_depth_images",
     "write_trajectory",
 ]
-
-_ON_FIRST_USE = {
-    "FusionClient": ("sceneloom.service.client", "FusionClient"),
-    "PosePath": ("sceneloom.scene", "PosePath"),
-    "Scene": ("sceneloom.scene", "Scene"),
-    "SceneWriter": ("sceneloom.formats.sfs", "SceneWriter"),
-    "apply_corrections": ("sceneloom.editing", "apply_corrections"),
-    "colour": ("sceneloom.pipeline", "colour"),
-    "compare_detections": ("sceneloom.evaluate.detection", "compare_detections"),
-    "compare_tracks": ("sceneloom.evaluate.tracking", "compare_tracks"),
-    "convert": ("sceneloom.pipeline", "convert"),
-    "count_points": ("sceneloom.visibility", "count_points"),
-    "crop_scene": ("sceneloom.editing", "crop_scene"),
-    "deskew": ("sceneloom.pipeline", "deskew"),
-    "diff": ("sceneloom.editing.differences", "diff_scenes"),
-    "evaluate_trajectory": ("sceneloom.evaluate", "evaluate_trajectory"),
-    "find_ego_motion": ("sceneloom.motion.ego_motion", "find_ego_motion"),
-    "fuse": ("sceneloom.pipeline", "fuse"),
-    "fuse_detections": ("sceneloom.pipeline", "fuse_detections"),
-    "iter_fused": ("sceneloom.pipeline", "iter_fused"),
-    "merge_scenes": ("sceneloom.editing", "merge_scenes"),
-    "open": ("sceneloom.formats.table", "open_scene"),
-    "project_cuboids": ("sceneloom.visibility", "project_cuboids"),
-    "read_trajectory": ("sceneloom.formats.trajectories", "read_trajectory"),
-    "salvage": ("sceneloom.formats.sfs", "salvage"),
-    "simulate_street": ("sceneloom.simulate", "simulate_street"),
-    "sync": ("sceneloom.pipeline", "sync"),
-    "thin_scene": ("sceneloom.editing", "thin_scene"),
-    "to_ego": ("sceneloom.editing", "to_ego"),
-    "to_sensor": ("sceneloom.editing", "to_sensor"),
-    "to_world": ("sceneloom.editing", "to_world"),
-    "track_objects": ("sceneloom.pipeline", "track_objects"),
-    "validate": ("sceneloom.checks", "validate"),
-    "write": ("sceneloom.formats.table", "write_scene"),
-    "write_depth_images": ("sceneloom.pipeline", "write_depth_images"),
-    "write_trajectory": ("sceneloom.formats.trajectories", "write_trajectory"),
-}
-"""Module and name there of everything that is imported when it is first asked for."""
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _ON_FIRST_USE:
-        raise AttributeError(f"module 'sceneloom' has no attribute {name!r}")
-    module, attribute = _ON_FIRST_USE[name]
-    value = getattr(import_module(module), attribute)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return __all__

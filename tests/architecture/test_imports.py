@@ -26,7 +26,7 @@ ROWS = (
     ("scene", "visibility"),
     ("cameras",),
     ("geometry", "kernels"),
-    ("errors", "arrays", "redaction", "stages", "version"),
+    ("errors", "arrays", "lazy", "redaction", "stages", "version"),
 )
 """The house from the roof to the ground. Rooms of one row do not import one another, but for `NEIGHBOURS`."""
 

@@ -3,6 +3,7 @@
 import ast
 import re
 from importlib import import_module
+from importlib.util import find_spec
 
 import pytest
 
@@ -10,18 +11,36 @@ from sceneloom.formats import FORMATS
 from sceneloom.formats.table import format_named
 
 
-def public_bindings(tree: ast.Module) -> set[str]:
-    """Public names that a package binds: imported out of its own rooms, assigned or defined."""
-    names: set[str] = set()
+def names_on_first_use(tree: ast.Module) -> tuple[dict[str, str], dict[str, str]]:
+    """What a package imports when it is first asked for, as type checkers see it, and as its table says it.
+
+    Both give `"module:name"` by the name here.
+    """
+    seen, said = {}, {}
     for node in tree.body:
-        if isinstance(node, ast.ImportFrom) and (node.level or str(node.module).startswith("sceneloom")):
-            names |= {alias.asname or alias.name for alias in node.names}
-        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
-            names.add(node.name)
-        elif isinstance(node, ast.Assign | ast.AnnAssign):
-            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-            names |= {target.id for target in targets if isinstance(target, ast.Name)}
-    return {name for name in names if not name.startswith("_")}
+        if not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"):
+            continue
+        for line in node.body:
+            assert isinstance(line, ast.ImportFrom)
+            seen |= {alias.asname or alias.name: f"{line.module}:{alias.name}" for alias in line.names}
+        for table in (
+            found for line in node.orelse for found in ast.walk(line) if isinstance(found, ast.Dict)
+        ):
+            said |= ast.literal_eval(table)
+    return seen, said
+
+
+def public_bindings(tree: ast.Module) -> set[str]:
+    """Public names that a package offers: imported at once, but for what it needs itself, or on first use."""
+    imports = [
+        node
+        for node in tree.body
+        if isinstance(node, ast.ImportFrom)
+        and str(node.module).startswith("sceneloom")
+        and node.module != "sceneloom.lazy"
+    ]
+    names = {alias.asname or alias.name for node in imports for alias in node.names}
+    return {name for name in names if not name.startswith("_")} | set(names_on_first_use(tree)[0])
 
 
 def offered_names(tree: ast.Module) -> list[str] | None:
@@ -43,12 +62,16 @@ def by_kind_and_name(name: str) -> tuple[int, list[tuple[bool, int, str]]]:
 
 def test_a_package_offers_exactly_what_it_binds(packages_of_room):
     for package in packages_of_room:
-        offered, bound = offered_names(package.tree), public_bindings(package.tree)
-        lazy = {"__getattr__"} <= {n.name for n in package.tree.body if isinstance(n, ast.FunctionDef)}
-        missing = bound - set(offered or ())
-        assert not missing, f"{package.name}.__all__ lacks {sorted(missing)}"
-        ghosts = {name for name in set(offered or ()) - bound if not name.startswith("__")}
-        assert lazy or not ghosts, f"{package.name}.__all__ names {sorted(ghosts)}, which it does not bind"
+        offered, bound = set(offered_names(package.tree) or ()), public_bindings(package.tree)
+        assert {name for name in offered if not name.startswith("__")} == bound, package.name
+
+
+def test_names_on_first_use_are_the_same_for_type_checkers_and_at_run_time(packages_of_room):
+    for package in packages_of_room:
+        seen, said = names_on_first_use(package.tree)
+        assert seen == said, package.name
+        taken = [name for name in said if find_spec(f"{package.name}.{name}")]
+        assert not taken, f"{package.name}: modules have these names, and would take their places: {taken}"
 
 
 def test_every_offered_name_exists(packages_of_room):
@@ -67,12 +90,14 @@ def test_offered_names_are_in_order(packages_of_room):
 
 
 def test_a_package_has_only_a_docstring_imports_and_its_names(packages_of_room):
+    allowed = (ast.Import, ast.ImportFrom, ast.Assign, ast.Expr)
     for package in packages_of_room:
-        allowed: tuple[type[ast.stmt], ...] = (ast.Import, ast.ImportFrom, ast.Assign, ast.Expr)
-        lazy = {"sceneloom", "sceneloom.pipeline", "sceneloom.catalog", "sceneloom.formats.recording"}
-        if package.name in lazy:  # they fetch their heavier names on first use
-            allowed = (*allowed, ast.FunctionDef, ast.If)
-        strange = [f"line {node.lineno}" for node in package.tree.body if not isinstance(node, allowed)]
+        lazy = bool(names_on_first_use(package.tree)[0])
+        strange = [
+            f"line {node.lineno}"
+            for node in package.tree.body
+            if not isinstance(node, (*allowed, ast.If) if lazy else allowed)
+        ]
         assert not strange, f"{package.name} defines things in its __init__: {strange}"
 
 

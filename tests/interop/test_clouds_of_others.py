@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds import read_cloud
+from sceneloom.formats.clouds.table import read_cloud
 from sceneloom.formats.table import open_scene, write_scene
 from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, Scene
 

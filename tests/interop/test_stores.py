@@ -21,7 +21,9 @@ import sceneloom
 from sceneloom.batch import Input, Job, run
 from sceneloom.batch.outputs import claimed
 from sceneloom.errors import DataError, OutputError
-from sceneloom.formats.remote import MARKER, find_urls, stores, upload
+from sceneloom.formats.remote import stores
+from sceneloom.formats.remote.fetching import find_urls
+from sceneloom.formats.remote.uploads import MARKER, upload
 
 MOTO = """
 from moto.server import ThreadedMotoServer

@@ -21,7 +21,8 @@ import numpy as np
 
 with atheris.instrument_imports(include=["sceneloom.formats.sfs", "sceneloom.scene"]):
     from sceneloom.errors import SceneloomError
-    from sceneloom.formats.sfs import FORMAT, salvage
+    from sceneloom.formats.sfs.form import FORMAT
+    from sceneloom.formats.sfs.salvaging import salvage
 
 LONGEST = 1 << 14
 STRANGE = [

@@ -13,7 +13,8 @@ from sceneloom.formats.kitti.oxts import read_oxts
 from sceneloom.formats.ledger import Ledger
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detections.files import read_fused
-from sceneloom.pipeline.detections.lists import ListContext, read_boxes_2d, read_boxes_3d
+from sceneloom.pipeline.detections.lists.context import ListContext
+from sceneloom.pipeline.detections.lists.table import read_boxes_2d, read_boxes_3d
 from sceneloom.scene import PosePath
 from sceneloom.scene.pose_source import PoseSource
 

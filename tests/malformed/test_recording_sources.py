@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sceneloom.errors import SceneloomError
-from sceneloom.formats.recording import FORMAT
+from sceneloom.formats.recording.form import FORMAT
 from sceneloom.formats.recording.vio_config import read_vio_config, repeated_keys, unknown_keys
 
 LINES = [

@@ -9,8 +9,9 @@ import pytest
 import simplejpeg
 
 from sceneloom.errors import SceneloomError
-from sceneloom.formats.sfs import FORMAT, write_scene
-from sceneloom.formats.video import encode_to_mp4
+from sceneloom.formats.sfs.form import FORMAT
+from sceneloom.formats.sfs.writing import write_scene
+from sceneloom.formats.video.remux import encode_to_mp4
 
 TWO = np.array([[1, 2, 3], [4, 5, 6]], np.float32)
 POSES = {"timestamps": [0, 100], "values": [[1, 2, 3, 0, 0, 0, 1], [1, 2, 3, 0, 0, 0.6, 0.8]]}

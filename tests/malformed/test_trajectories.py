@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sceneloom.errors import SceneloomError
-from sceneloom.formats.trajectories import TRAJECTORY_FORMS, read_trajectory_file, write_trajectory
+from sceneloom.formats.trajectories.table import TRAJECTORY_FORMS, read_trajectory_file, write_trajectory
 from sceneloom.scene import Trajectory
 
 FORMS = sorted(TRAJECTORY_FORMS)

@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError, OptionError, OutputError, SceneloomError
-from sceneloom.formats.video import PngFolder, VideoWriter, open_video, remux_to_mp4
+from sceneloom.formats.video.png_folder import PngFolder
+from sceneloom.formats.video.reader import open_video
+from sceneloom.formats.video.remux import remux_to_mp4
+from sceneloom.formats.video.writer import VideoWriter
 
 COUNT = 12
 

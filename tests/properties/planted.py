@@ -183,7 +183,7 @@ def jpeg(k):
 @cache
 def video():
     """An H.264 video of the pictures."""
-    from sceneloom.formats.video import VideoWriter
+    from sceneloom.formats.video.writer import VideoWriter
 
     file = io.BytesIO()
     with VideoWriter(file, 64, 48, 10.0, container="mp4") as writer:
@@ -197,7 +197,7 @@ def read_back(content):
 
 
 def decoded_video(k):
-    from sceneloom.formats.video import VideoReader
+    from sceneloom.formats.video.reader import VideoReader
 
     with VideoReader(video()) as reader:
         return reader.rgb(k)

@@ -14,7 +14,7 @@ from sceneloom.errors import OptionError
 from sceneloom.fusion.algorithms import algorithm
 from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.messages import Boxes2d, Boxes3d, CalibrationData, ImageData, PointCloudData, Timestamp
-from sceneloom.fusion.properties import PREDEFINED
+from sceneloom.fusion.properties.predefined import PREDEFINED
 from sceneloom.scene.poses import PosePath
 
 MS = 1_000_000

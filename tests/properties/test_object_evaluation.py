@@ -7,7 +7,8 @@ from hypothesis.extra.numpy import arrays
 
 from sceneloom.evaluate.objects import ObjectTable
 from sceneloom.evaluate.overlaps import FramePairs, Similarity, similarities
-from sceneloom.evaluate.tracking import TrackingRules, score_sequence
+from sceneloom.evaluate.tracking.evaluation import score_sequence
+from sceneloom.evaluate.tracking.protocol import TrackingRules
 
 NUMBERS = st.floats(-10, 10)
 SIZES = st.floats(0.01, 8)

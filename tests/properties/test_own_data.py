@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy.spatial.transform import Rotation
 
-from sceneloom.formats.clouds import parse_layout, read_cloud
-from sceneloom.formats.clouds.layout import TYPES
+from sceneloom.formats.clouds.layout import TYPES, parse_layout
+from sceneloom.formats.clouds.table import read_cloud
 from sceneloom.formats.rig.stamps import NamePattern, parse_stamp
 from sceneloom.formats.rig.transforms import Edge, FrameTree
 from sceneloom.geometry.rigid import RigidTransform

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.formats.sfs import FORMAT, write_scene
 from sceneloom.formats.sfs.distortion import COEFFICIENT_COUNTS
+from sceneloom.formats.sfs.form import FORMAT
+from sceneloom.formats.sfs.writing import write_scene
 from sceneloom.scene import (
     Activation,
     AttributePath,

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sceneloom.formats.recording import FORMAT
-from sceneloom.motion.clock import ClockVerdict, gyroscope_against_trajectory
+from sceneloom.formats.recording.form import FORMAT
+from sceneloom.motion.clock.estimate import ClockVerdict
+from sceneloom.motion.clock.scene_clocks import gyroscope_against_trajectory
 from sceneloom.pipeline import sync
 
 

@@ -7,8 +7,9 @@ import pytest
 
 from sceneloom.cli import main
 from sceneloom.detections.settings import ProjectionSettings
-from sceneloom.formats.kitti import open_tracking_folder, read_labels, write_labels
 from sceneloom.formats.kitti.camera_boxes import lidar_boxes
+from sceneloom.formats.kitti.labels import read_labels, write_labels
+from sceneloom.formats.kitti.tracking_folder import open_tracking_folder
 from sceneloom.formats.rig.csv_files import read_table
 from sceneloom.fusion import FusionConfiguration
 from sceneloom.geometry.rigid import RigidTransform

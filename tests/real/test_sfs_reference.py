@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from sceneloom.formats.sfs import FORMAT, write_scene
+from sceneloom.formats.sfs.form import FORMAT
+from sceneloom.formats.sfs.writing import write_scene
 from sceneloom.scene import CuboidAnnotation
 
 

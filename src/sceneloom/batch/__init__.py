@@ -1,6 +1,32 @@
 """Many drives: one verb over all of them, with a record of the run that can be taken up again."""
 
-from sceneloom.batch.jobs import Input, Job, Outcome, State, Task
-from sceneloom.batch.running import RunSummary, run
+from typing import TYPE_CHECKING
 
-__all__ = ["Input", "Job", "Outcome", "RunSummary", "State", "Task", "run"]
+from sceneloom.lazy import names_on_first_use
+
+if TYPE_CHECKING:
+    from sceneloom.batch.jobs import Input, Job, Outcome, State, Task
+    from sceneloom.batch.running import RunSummary, run
+else:
+    __getattr__, __dir__ = names_on_first_use(
+        __name__,
+        {
+            "Input": "sceneloom.batch.jobs:Input",
+            "Job": "sceneloom.batch.jobs:Job",
+            "Outcome": "sceneloom.batch.jobs:Outcome",
+            "RunSummary": "sceneloom.batch.running:RunSummary",
+            "State": "sceneloom.batch.jobs:State",
+            "Task": "sceneloom.batch.jobs:Task",
+            "run": "sceneloom.batch.running:run",
+        },
+    )
+
+__all__ = [
+    "Input",
+    "Job",
+    "Outcome",
+    "RunSummary",
+    "State",
+    "Task",
+    "run",
+]

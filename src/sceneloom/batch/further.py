@@ -66,7 +66,7 @@ class Places:
             return Path(place).exists()
         folder, _, name = place.rstrip("/").rpartition("/")
         if folder not in self._names:
-            from sceneloom.formats.remote import names_below
+            from sceneloom.formats.remote.fetching import names_below
 
             self._names[folder] = frozenset(names_below(folder))
         return unquote(name) in self._names[folder]
@@ -93,7 +93,7 @@ def bring(draft: Path, places: Mapping[str, str]) -> None:
         if not made.exists():
             continue
         if is_url(places[option]):
-            from sceneloom.formats.remote import upload
+            from sceneloom.formats.remote.uploads import upload
 
             upload(made, places[option])
         else:

@@ -105,7 +105,7 @@ def _urls(text: str) -> list[str]:
     """A URL, or those that fit a pattern; web servers list nothing, and have wild signs in their queries."""
     if not _WILD.intersection(text.partition("?")[0]) or text.lower().startswith(("http:", "https:")):
         return [text]
-    from sceneloom.formats.remote import find_urls
+    from sceneloom.formats.remote.fetching import find_urls
 
     found = find_urls(text)
     if not found:

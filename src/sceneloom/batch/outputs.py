@@ -150,7 +150,8 @@ def claimed(url: str, *, run: str, record: Path) -> StoreOutputs:
         OutputError: the outputs of another run lie there, or the store cannot be written to.
         MissingExtraError: what writes to such addresses is not installed.
     """
-    from sceneloom.formats.remote import check_remote_output, names_below, put_first
+    from sceneloom.formats.remote.fetching import names_below
+    from sceneloom.formats.remote.uploads import check_remote_output, put_first
 
     place = f"{url.rstrip('/')}/{CLAIM}"
     check_remote_output(place, overwrite=True)
@@ -194,7 +195,7 @@ def send(draft: Path, target: str) -> None:
     Raises:
         OutputError: the store cannot be written to.
     """
-    from sceneloom.formats.remote import upload
+    from sceneloom.formats.remote.uploads import upload
 
     for made in _own_last(draft):
         upload(made, f"{target.rstrip('/')}/{made.name}")

@@ -25,19 +25,12 @@ from sceneloom.formats.files import read_settings
 from sceneloom.geometry.euler import AngleUnit, rotation_from_cuboid_angles
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import matrix_from_quaternion, nearest_rotation
-from sceneloom.scene import (
-    CameraSensor,
-    GnssSensor,
-    Identifier,
-    ImuSensor,
-    LidarSensor,
-    Notice,
-    PointsFrame,
-    RadarSensor,
-    Scene,
-    Sensor,
-)
-from sceneloom.scene.types import Progress
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor
+from sceneloom.scene.notices import Notice
+from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.types import Identifier, PointsFrame, Progress
 
 MOST_FRAMES = 8
 """Images by which each extrinsic is judged."""

@@ -13,15 +13,16 @@ from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.deskew import BodyKnots
 from sceneloom.motion.ego_motion import find_ego_motion
-from sceneloom.scene import CameraSensor, Identifier, LidarFrame, LidarSensor, PointsFrame, Scene
-from sceneloom.scene.cameras import Picture
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.sample import Sample
 from sceneloom.scene.sample_places import WORLD, choose_ego
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import needs_ego, points_source, sensor_source
 from sceneloom.scene.span import scene_period_ns
-from sceneloom.scene.types import key_of
+from sceneloom.scene.types import Identifier, PointsFrame, key_of
 
 MOST = 20
 """Frames that are taken from a drive unless more are asked for."""

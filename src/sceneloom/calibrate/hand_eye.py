@@ -30,7 +30,7 @@ from sceneloom.geometry.rotations import (
     rotate_vectors,
     rotation_vector_from_quaternion,
 )
-from sceneloom.scene import PosePath
+from sceneloom.scene.poses import PosePath
 
 LEAST_MOTIONS = 6
 _LAGS = (0.5, 1.0, 2.0, 4.0, 8.0)

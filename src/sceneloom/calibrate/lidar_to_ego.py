@@ -9,14 +9,18 @@ from sceneloom.calibrate.frames import chosen_lidar
 from sceneloom.calibrate.hand_eye import HandEye, align_motions, paired_motions
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.clock import ClockEstimate, ClockVerdict, Turning, compare_turnings
+from sceneloom.motion.clock.estimate import ClockEstimate, ClockVerdict
+from sceneloom.motion.clock.turning import Turning
+from sceneloom.motion.clock.turning_clock import compare_turnings
 from sceneloom.motion.ego_motion import find_ego_motion
 from sceneloom.motion.gnss_receivers import gnss_receivers
-from sceneloom.motion.odometry import lidar_odometry
+from sceneloom.motion.odometry.run import lidar_odometry
 from sceneloom.motion.trajectories import LIDAR
-from sceneloom.scene import Identifier, LidarSensor, PointsFrame, PosePath, Scene
+from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.types import Progress
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier, PointsFrame, Progress
 
 _GREATEST_OFFSET_NS = 1_000_000_000
 """Clocks of one drive are not farther apart than this [ns]."""

@@ -13,11 +13,13 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import quaternion_from_rotation_vector, rotation_vector_from_quaternion
 from sceneloom.motion.cloud_registration import CloudFit, PreparedCloud, fit_cloud
 from sceneloom.motion.deskew import BodyKnots
-from sceneloom.scene import Identifier, LidarFrame, LidarSensor, PointsFrame, PosePath, Scene
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath
 from sceneloom.scene.sample_places import choose_ego
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import scene_period_ns
-from sceneloom.scene.types import Progress, key_of
+from sceneloom.scene.types import Identifier, PointsFrame, Progress, key_of
 
 MOST = 20
 _REACHES = (2.0, 1.0, 0.5)

@@ -3,8 +3,9 @@
 Every name is imported when it is first used: a query needs nothing of what reads drives, which takes long to import.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
     from sceneloom.catalog.asking import query
@@ -15,6 +16,31 @@ if TYPE_CHECKING:
     from sceneloom.catalog.running import Failure
     from sceneloom.catalog.selection import SHOWN, Selection, sql_of
     from sceneloom.catalog.tables import TABLES, Column, Kind
+else:
+    __getattr__, __dir__ = names_on_first_use(
+        __name__,
+        {
+            "SHOWN": "sceneloom.catalog.selection:SHOWN",
+            "TABLES": "sceneloom.catalog.tables:TABLES",
+            "CatalogReport": "sceneloom.catalog.building:CatalogReport",
+            "Checks": "sceneloom.catalog.drives:Checks",
+            "Column": "sceneloom.catalog.tables:Column",
+            "Database": "sceneloom.catalog.database:Database",
+            "Drive": "sceneloom.catalog.drives:Drive",
+            "Failure": "sceneloom.catalog.running:Failure",
+            "Kind": "sceneloom.catalog.tables:Kind",
+            "Result": "sceneloom.catalog.database:Result",
+            "Selection": "sceneloom.catalog.selection:Selection",
+            "build": "sceneloom.catalog.building:build",
+            "format_csv": "sceneloom.catalog.results:format_csv",
+            "iter_list": "sceneloom.catalog.results:iter_list",
+            "opened": "sceneloom.catalog.database:opened",
+            "query": "sceneloom.catalog.asking:query",
+            "records": "sceneloom.catalog.results:records",
+            "sql_of": "sceneloom.catalog.selection:sql_of",
+            "update": "sceneloom.catalog.building:update",
+        },
+    )
 
 __all__ = [
     "SHOWN",
@@ -37,34 +63,3 @@ __all__ = [
     "sql_of",
     "update",
 ]
-
-_ON_FIRST_USE = {
-    "SHOWN": "selection",
-    "TABLES": "tables",
-    "CatalogReport": "building",
-    "Checks": "drives",
-    "Column": "tables",
-    "Database": "database",
-    "Drive": "drives",
-    "Failure": "running",
-    "Kind": "tables",
-    "Result": "database",
-    "Selection": "selection",
-    "build": "building",
-    "format_csv": "results",
-    "iter_list": "results",
-    "opened": "database",
-    "query": "asking",
-    "records": "results",
-    "sql_of": "selection",
-    "update": "building",
-}
-"""The module of everything that is imported when it is first asked for."""
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _ON_FIRST_USE:
-        raise AttributeError(f"module 'sceneloom.catalog' has no attribute {name!r}")
-    value = getattr(import_module(f"sceneloom.catalog.{_ON_FIRST_USE[name]}"), name)
-    globals()[name] = value
-    return value

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from sceneloom.catalog.values import Rows, text_of
-from sceneloom.scene import AttributePath, Scene
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.scene import Scene
 
 _Row = tuple[str, int, str | None, str, str, float, int | None, int | None]
 _NAMES = ("owner", "track", "sensor", "name", "value", "number", "start_ns", "stop_ns")

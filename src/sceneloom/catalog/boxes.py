@@ -10,12 +10,14 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.catalog.ego import Ego
 from sceneloom.catalog.values import Repeated, Rows, text_of
 from sceneloom.geometry.rotations import rotate_vectors
-from sceneloom.scene import Box2DAnnotation, Coordinates, CuboidAnnotation, Scene
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
 from sceneloom.scene.annotations_frame import annotations_frame
 from sceneloom.scene.at import box_2d_at, cuboid_poses
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import frame_times
-from sceneloom.scene.types import key_of
+from sceneloom.scene.types import Coordinates, key_of
 
 _NOT_3D = np.full(8, np.nan)
 _NOT_2D = np.full(4, np.nan)

@@ -11,13 +11,14 @@ from typing import Any
 from sceneloom.catalog.drafts import write_draft
 from sceneloom.catalog.layout import VERSION, scene_name
 from sceneloom.catalog.rows import scene_rows
-from sceneloom.checks import validate
+from sceneloom.checks.validation import validate
 from sceneloom.errors import DataError, OptionError, SceneloomError
-from sceneloom.formats import open_scene, size_on_disk
 from sceneloom.formats.drives import drives_of
 from sceneloom.formats.fingerprints import fingerprint
+from sceneloom.formats.size import size_on_disk
+from sceneloom.formats.table import open_scene
 from sceneloom.formats.urls import is_url, path_or_url
-from sceneloom.scene import Finding
+from sceneloom.scene.findings import Finding
 from sceneloom.version import __version__
 
 

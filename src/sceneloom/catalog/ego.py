@@ -8,8 +8,10 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, geodetic_from_enu
 from sceneloom.motion.gnss_receivers import usable_places
-from sceneloom.scene import Coordinates, GnssSensor, OdometrySensor, Scene
 from sceneloom.scene.ego import stated_origin
+from sceneloom.scene.motion import GnssSensor, OdometrySensor
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Coordinates
 
 WINDOW_NS = 500_000_000
 """Speeds are those over so long, so that the noise of poses does not count as motion."""

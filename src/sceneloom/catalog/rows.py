@@ -11,19 +11,14 @@ from sceneloom.catalog.attributes import attribute_rows
 from sceneloom.catalog.boxes import annotation_rows, box_rows, distances, track_rows
 from sceneloom.catalog.ego import Ego
 from sceneloom.catalog.values import Repeated, Rows, text_of
-from sceneloom.scene import (
-    Box2DAnnotation,
-    CameraSensor,
-    CuboidAnnotation,
-    DepthCameraSensor,
-    Finding,
-    GnssSensor,
-    LidarSensor,
-    OdometrySensor,
-    RadarSensor,
-    Scene,
-    Sensor,
-)
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.findings import Finding
+from sceneloom.scene.motion import GnssSensor, OdometrySensor
+from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.span import frame_times, usual_period_ns
 from sceneloom.scene.summary import SensorSummary, summarise
 

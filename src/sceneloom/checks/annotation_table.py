@@ -10,18 +10,14 @@ import numpy as np
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array
 from sceneloom.checks.rule import Hit
 from sceneloom.checks.subject import Subject
-from sceneloom.scene import (
-    Annotation,
-    Box2DAnnotation,
-    CameraCalibration,
-    CameraSensor,
-    CuboidAnnotation,
-    Identifier,
-    LocalizationAdjustment,
-    PointsAnnotation,
-    ShapeAnnotation,
-)
-from sceneloom.scene.types import key_of
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.annotations.keypoints import PointsAnnotation
+from sceneloom.scene.annotations.shapes import ShapeAnnotation
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.types import Identifier, key_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,15 +17,13 @@ from sceneloom.checks.annotation_table import (
 from sceneloom.checks.mending import mended_annotations
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
-from sceneloom.scene import (
-    AttributePath,
-    CuboidAnnotation,
-    EventAnnotation,
-    PointsAnnotation,
-    PosePath,
-    Scene,
-    Severity,
-)
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.annotations.keypoints import PointsAnnotation
+from sceneloom.scene.annotations.relations import EventAnnotation
+from sceneloom.scene.findings import Severity
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import scene_period_ns, time_span
 
 _LEAST_TOLERANCE_NS = 1_000_000

@@ -8,7 +8,9 @@ from sceneloom.arrays import read_only
 from sceneloom.checks.mending import mended_annotations
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
-from sceneloom.scene import AttributePath, Scene, Severity
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.findings import Severity
+from sceneloom.scene.scene import Scene
 
 
 class Said(NamedTuple):

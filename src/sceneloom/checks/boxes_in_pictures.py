@@ -15,7 +15,7 @@ from sceneloom.checks.annotation_table import (
 )
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
-from sceneloom.scene import Severity
+from sceneloom.scene.findings import Severity
 
 _SLACK_PX = 1.0
 """A box may end this far outside the picture: some count pixels from 1, or to the last one's centre."""

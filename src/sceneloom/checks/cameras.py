@@ -3,12 +3,15 @@
 from collections.abc import Callable, Iterator
 from typing import BinaryIO
 
-from sceneloom.cameras import MODELS
+from sceneloom.cameras.table import MODELS
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.sensor_times import stamps_of
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.errors import DataError
-from sceneloom.scene import CameraSensor, DepthCameraSensor, Scene, Severity
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.findings import Severity
+from sceneloom.scene.scene import Scene
 
 _SHORTEST, _LONGEST = 0.05, 30.0
 """Focal lengths outside these parts of the picture's longer side [1] belong to no lens: 30 sees two degrees."""
@@ -90,7 +93,7 @@ def _pictures_in(open_video: Callable[[], BinaryIO]) -> int:
     Raises:
         DataError: it is no video, or broken.
     """
-    from sceneloom.formats.video import VideoReader
+    from sceneloom.formats.video.reader import VideoReader
 
     with VideoReader(open_video, name="video") as reader:
         return reader.count

@@ -7,8 +7,8 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array, UInt8Array
 from sceneloom.checks.subject import FrameInHand, Subject
-from sceneloom.scene import Identifier, LidarFrame, LidarPoints, RadarFrame, RadarPoints
-from sceneloom.scene.types import key_of
+from sceneloom.scene.clouds import LidarFrame, LidarPoints, RadarFrame, RadarPoints
+from sceneloom.scene.types import Identifier, key_of
 
 FAR_M = 10_000.0
 """Beyond it float32 is coarser than a millimetre."""

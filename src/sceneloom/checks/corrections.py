@@ -6,18 +6,12 @@ from dataclasses import replace
 
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
-from sceneloom.scene import (
-    CameraCalibration,
-    CameraSensor,
-    Identifier,
-    LidarSensor,
-    LocalizationAdjustment,
-    RadarSensor,
-    Severity,
-)
-from sceneloom.scene.annotations.corrections import effect_of
+from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment, effect_of
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.findings import Severity
 from sceneloom.scene.span import scene_period_ns, time_span
-from sceneloom.scene.types import key_of
+from sceneloom.scene.types import Identifier, key_of
 
 
 def _adjustments(subject: Subject) -> list[tuple[str, LocalizationAdjustment]]:

@@ -16,8 +16,11 @@ from sceneloom.checks.point_places import point_places, transform_at
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.geometry.euler import ORDERS, AngleUnit, rotation_from_cuboid_angles
-from sceneloom.scene import LidarFrame, LidarSensor, NoticeKind, Scene, Severity
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
+from sceneloom.scene.findings import Severity
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.scene import Scene
 
 _LEAST_STEP_M, _LEAST_SPEED = 0.5, 2.0
 """Steps that are shorter or slower show no direction [m], [m/s]."""

@@ -12,7 +12,10 @@ from sceneloom.checks.mending import mended_annotations
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.geometry.euler import AngleUnit
-from sceneloom.scene import Annotation, CuboidAnnotation, Scene, Severity
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.findings import Severity
+from sceneloom.scene.scene import Scene
 
 _LARGEST_M = 100.0
 """Beyond it even trams and ferries end; a building that long deserves a look."""

@@ -8,7 +8,7 @@ from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.sfs.container import format_keys
 from sceneloom.formats.sfs.fields import RECORDS, annotation_record, sensor_record
-from sceneloom.scene import Severity
+from sceneloom.scene.findings import Severity
 
 _ALIKE = 0.8
 """How like a known name an unknown one has to be, to be taken for it."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from sceneloom.checks.rule import Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.checks.walk import Hits, find_all
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 _MOST_ROUNDS = 8
 """A fix may bring to light what another mends; none needs more rounds than there are such steps."""

@@ -11,20 +11,12 @@ from sceneloom.arrays import read_only
 from sceneloom.checks.mending import mended_annotations
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
-from sceneloom.scene import (
-    Annotation,
-    Identifier,
-    LabeledPoints,
-    LabeledPointsAnnotation,
-    LidarFrame,
-    LidarSensor,
-    PointsSensor,
-    RadarFrame,
-    RadarSensor,
-    Scene,
-    Severity,
-)
-from sceneloom.scene.types import key_of
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.labelled_points import LabeledPoints, LabeledPointsAnnotation
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor, RadarFrame, RadarSensor
+from sceneloom.scene.findings import Severity
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier, key_of
 
 
 class Entry(NamedTuple):

@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-from sceneloom.scene import Annotation, Scene
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.scene import Scene
 
 
 def mended_annotations(scene: Scene, mend: Callable[[Annotation], Annotation]) -> Scene:

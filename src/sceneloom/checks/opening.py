@@ -10,11 +10,11 @@ from sceneloom.errors import DataError
 from sceneloom.formats.faults import PlacedFault
 from sceneloom.formats.recording.examination import RecordingExamination
 from sceneloom.formats.recording.form import RecordingFormat
-from sceneloom.formats.sfs import SfsFormat
 from sceneloom.formats.sfs.faults import Examination
+from sceneloom.formats.sfs.form import SfsFormat
 from sceneloom.formats.table import Format, chosen_corrections, format_and_place, opened_by, part_of
 from sceneloom.redaction import redacted
-from sceneloom.scene import Corrections, Scene
+from sceneloom.scene.scene import Corrections, Scene
 
 
 def open_subject(

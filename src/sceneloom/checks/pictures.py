@@ -9,8 +9,9 @@ import numpy as np
 from sceneloom.arrays import UInt8Array
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
-from sceneloom.scene import CameraSensor, Identifier, Picture, Severity
-from sceneloom.scene.types import key_of
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.findings import Severity
+from sceneloom.scene.types import Identifier, key_of
 
 _STEP_PX = 8
 """Every eighth row and column tells whether a picture is of one colour."""

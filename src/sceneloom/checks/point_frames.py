@@ -16,16 +16,9 @@ from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.checks.point_places import places_at, point_places, sensor_place, transform_at
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
-from sceneloom.scene import (
-    Identifier,
-    LidarFrame,
-    LidarSensor,
-    PointsFrame,
-    RadarFrame,
-    RadarSensor,
-    Severity,
-)
-from sceneloom.scene.types import key_of
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
+from sceneloom.scene.findings import Severity
+from sceneloom.scene.types import Identifier, PointsFrame, key_of
 
 _LOOKED_AT = 4
 """So many frames of a sensor are looked at, spread over the drive, and one more for each to compare it with."""

@@ -10,11 +10,14 @@ from sceneloom.arrays import Float64Array
 from sceneloom.checks.subject import Subject
 from sceneloom.errors import SceneloomError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import LidarSensor, PointsFrame, PosePath, RadarSensor, Scene
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import points_source, sensor_source
 from sceneloom.scene.span import scene_period_ns
+from sceneloom.scene.types import PointsFrame
 
 Ranging = LidarSensor | RadarSensor
 

@@ -12,7 +12,8 @@ from sceneloom.checks.sightings import note_sighting, sightings_of
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.formats.sfs.container import RawBytes
 from sceneloom.formats.sfs.times import READABLE_TICKS_NS, UINT32_MAX, FileClock, point_times_dtype
-from sceneloom.scene import LidarFrame, LidarSensor, RadarFrame, RadarSensor, Severity
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
+from sceneloom.scene.findings import Severity
 from sceneloom.scene.point_times import PointTimes, RawTimes, timed_frame
 
 _WRAP_NS = (UINT32_MAX + 1) * 1_000

@@ -8,7 +8,8 @@ from sceneloom.arrays import Float32Array
 from sceneloom.checks.cloud_facts import FAR_M, SensorFacts, cloud_facts, sensor_facts
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
-from sceneloom.scene import LidarFrame, PointsSensor, RadarFrame, Severity
+from sceneloom.scene.clouds import LidarFrame, PointsSensor, RadarFrame
+from sceneloom.scene.findings import Severity
 
 _ORIGIN_SHARE = 0.05
 _ENOUGH_POINTS = 100

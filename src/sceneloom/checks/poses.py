@@ -9,19 +9,15 @@ from sceneloom.checks.rule import Hit, Rule, unless_recording
 from sceneloom.checks.sensor_times import frames_path, period_ns, seconds, stamps_of
 from sceneloom.checks.subject import Subject
 from sceneloom.geometry.rotations import angle_between
-from sceneloom.scene import (
-    CameraSensor,
-    Coordinates,
-    DepthCameraSensor,
-    LidarSensor,
-    OdometrySensor,
-    PosePath,
-    RadarSensor,
-    Sensor,
-    Severity,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.findings import Severity
+from sceneloom.scene.motion import OdometrySensor
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Sensor
 from sceneloom.scene.sensor_sources import is_on_ego
-from sceneloom.scene.types import key_of
+from sceneloom.scene.types import Coordinates, key_of
 
 FASTEST = 150.0
 """Nothing that carries sensors on the ground is faster [m/s]."""

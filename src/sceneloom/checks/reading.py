@@ -5,7 +5,9 @@ from collections.abc import Callable, Iterator
 from sceneloom.checks.rule import Find, Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.formats.faults import PlacedFault
-from sceneloom.scene import NoticeKind, Scene, Severity
+from sceneloom.scene.findings import Severity
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.scene import Scene
 
 _TOLD_BY_RULES_OF_RECORDINGS = frozenset(
     {

@@ -9,31 +9,22 @@ from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.sensors import nearest
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.sfs.fields import ANNOTATION_RECORDS
-from sceneloom.scene import (
-    Activation,
-    Annotation,
-    AttributePath,
-    Box2DAnnotation,
-    CameraCalibration,
-    CameraSensor,
-    CuboidAnnotation,
-    GroupAnnotation,
-    Identifier,
-    LabeledPoints,
-    LidarSensor,
-    LinkAnnotation,
-    ObjectAnnotation,
-    PlainAnnotation,
-    PlainSensor,
-    PointProjection,
-    PointsAnnotation,
-    PointsSensor,
-    Projection,
-    RadarSensor,
-    Sensor,
-    Severity,
-    ShapeAnnotation,
-)
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.corrections import CameraCalibration
+from sceneloom.scene.annotations.cuboids import Activation, CuboidAnnotation, Projection
+from sceneloom.scene.annotations.keypoints import PointProjection, PointsAnnotation
+from sceneloom.scene.annotations.labelled_points import LabeledPoints
+from sceneloom.scene.annotations.plain import PlainAnnotation
+from sceneloom.scene.annotations.relations import GroupAnnotation, LinkAnnotation, ObjectAnnotation
+from sceneloom.scene.annotations.shapes import ShapeAnnotation
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
+from sceneloom.scene.findings import Severity
+from sceneloom.scene.plain import PlainSensor
+from sceneloom.scene.scene import Sensor
+from sceneloom.scene.types import Identifier
 
 Key = tuple[type, Identifier]
 

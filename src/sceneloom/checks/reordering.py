@@ -7,15 +7,11 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Int64Array
-from sceneloom.scene import (
-    CameraSensor,
-    DepthCameraSensor,
-    LazyFrames,
-    LidarSensor,
-    RadarSensor,
-    Scene,
-    Sensor,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.scene import Scene, Sensor
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ import msgspec
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.walk import Hits
 from sceneloom.formats.loss import Loss
-from sceneloom.scene import Finding, Severity
+from sceneloom.scene.findings import Finding, Severity
 
 PLACES = 20
 """So many places of one rule are told singly unless the caller wants all."""

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from sceneloom.checks.subject import FrameInHand, Subject
-from sceneloom.scene import Scene, Severity
+from sceneloom.scene.findings import Severity
+from sceneloom.scene.scene import Scene
 
 
 @dataclass(frozen=True, slots=True)

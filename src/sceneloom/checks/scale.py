@@ -22,7 +22,7 @@ from sceneloom.formats.sfs.scale_library import (
     record_faults,
     time_fault,
 )
-from sceneloom.scene import Severity
+from sceneloom.scene.findings import Severity
 
 Located = tuple[Place, Any]
 

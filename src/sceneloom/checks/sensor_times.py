@@ -3,7 +3,10 @@
 import numpy as np
 
 from sceneloom.arrays import Int64Array
-from sceneloom.scene import CameraSensor, DepthCameraSensor, LidarSensor, RadarSensor, Sensor
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.scene import Sensor
 from sceneloom.scene.span import NOMINAL_PERIOD_NS
 
 

@@ -10,20 +10,14 @@ from sceneloom.checks.annotation_table import sensor_mentions
 from sceneloom.checks.rule import Hit, Rule, unless_recording
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.sfs.fields import SENSOR_RECORDS
-from sceneloom.scene import (
-    CameraSensor,
-    DepthCameraSensor,
-    GnssSensor,
-    Identifier,
-    ImuSensor,
-    LidarSensor,
-    PlainSensor,
-    PointsSensor,
-    RadarSensor,
-    Sensor,
-    Severity,
-)
-from sceneloom.scene.types import key_of
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.findings import Severity
+from sceneloom.scene.motion import GnssSensor, ImuSensor
+from sceneloom.scene.plain import PlainSensor
+from sceneloom.scene.scene import Sensor
+from sceneloom.scene.types import Identifier, key_of
 
 Key = tuple[type, Identifier]
 

@@ -8,7 +8,9 @@ from sceneloom.arrays import Float64Array
 from sceneloom.checks.annotation_table import point_paths
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
-from sceneloom.scene import PointsAnnotation, Severity, ShapeAnnotation, ShapeType
+from sceneloom.scene.annotations.keypoints import PointsAnnotation
+from sceneloom.scene.annotations.shapes import ShapeAnnotation, ShapeType
+from sceneloom.scene.findings import Severity
 from sceneloom.scene.types import key_of
 
 _AREAS = (ShapeType.POLYGON, ShapeType.POLYGON_2D, ShapeType.POLYGON_TOPDOWN)

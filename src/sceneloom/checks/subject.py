@@ -8,19 +8,13 @@ from typing import Any, TypeVar, cast
 from sceneloom.arrays import AnyArray
 from sceneloom.formats.faults import PlacedFault
 from sceneloom.formats.recording.further_contents import RecordingContents
-from sceneloom.scene import (
-    Annotation,
-    CameraSensor,
-    DepthFrame,
-    Identifier,
-    LidarFrame,
-    Notice,
-    Picture,
-    RadarFrame,
-    Scene,
-    Sensor,
-)
-from sceneloom.scene.types import key_of
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.clouds import LidarFrame, RadarFrame
+from sceneloom.scene.depth import DepthFrame
+from sceneloom.scene.notices import Notice
+from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.types import Identifier, key_of
 
 Table = TypeVar("Table")
 

@@ -19,8 +19,9 @@ from sceneloom.errors import SceneloomError
 from sceneloom.geometry.euler import rotation_from_cuboid_angles
 from sceneloom.geometry.rotations import rotate_vectors
 from sceneloom.kernels.points_in_boxes import find_points_in_boxes
-from sceneloom.scene import LidarFrame, LidarSensor, Severity
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
+from sceneloom.scene.findings import Severity
 from sceneloom.scene.sample_places import choose_ego, places_of
 
 _MOST_PICTURES = 2_000

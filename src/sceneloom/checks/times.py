@@ -10,7 +10,10 @@ from sceneloom.checks.rule import Find, Hit, Rule, unless_recording
 from sceneloom.checks.sensor_times import frames_path, period_ns, seconds, stamps_of
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.sfs.times import chosen_offset_ns
-from sceneloom.scene import CameraSensor, DepthCameraSensor, Scene, Severity
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.findings import Severity
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import time_span
 
 HIGHEST_RATE_HZ = 100

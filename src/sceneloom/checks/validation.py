@@ -22,7 +22,9 @@ from sceneloom.formats.faults import PlacedFault
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.recording.form import RecordingFormat
 from sceneloom.formats.table import check_scene_output, format_for_output, write_scene
-from sceneloom.scene import Finding, Notice, NoticeKind, Scene
+from sceneloom.scene.findings import Finding
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Progress
 from sceneloom.stages import stage
 

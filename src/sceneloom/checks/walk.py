@@ -9,7 +9,10 @@ from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.errors import SceneloomError
 from sceneloom.formats.sfs.garbage import collector_paused
-from sceneloom.scene import CameraSensor, DepthCameraSensor, LidarSensor, RadarSensor, Sensor
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.scene import Sensor
 from sceneloom.scene.types import Progress
 
 Hits = dict[str, list[Hit]]

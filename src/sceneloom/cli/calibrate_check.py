@@ -56,9 +56,9 @@ def check_health(
     reading: Mapping[str, Any],
 ) -> int:
     """Check a calibration, print what came out, draw pictures where these are asked for; give the exit code."""
-    from sceneloom.formats import open_scene
     from sceneloom.formats.kitti.tracking_folder import is_tracking_folder
     from sceneloom.formats.output import check_output
+    from sceneloom.formats.table import open_scene
     from sceneloom.pictures.calibration import save_calibration_pictures
     from sceneloom.pipeline.checked_calibration import check_drive
 
@@ -100,7 +100,7 @@ def _check_folder(
     path: Path | str, boxes: Mapping[str, Any], *, lenient: bool, as_json: bool, verbose: bool
 ) -> int:
     """Check each sequence of a folder by its boxes; the worst gives the exit code."""
-    from sceneloom.formats.kitti import open_tracking_folder
+    from sceneloom.formats.kitti.tracking_folder import open_tracking_folder
     from sceneloom.pipeline.checked_calibration import check_sequences
 
     tracking = open_tracking_folder(

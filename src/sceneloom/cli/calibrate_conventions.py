@@ -12,7 +12,7 @@ from sceneloom.cli.printing import print_corrections, print_json, print_table, p
 
 if TYPE_CHECKING:
     from sceneloom.calibrate.conventions import ConventionsReport, ExtrinsicFound
-    from sceneloom.scene import Scene
+    from sceneloom.scene.scene import Scene
 
 WRONG = 4
 """Exit code where something is not what the drive was read with."""
@@ -30,7 +30,7 @@ def check_conventions(
 ) -> int:
     """Judge a file, by a drive where one is given, or a drive; print what was found, and give the exit code."""
     from sceneloom.calibrate.conventions import check_drive, check_file
-    from sceneloom.formats import open_scene
+    from sceneloom.formats.table import open_scene
 
     def opened(place: Path | str, judge: Callable[["Scene"], "ConventionsReport"]) -> "ConventionsReport":
         with open_scene(place, **options.said(**reading)) as scene:

@@ -13,7 +13,7 @@ from sceneloom.cli.printing import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
     from sceneloom.pipeline.repairing.job import RepairReport
-    from sceneloom.scene import Scene
+    from sceneloom.scene.scene import Scene
 
 EXIT_CODES = {"refined": 0, "kept": 3, "cannot tell": 5}
 """What each outcome means to the shell."""
@@ -112,7 +112,7 @@ def repair_calibration(
     """Repair, write, print, and give the exit code."""
     if pictures is not None and asked.mode != "refine":
         raise click.UsageError("--pictures: with --check and --refine only")
-    from sceneloom.formats import open_scene
+    from sceneloom.formats.table import open_scene
     from sceneloom.scene.part import cut_scene
 
     with (

@@ -77,9 +77,9 @@ def colour(
     **further: Any,
 ) -> None:
     """Colour the points of a drive from all its cameras: one map, or sweep by sweep; carry labels over."""
-    from sceneloom.formats import open_scene
-    from sceneloom.pipeline import ColourOutputs, ColourSettings
-    from sceneloom.pipeline import colour as colour_scene
+    from sceneloom.formats.table import open_scene
+    from sceneloom.pipeline.colouring.job import colour as colour_scene
+    from sceneloom.pipeline.colouring.settings import ColourOutputs, ColourSettings
 
     if label_radius_px is not None and project_labels is None:
         raise click.UsageError("--label-radius does nothing without --project-labels DIR")

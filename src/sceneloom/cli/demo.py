@@ -47,9 +47,13 @@ def demo(
     if not quiet:
         click.echo(f"making a drive of {frames / 10:g} s through a made-up street …", err=True)
 
-    from sceneloom.formats import open_scene, write_scene  # takes a minute where kernels are not compiled yet
-    from sceneloom.pipeline import FusionOutputs, fuse
-    from sceneloom.simulate import demo_drive
+    from sceneloom.formats.table import (  # takes a minute where kernels are not compiled yet
+        open_scene,
+        write_scene,
+    )
+    from sceneloom.pipeline.fusing.job import fuse
+    from sceneloom.pipeline.fusing.outputs import FusionOutputs
+    from sceneloom.simulate.drive import demo_drive
 
     outputs = FusionOutputs(scene=fused, depth=depth, pictures=pictures, overwrite=overwrite)
     drive = demo_drive(seed=seed, frames=frames).scene

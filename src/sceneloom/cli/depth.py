@@ -63,9 +63,9 @@ def depth(
     **reading: Any,
 ) -> None:
     """Write a depth image for each sweep and picture: z in metres, dense by choice, with a confidence."""
-    from sceneloom.colouring import VisibilitySettings
-    from sceneloom.formats import open_scene
-    from sceneloom.fusion import FusionConfiguration
+    from sceneloom.colouring.visibility import VisibilitySettings
+    from sceneloom.formats.table import open_scene
+    from sceneloom.fusion.configuration import FusionConfiguration
     from sceneloom.pipeline.depth_images import write_depth_images
 
     with (

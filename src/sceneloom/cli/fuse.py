@@ -11,7 +11,7 @@ from sceneloom.cli.fusion_summary import print_fusion
 from sceneloom.cli.printing import print_json, progress_bar
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
-    from sceneloom.fusion import FusionConfiguration
+    from sceneloom.fusion.configuration import FusionConfiguration
 
 
 @click.command()
@@ -116,9 +116,9 @@ def _fuse_sensor_data(
         raise click.UsageError("nothing to write: say -o drive.sfs, --depth DIR or --pictures DIR")
     _refuse_idle("--depth-form", depth_form, "--depth", depth)
     _refuse_idle("--pictures-every", pictures_every, "--pictures", pictures)
-    from sceneloom.formats import open_scene
-    from sceneloom.pipeline import FusionOutputs
-    from sceneloom.pipeline import fuse as fuse_scene
+    from sceneloom.formats.table import open_scene
+    from sceneloom.pipeline.fusing.job import fuse as fuse_scene
+    from sceneloom.pipeline.fusing.outputs import FusionOutputs
     from sceneloom.stages import timed
 
     outputs = FusionOutputs(
@@ -152,8 +152,8 @@ def _fuse_sensor_data(
 
 
 def _configuration(algorithm: str | None, threads: int | None) -> "FusionConfiguration":
-    from sceneloom.colouring import VisibilitySettings
-    from sceneloom.fusion import FusionConfiguration
+    from sceneloom.colouring.visibility import VisibilitySettings
+    from sceneloom.fusion.configuration import FusionConfiguration
 
     visibility = VisibilitySettings(**options.said(threads=threads))
     return FusionConfiguration(visibility=visibility, **options.said(fusion_algorithm=algorithm))

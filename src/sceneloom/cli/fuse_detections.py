@@ -38,7 +38,7 @@ def fuse_found(
             "nothing to write: say -o objects.jsonl, or -o FOLDER for a folder of KITTI's sequences"
         )
     from sceneloom.detections.settings import ProjectionSettings
-    from sceneloom.fusion import FusionConfiguration
+    from sceneloom.fusion.configuration import FusionConfiguration
     from sceneloom.pipeline.found_objects import fuse_detections
 
     how: dict[str, Any] = {

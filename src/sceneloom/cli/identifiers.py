@@ -4,7 +4,8 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sceneloom.scene import Identifier, Scene
+    from sceneloom.scene.scene import Scene
+    from sceneloom.scene.types import Identifier
 
 
 def known_id(scene: "Scene", said: str) -> "Identifier":

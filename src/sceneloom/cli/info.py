@@ -15,7 +15,8 @@ from sceneloom.scene.summary import SceneSummary, SensorSummary
 from sceneloom.scene.types import SensorType
 
 if TYPE_CHECKING:
-    from sceneloom.scene import Notice, Scene
+    from sceneloom.scene.notices import Notice
+    from sceneloom.scene.scene import Scene
 
 
 @click.command()
@@ -43,7 +44,8 @@ def info(
     """Say what is in a recording or a scene: sensors, rates, duration, poses, gaps, what was assumed."""
     if at is not None and pictures is None:
         raise click.UsageError("--at says when to draw: say --pictures DIR, too")
-    from sceneloom.formats import open_scene, size_on_disk
+    from sceneloom.formats.size import size_on_disk
+    from sceneloom.formats.table import open_scene
     from sceneloom.scene.summary import summarise
 
     with open_scene(path, **options.said(**reading)) as scene:
@@ -70,7 +72,7 @@ def _draw(
     scene: "Scene", folder: Path, at: float | None, *, overwrite: bool
 ) -> "tuple[list[Path], tuple[Notice, ...]]":
     """Draw the annotations; gives the files, and what is in none of them."""
-    from sceneloom.pictures.annotations import save_annotation_pictures
+    from sceneloom.pictures.annotations.saving import save_annotation_pictures
     from sceneloom.pictures.canvas import counting_left_out
 
     with counting_left_out() as left:

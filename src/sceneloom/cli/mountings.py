@@ -4,8 +4,10 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import CameraSensor, DepthCameraSensor, Sensor
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.ego import EgoAxes
+from sceneloom.scene.scene import Sensor
 
 _SECTORS = ("ahead", "ahead left", "left", "back left", "back", "back right", "right", "ahead right")
 _STEEP = np.cos(np.pi / 6)

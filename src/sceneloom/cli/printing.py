@@ -11,7 +11,7 @@ import msgspec
 
 if TYPE_CHECKING:  # a verb that reads no drive starts quickly without them
     from sceneloom.formats.loss import LossReport
-    from sceneloom.scene import Notice
+    from sceneloom.scene.notices import Notice
 
 SHOWN = 5
 """Notices and losses shown unless `--verbose` is said."""

@@ -54,7 +54,7 @@ def send(
             said = options.said(trajectory=trajectory, heading=heading, start=start, stop=stop)
             report = _send_log(path, open_client, rate, calls["session"], said)
         else:
-            from sceneloom.formats import open_scene
+            from sceneloom.formats.table import open_scene
             from sceneloom.scene.part import cut_scene
             from sceneloom.service.sending import send_scene
 

@@ -16,7 +16,7 @@ from sceneloom.cli.printing import (
 )
 
 if TYPE_CHECKING:
-    from sceneloom.motion.clock import ClockEstimate
+    from sceneloom.motion.clock.estimate import ClockEstimate
     from sceneloom.pipeline.syncing import SyncReport
 
 
@@ -69,7 +69,7 @@ def sync(
     Streams are IMUs, trajectories, lidars, cameras and satellite receivers. Their motion is compared: what the one
     stream shows later than the other is the offset of their clocks, what it loses over the drive the skew.
     """
-    from sceneloom.formats import open_scene
+    from sceneloom.formats.table import open_scene
     from sceneloom.pipeline.syncing import sync as sync_scene
     from sceneloom.scene.part import cut_scene
 

@@ -67,7 +67,7 @@ def track(
     from sceneloom.detections.settings import ProjectionSettings
     from sceneloom.pipeline.found_objects import track_objects
     from sceneloom.pipeline.tracking.job import TrackingSettings
-    from sceneloom.tracking import PictureBox
+    from sceneloom.tracking.settings import PictureBox
 
     how: dict[str, Any] = {
         "form": form,

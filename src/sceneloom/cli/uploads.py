@@ -19,7 +19,7 @@ def draft_of(url: str) -> Path:
         click.BadParameter: nothing can be written there.
     """
     from sceneloom.errors import OutputError
-    from sceneloom.formats.remote import output_name
+    from sceneloom.formats.remote.uploads import output_name
 
     context = click.get_current_context()
     if not getattr(context.command.callback, "uploads", False):
@@ -45,7 +45,7 @@ def uploads(*, overwrite: bool) -> Iterator[None]:
     if not drafts:
         yield
         return
-    from sceneloom.formats.remote import check_remote_output, upload
+    from sceneloom.formats.remote.uploads import check_remote_output, upload
     from sceneloom.redaction import redacted
 
     for url in drafts.values():

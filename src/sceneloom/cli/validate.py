@@ -12,9 +12,9 @@ from sceneloom.cli.printing import print_json, progress_bar, several
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from sceneloom.checks import ValidationReport
+    from sceneloom.checks.report import ValidationReport
     from sceneloom.formats.loss import Loss
-    from sceneloom.scene import Finding
+    from sceneloom.scene.findings import Finding
 
 
 @click.command()
@@ -68,8 +68,8 @@ def validate(
         return
     if path is None:
         raise click.UsageError("Missing argument 'PATH'.", context)
-    from sceneloom.checks import PLACES
-    from sceneloom.checks import validate as validate_scene
+    from sceneloom.checks.report import PLACES
+    from sceneloom.checks.validation import validate as validate_scene
     from sceneloom.stages import timed
 
     with progress_bar("checking", quiet=quiet) as progress, timed() as stages:
@@ -95,7 +95,7 @@ def validate(
 
 
 def _print_rules(*, as_json: bool) -> None:
-    from sceneloom.checks import catalogue
+    from sceneloom.checks.catalogue import catalogue
 
     rows = catalogue()
     if as_json:

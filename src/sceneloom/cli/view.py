@@ -9,7 +9,9 @@ from sceneloom.cli import options
 from sceneloom.cli.printing import amount, print_json, print_notices, progress_bar, several
 
 if TYPE_CHECKING:  # the viewer takes long to import, and `--help` needs none of it
-    from sceneloom.view import DrivePart, DriveShown, Viewer, ViewReport
+    from sceneloom.view.report import DriveShown, ViewReport
+    from sceneloom.view.settings import DrivePart
+    from sceneloom.view.showing import Viewer
 
 _FILE = options.source(exists=True, dir_okay=False)
 _FOLDER = options.source(exists=True, file_okay=False)
@@ -72,7 +74,8 @@ def view(
     Nothing leaves this machine. Several drives, or parts of them out of a list, have a tab
     each, and one in which their worlds lie over each other.
     """
-    from sceneloom.view import save_view, show_view
+    from sceneloom.view.saving import save_view
+    from sceneloom.view.showing import show_view
 
     settings, sources = _settings(given), [*paths, *_listed(lists, quiet=quiet)]
     if save is not None and web:
@@ -97,7 +100,7 @@ def _listed(lists: tuple[Path, ...], *, quiet: bool) -> "list[DrivePart]":
     from sceneloom.batch.inputs import READING
     from sceneloom.cli.batch.listed import find_listed
     from sceneloom.formats.table import PART
-    from sceneloom.view import DrivePart
+    from sceneloom.view.settings import DrivePart
 
     return [
         DrivePart(
@@ -114,7 +117,7 @@ def _listed(lists: tuple[Path, ...], *, quiet: bool) -> "list[DrivePart]":
 
 
 def _settings(given: dict[str, Any]) -> Any:
-    from sceneloom.view import ColourBy, ViewSettings
+    from sceneloom.view.settings import ColourBy, ViewSettings
 
     own = (
         "start",

@@ -1,23 +1,56 @@
 """Sensor-data fusion: which points a picture shows, their colours, and the picture's depths."""
 
-from sceneloom.colouring.algorithms import (
-    ALGORITHMS,
-    ColouredPoints,
-    FusionAlgorithm,
-    ViewRequest,
-    fuse_by_projection,
-)
-from sceneloom.colouring.blending import BlendedPoints, blend_colours
-from sceneloom.colouring.colours import NO_CAMERA, colour_points
-from sceneloom.colouring.exposure import ExposureGains, ExposureLinks
-from sceneloom.colouring.lidar_way import LidarWay
-from sceneloom.colouring.normals import estimate_normals
-from sceneloom.colouring.provenance import PointSources
-from sceneloom.colouring.results import FusedFrame, FusedView, PointSight
-from sceneloom.colouring.views import view_points
-from sceneloom.colouring.visibility import VisibilitySettings, find_visible
-from sceneloom.colouring.weights import BlendSettings
-from sceneloom.visibility.rolling_shutter import ShutterWay
+from typing import TYPE_CHECKING
+
+from sceneloom.lazy import names_on_first_use
+
+if TYPE_CHECKING:
+    from sceneloom.colouring.algorithms import (
+        ALGORITHMS,
+        ColouredPoints,
+        FusionAlgorithm,
+        ViewRequest,
+        fuse_by_projection,
+    )
+    from sceneloom.colouring.blending import BlendedPoints, blend_colours
+    from sceneloom.colouring.colours import NO_CAMERA, colour_points
+    from sceneloom.colouring.exposure import ExposureGains, ExposureLinks
+    from sceneloom.colouring.lidar_way import LidarWay
+    from sceneloom.colouring.normals import estimate_normals
+    from sceneloom.colouring.provenance import PointSources
+    from sceneloom.colouring.results import FusedFrame, FusedView, PointSight
+    from sceneloom.colouring.views import view_points
+    from sceneloom.colouring.visibility import VisibilitySettings, find_visible
+    from sceneloom.colouring.weights import BlendSettings
+    from sceneloom.visibility.rolling_shutter import ShutterWay
+else:
+    __getattr__, __dir__ = names_on_first_use(
+        __name__,
+        {
+            "ALGORITHMS": "sceneloom.colouring.algorithms:ALGORITHMS",
+            "NO_CAMERA": "sceneloom.colouring.colours:NO_CAMERA",
+            "BlendSettings": "sceneloom.colouring.weights:BlendSettings",
+            "BlendedPoints": "sceneloom.colouring.blending:BlendedPoints",
+            "ColouredPoints": "sceneloom.colouring.algorithms:ColouredPoints",
+            "ExposureGains": "sceneloom.colouring.exposure:ExposureGains",
+            "ExposureLinks": "sceneloom.colouring.exposure:ExposureLinks",
+            "FusedFrame": "sceneloom.colouring.results:FusedFrame",
+            "FusedView": "sceneloom.colouring.results:FusedView",
+            "FusionAlgorithm": "sceneloom.colouring.algorithms:FusionAlgorithm",
+            "LidarWay": "sceneloom.colouring.lidar_way:LidarWay",
+            "PointSight": "sceneloom.colouring.results:PointSight",
+            "PointSources": "sceneloom.colouring.provenance:PointSources",
+            "ShutterWay": "sceneloom.visibility.rolling_shutter:ShutterWay",
+            "ViewRequest": "sceneloom.colouring.algorithms:ViewRequest",
+            "VisibilitySettings": "sceneloom.colouring.visibility:VisibilitySettings",
+            "blend_colours": "sceneloom.colouring.blending:blend_colours",
+            "colour_points": "sceneloom.colouring.colours:colour_points",
+            "estimate_normals": "sceneloom.colouring.normals:estimate_normals",
+            "find_visible": "sceneloom.colouring.visibility:find_visible",
+            "fuse_by_projection": "sceneloom.colouring.algorithms:fuse_by_projection",
+            "view_points": "sceneloom.colouring.views:view_points",
+        },
+    )
 
 __all__ = [
     "ALGORITHMS",

@@ -19,7 +19,7 @@ from sceneloom.colouring.views import view_points
 from sceneloom.colouring.visibility import VisibilitySettings
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels.crew import Crew
-from sceneloom.scene import Identifier
+from sceneloom.scene.types import Identifier
 from sceneloom.visibility.rolling_shutter import ShutterWay
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array, check_array
-from sceneloom.scene import LidarFrame
+from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.pose_source import PoseSource
 
 

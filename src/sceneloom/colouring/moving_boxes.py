@@ -7,9 +7,10 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.geometry.rotations import matrix_from_quaternion
-from sceneloom.scene import CuboidAnnotation, Scene
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
 from sceneloom.scene.at import CuboidPoses, cuboid_poses
+from sceneloom.scene.scene import Scene
 
 MOVES = 1.0
 """A box moves if its centre comes so far from its first place [m]; annotators' hands are steadier than that."""

@@ -19,9 +19,9 @@ from sceneloom.arrays import (
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import project_unbounded
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Identifier, LidarPoints
+from sceneloom.scene.clouds import LidarPoints
 from sceneloom.scene.point_times import SOUND, TimesFound
-from sceneloom.scene.types import NO_FIELDS
+from sceneloom.scene.types import NO_FIELDS, Identifier
 
 
 class PointSight(IntEnum):

@@ -22,7 +22,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels.crew import Crew
 from sceneloom.kernels.depth_images import draw_depths, mark_nearest
 from sceneloom.kernels.pixel_numbers import pixel_numbers
-from sceneloom.scene import Identifier
+from sceneloom.scene.types import Identifier
 from sceneloom.visibility.rolling_shutter import ShutterWay, project_by_lines
 
 

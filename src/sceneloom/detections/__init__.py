@@ -1,5 +1,23 @@
 """Fusion of what detectors saw in a sweep with what they saw in a picture."""
 
-from sceneloom.detections.results import DetectionAlgorithm, DetectionPair, FusedBoxes
+from typing import TYPE_CHECKING
 
-__all__ = ["DetectionAlgorithm", "DetectionPair", "FusedBoxes"]
+from sceneloom.lazy import names_on_first_use
+
+if TYPE_CHECKING:
+    from sceneloom.detections.results import DetectionAlgorithm, DetectionPair, FusedBoxes
+else:
+    __getattr__, __dir__ = names_on_first_use(
+        __name__,
+        {
+            "DetectionAlgorithm": "sceneloom.detections.results:DetectionAlgorithm",
+            "DetectionPair": "sceneloom.detections.results:DetectionPair",
+            "FusedBoxes": "sceneloom.detections.results:FusedBoxes",
+        },
+    )
+
+__all__ = [
+    "DetectionAlgorithm",
+    "DetectionPair",
+    "FusedBoxes",
+]

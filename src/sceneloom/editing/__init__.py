@@ -1,13 +1,35 @@
 """Scenes out of scenes: cut, joined, thinned, moved, corrected."""
 
-from sceneloom.editing.apply import apply_corrections
-from sceneloom.editing.crop import crop_scene
-from sceneloom.editing.frames import annotations_to_world, to_ego, to_sensor, to_world
-from sceneloom.editing.lenses import convert_lenses
-from sceneloom.editing.merge import merge_scenes
-from sceneloom.editing.simplify import simplify_scene
-from sceneloom.editing.thin import thin_scene
-from sceneloom.editing.undistortion import undistort_scene
+from typing import TYPE_CHECKING
+
+from sceneloom.lazy import names_on_first_use
+
+if TYPE_CHECKING:
+    from sceneloom.editing.apply import apply_corrections
+    from sceneloom.editing.crop import crop_scene
+    from sceneloom.editing.frames import annotations_to_world, to_ego, to_sensor, to_world
+    from sceneloom.editing.lenses import convert_lenses
+    from sceneloom.editing.merge import merge_scenes
+    from sceneloom.editing.simplify import simplify_scene
+    from sceneloom.editing.thin import thin_scene
+    from sceneloom.editing.undistortion import undistort_scene
+else:
+    __getattr__, __dir__ = names_on_first_use(
+        __name__,
+        {
+            "annotations_to_world": "sceneloom.editing.frames:annotations_to_world",
+            "apply_corrections": "sceneloom.editing.apply:apply_corrections",
+            "convert_lenses": "sceneloom.editing.lenses:convert_lenses",
+            "crop_scene": "sceneloom.editing.crop:crop_scene",
+            "merge_scenes": "sceneloom.editing.merge:merge_scenes",
+            "simplify_scene": "sceneloom.editing.simplify:simplify_scene",
+            "thin_scene": "sceneloom.editing.thin:thin_scene",
+            "to_ego": "sceneloom.editing.frames:to_ego",
+            "to_sensor": "sceneloom.editing.frames:to_sensor",
+            "to_world": "sceneloom.editing.frames:to_world",
+            "undistort_scene": "sceneloom.editing.undistortion:undistort_scene",
+        },
+    )
 
 __all__ = [
     "annotations_to_world",

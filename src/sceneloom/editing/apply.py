@@ -12,30 +12,20 @@ from sceneloom.editing.odometry import EGO_ID, free_id
 from sceneloom.editing.record import assumed, ours_of, skipped, with_notices, with_ours
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    CameraCalibration,
-    CameraSensor,
-    Coordinates,
-    CuboidAnnotation,
-    DepthCameraSensor,
-    Identifier,
-    LidarSensor,
-    LocalizationAdjustment,
-    Notice,
-    NoticeKind,
-    OdometrySensor,
-    PointsAnnotation,
-    PointsFrame,
-    PosePath,
-    RadarSensor,
-    Scene,
-    Trajectory,
-)
-from sceneloom.scene.annotations.corrections import effect_of
+from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment, effect_of
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.annotations.keypoints import PointsAnnotation
 from sceneloom.scene.annotations_frame import ANNOTATIONS_FRAME
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.motion import OdometrySensor
+from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import scene_period_ns
-from sceneloom.scene.types import key_of
+from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, key_of
 
 Correction = LocalizationAdjustment | CameraCalibration
 

@@ -9,21 +9,16 @@ from sceneloom.arrays import Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
-from sceneloom.scene import (
-    Annotation,
-    Box2DAnnotation,
-    CameraCalibration,
-    CameraSensor,
-    Coordinates,
-    CuboidAnnotation,
-    Identifier,
-    LazyFrames,
-    Picture,
-    PointsAnnotation,
-    PosePath,
-    ShapeAnnotation,
-)
-from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.corrections import CameraCalibration
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.annotations.keypoints import PointsAnnotation
+from sceneloom.scene.annotations.shapes import ShapeAnnotation
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.types import Coordinates, Identifier, Key, key_of
 
 
 def calibrated_camera(sensor: CameraSensor, calibration: CameraCalibration) -> CameraSensor:

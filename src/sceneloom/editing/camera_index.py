@@ -6,7 +6,9 @@ import numpy as np
 
 from sceneloom.arrays import UInt8Array
 from sceneloom.errors import OptionError
-from sceneloom.scene import LazyFrames, LidarFrame, LidarSensor, Scene
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import key_of
 
 UNSEEN = 255

@@ -15,22 +15,16 @@ from sceneloom.editing.references import (
     with_sensor_parent,
 )
 from sceneloom.errors import OptionError
-from sceneloom.scene import (
-    Annotation,
-    CameraCalibration,
-    CameraSensor,
-    Coordinates,
-    DepthCameraSensor,
-    Identifier,
-    LidarSensor,
-    LinkAnnotation,
-    LocalizationAdjustment,
-    OdometrySensor,
-    PlainAnnotation,
-    RadarSensor,
-    Scene,
-)
-from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment
+from sceneloom.scene.annotations.plain import PlainAnnotation
+from sceneloom.scene.annotations.relations import LinkAnnotation
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.motion import OdometrySensor
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Coordinates, Identifier, Key, key_of
 
 
 def with_sensors_chosen(

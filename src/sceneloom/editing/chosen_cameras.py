@@ -6,9 +6,11 @@ from typing import Any
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
-from sceneloom.scene import CameraCalibration, CameraSensor, Identifier, Scene
+from sceneloom.scene.annotations.corrections import CameraCalibration
 from sceneloom.scene.assumed_lenses import check_lenses
-from sceneloom.scene.types import key_of
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier, key_of
 
 
 def chosen_cameras(

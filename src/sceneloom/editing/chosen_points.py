@@ -8,9 +8,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Int64Array
-from sceneloom.scene import (
-    Identifier,
-    LazyFrames,
+from sceneloom.scene.clouds import (
     LidarFrame,
     LidarPoints,
     LidarSensor,
@@ -19,6 +17,8 @@ from sceneloom.scene import (
     RadarPoints,
     RadarSensor,
 )
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.types import Identifier
 
 Cloud = TypeVar("Cloud", LidarFrame, RadarFrame)
 CloudSensor = TypeVar("CloudSensor", LidarSensor, RadarSensor)

@@ -8,9 +8,9 @@ from sceneloom.editing.chosen_points import CloudSensor
 from sceneloom.editing.frame_change import KNOWN, FrameChange
 from sceneloom.editing.moved_clouds import moved_frames
 from sceneloom.editing.record import assumed, skipped
-from sceneloom.scene import Notice, PointsFrame
 from sceneloom.scene.labelled import Renumbering
-from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.notices import Notice
+from sceneloom.scene.types import Key, PointsFrame, key_of
 
 
 @dataclass(slots=True)

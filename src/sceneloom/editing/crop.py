@@ -20,31 +20,21 @@ from sceneloom.editing.sensor_frames import points_change
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_motion import ego_motion_as_given
-from sceneloom.scene import (
-    CameraSensor,
-    Coordinates,
-    DepthCameraSensor,
-    Identifier,
-    LazyFrames,
-    LidarFrame,
-    LidarSensor,
-    Notice,
-    PointsFrame,
-    PointsSensor,
-    RadarFrame,
-    RadarSensor,
-    Scene,
-    Sensor,
-)
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations_frame import annotations_frame
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor, RadarFrame, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.labelled import Renumbering, renumbered
+from sceneloom.scene.notices import Notice
 from sceneloom.scene.part import chosen_interval, cut_scene
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.sensor_sources import sensor_source
 from sceneloom.scene.span import scene_period_ns
-from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.types import Coordinates, Identifier, Key, PointsFrame, key_of
 
 _CHOICES = ("a time (start, stop)", "a space (box, range)", "sensors", "sensors to do without", "labels")
 

@@ -9,15 +9,11 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.editing.region import Placed, ever_held
-from sceneloom.scene import (
-    Annotation,
-    CuboidAnnotation,
-    CuboidPath,
-    PointsAnnotation,
-    ShapeAnnotation,
-)
 from sceneloom.scene.angles import CuboidAngles
-from sceneloom.scene.annotations.keypoints import places_of
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath
+from sceneloom.scene.annotations.keypoints import PointsAnnotation, places_of
+from sceneloom.scene.annotations.shapes import ShapeAnnotation
 from sceneloom.scene.at import cuboid_at, point_at, shape_at
 
 

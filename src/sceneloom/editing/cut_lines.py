@@ -6,8 +6,8 @@ from types import MappingProxyType
 from typing import Any
 
 from sceneloom.editing.retimed_lines import LINES, SHARED, TEXTS, streams_of
-from sceneloom.scene import Scene
 from sceneloom.scene.part_annotations import Interval
+from sceneloom.scene.scene import Scene
 
 _OTHER, _ANCHORS, _FRAMES = "other_lines", "other_seconds", "frame_lines"
 

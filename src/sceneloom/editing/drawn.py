@@ -8,17 +8,11 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import project_unbounded, unproject
-from sceneloom.scene import (
-    Annotation,
-    Box2DAnnotation,
-    BoxPath,
-    CuboidAnnotation,
-    PointProjection,
-    PointsAnnotation,
-    Projection,
-    ShapeAnnotation,
-    VertexPath,
-)
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation, BoxPath
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation, Projection
+from sceneloom.scene.annotations.keypoints import PointProjection, PointsAnnotation
+from sceneloom.scene.annotations.shapes import ShapeAnnotation, VertexPath
 from sceneloom.scene.types import Key, key_of
 
 CORNER = 0.5

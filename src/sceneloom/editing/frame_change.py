@@ -12,8 +12,8 @@ from sceneloom.geometry.rotations import (
     multiply_quaternions,
     rotate_vectors,
 )
-from sceneloom.scene import PosePath, PoseSamples
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath, PoseSamples
 
 KNOWN = 1
 """Greatest coverage of a pose that is used: inside its path, or extrapolated within reach."""

@@ -14,8 +14,12 @@ from sceneloom.editing.keyframes import AddedKeyframes, Keyframer, PathKey
 from sceneloom.editing.moved_adjustments import led_from
 from sceneloom.editing.moved_annotations import AnnotationMover
 from sceneloom.editing.record import assumed, ours_of, skipped, with_notices
-from sceneloom.scene import CameraSensor, DepthCameraSensor, LidarSensor, PlainAnnotation, RadarSensor, Scene
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.plain import PlainAnnotation
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import frame_times
 
 TO_EGO = "to_ego"

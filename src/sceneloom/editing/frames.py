@@ -14,27 +14,19 @@ from sceneloom.editing.sensor_frames import points_change, poses_in_world, poses
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_motion import ego_motion_as_given, is_computed, with_way_found
-from sceneloom.scene import (
-    CameraSensor,
-    Coordinates,
-    DepthCameraSensor,
-    Identifier,
-    LidarSensor,
-    OdometrySensor,
-    PlainSensor,
-    PointsFrame,
-    PointsSensor,
-    RadarSensor,
-    Scene,
-    Sensor,
-)
 from sceneloom.scene.annotations_frame import ANNOTATIONS_FRAME, annotations_frame
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.labelled import renumbered
+from sceneloom.scene.motion import OdometrySensor
+from sceneloom.scene.plain import PlainSensor
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.sensor_sources import needs_ego
 from sceneloom.scene.span import scene_period_ns
-from sceneloom.scene.types import Progress, key_of
+from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, Progress, key_of
 
 
 def to_world(

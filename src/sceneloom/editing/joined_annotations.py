@@ -11,21 +11,20 @@ from sceneloom.arrays import Int64Array
 from sceneloom.editing.joined_sensors import joined_path, new_rows
 from sceneloom.editing.sameness import is_same, said_of
 from sceneloom.errors import OptionError
-from sceneloom.scene import (
-    Annotation,
-    AttributePath,
-    Box2DAnnotation,
-    CameraCalibration,
-    CuboidAnnotation,
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.annotations.keypoints import PointsAnnotation
+from sceneloom.scene.annotations.labelled_points import LabeledPointsAnnotation
+from sceneloom.scene.annotations.relations import (
     EventAnnotation,
     GroupAnnotation,
-    LabeledPointsAnnotation,
     LinkAnnotation,
-    LocalizationAdjustment,
     ObjectAnnotation,
-    PointsAnnotation,
-    ShapeAnnotation,
 )
+from sceneloom.scene.annotations.shapes import ShapeAnnotation
 from sceneloom.scene.types import key_of
 
 _ROWS = ("values", "vertices", "boxes", "cuboids", "points", "positions", "durations_ns", "confirmed")

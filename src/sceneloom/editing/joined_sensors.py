@@ -11,24 +11,14 @@ from sceneloom.arrays import Int64Array
 from sceneloom.editing.sameness import is_same
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    CameraSensor,
-    DepthCameraSensor,
-    GnssSensor,
-    ImuSensor,
-    LazyFrames,
-    LidarFrame,
-    LidarSensor,
-    OdometrySensor,
-    PlainSensor,
-    PointsSensor,
-    PosePath,
-    RadarFrame,
-    RadarSensor,
-    Sensor,
-    Trajectory,
-    VectorSamples,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor, RadarFrame, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
+from sceneloom.scene.plain import PlainSensor
+from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.scene import Sensor
 from sceneloom.scene.shooting import Shooting, shots_of, with_shots
 
 Item_co = TypeVar("Item_co", covariant=True)

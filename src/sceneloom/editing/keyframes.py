@@ -11,7 +11,7 @@ from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.editing.frame_change import KNOWN, FrameChange
 from sceneloom.geometry.interpolation import thin_poses
 from sceneloom.geometry.rotations import multiply_quaternions
-from sceneloom.scene import Identifier
+from sceneloom.scene.types import Identifier
 
 PLACE_TOLERANCE, TURN_TOLERANCE = 1e-3, radians(0.01)
 """A keyframe is added at a frame's time where without it something would be further off then [m], [rad]."""

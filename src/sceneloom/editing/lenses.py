@@ -10,7 +10,11 @@ from sceneloom.cameras.table import MODELS
 from sceneloom.editing.chosen_cameras import chosen_cameras, lens_record
 from sceneloom.editing.record import assumed, ours_of, skipped, with_notices, with_ours
 from sceneloom.errors import CalibrationError, OptionError
-from sceneloom.scene import CameraSensor, Identifier, LazyFrames, Notice, Picture, Scene
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.notices import Notice
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
 
 LIMIT_PX = 1.0
 """How far a point may move at most, where the caller says nothing [px]."""

@@ -28,23 +28,16 @@ from sceneloom.editing.same_world import (
 )
 from sceneloom.editing.sameness import contradicting, differing_fields, is_same
 from sceneloom.errors import OptionError
-from sceneloom.scene import (
-    Annotation,
-    CameraSensor,
-    DepthCameraSensor,
-    GnssSensor,
-    Identifier,
-    ImuSensor,
-    LabeledPointsAnnotation,
-    LidarSensor,
-    Notice,
-    OdometrySensor,
-    PointsSensor,
-    Scene,
-    Sensor,
-    Trajectory,
-)
-from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.labelled_points import LabeledPointsAnnotation
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, PointsSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
+from sceneloom.scene.notices import Notice
+from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.types import Identifier, Key, key_of
 
 SHARED = (OdometrySensor, ImuSensor, GnssSensor, PointsSensor)
 """What several scenes of one drive may each bring along; where it is the same, it stands in the merged scene once."""

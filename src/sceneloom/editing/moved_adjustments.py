@@ -7,8 +7,9 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.editing.frame_change import FrameChange
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import LocalizationAdjustment, PosePath
+from sceneloom.scene.annotations.corrections import LocalizationAdjustment
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath
 
 
 def led_from(new_from_old: FrameChange, adjustment: LocalizationAdjustment) -> LocalizationAdjustment | None:

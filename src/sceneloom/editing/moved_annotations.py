@@ -10,19 +10,12 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.editing.frame_change import FrameChange
 from sceneloom.editing.keyframes import Keyframer
-from sceneloom.scene import (
-    Annotation,
-    CuboidAnnotation,
-    CuboidPath,
-    LocalizationAdjustment,
-    PointPath,
-    PointProjection,
-    PointsAnnotation,
-    ShapeAnnotation,
-    VertexPath,
-)
 from sceneloom.scene.angles import CuboidAngles
-from sceneloom.scene.annotations.keypoints import places_of
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.corrections import LocalizationAdjustment
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath
+from sceneloom.scene.annotations.keypoints import PointPath, PointProjection, PointsAnnotation, places_of
+from sceneloom.scene.annotations.shapes import ShapeAnnotation, VertexPath
 from sceneloom.scene.at import cuboid_at, point_at, shape_at
 
 

@@ -10,7 +10,8 @@ from sceneloom.arrays import Float32Array, Int64Array, finite_rows
 from sceneloom.editing.frame_change import KNOWN, FrameChange
 from sceneloom.errors import ArrayError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, RadarFrame, RadarPoints
+from sceneloom.scene.clouds import LidarFrame, LidarPoints, RadarFrame, RadarPoints
+from sceneloom.scene.frames import LazyFrames
 
 Cloud = TypeVar("Cloud", LidarFrame, RadarFrame)
 Points = TypeVar("Points", LidarPoints, RadarPoints)

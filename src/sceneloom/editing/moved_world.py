@@ -14,27 +14,20 @@ from sceneloom.editing.moved_annotations import AnnotationMover
 from sceneloom.editing.moved_clouds import moved_positions
 from sceneloom.editing.record import assumed, skipped, with_notices
 from sceneloom.geometry.rotations import matrix_from_quaternion
-from sceneloom.scene import (
-    CameraSensor,
-    Coordinates,
-    DepthCameraSensor,
-    LidarSensor,
-    OdometrySensor,
-    PlainAnnotation,
-    PlainSensor,
-    PointsFrame,
-    PointsSensor,
-    PosePath,
-    RadarSensor,
-    Scene,
-    Sensor,
-    Trajectory,
-)
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.plain import PlainAnnotation
 from sceneloom.scene.annotations_frame import annotations_frame
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.labelled import renumbered
+from sceneloom.scene.motion import OdometrySensor
+from sceneloom.scene.plain import PlainSensor
+from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.sensor_sources import Posed
 from sceneloom.scene.span import frame_times
+from sceneloom.scene.types import Coordinates, PointsFrame
 
 
 def moved_world(scene: Scene, change: FrameChange) -> Scene:

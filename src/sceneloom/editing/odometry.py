@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 
-from sceneloom.scene import Identifier, OdometrySensor, PosePath, Scene
-from sceneloom.scene.poses import same_way
+from sceneloom.scene.motion import OdometrySensor
+from sceneloom.scene.poses import PosePath, same_way
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
 
 EGO_ID = "ego"
 """Id of an odometry sensor that is made, if it is free."""

@@ -5,7 +5,8 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
-from sceneloom.scene import Notice, NoticeKind, Scene
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.scene import Scene
 
 OURS = "sceneloom"
 """Name of our part of a scene's metadata."""

@@ -5,23 +5,19 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
-from sceneloom.scene import (
-    Annotation,
-    AttributePath,
-    Box2DAnnotation,
-    CameraCalibration,
-    CuboidAnnotation,
-    EventAnnotation,
-    Identifier,
-    LabeledPointsAnnotation,
-    LinkAnnotation,
-    PlainAnnotation,
-    PlainSensor,
-    PointsAnnotation,
-    Sensor,
-    ShapeAnnotation,
-)
-from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.corrections import CameraCalibration
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.annotations.keypoints import PointsAnnotation
+from sceneloom.scene.annotations.labelled_points import LabeledPointsAnnotation
+from sceneloom.scene.annotations.plain import PlainAnnotation
+from sceneloom.scene.annotations.relations import EventAnnotation, LinkAnnotation
+from sceneloom.scene.annotations.shapes import ShapeAnnotation
+from sceneloom.scene.plain import PlainSensor
+from sceneloom.scene.scene import Sensor
+from sceneloom.scene.types import Identifier, Key, key_of
 
 BELONGING = (
     Box2DAnnotation,

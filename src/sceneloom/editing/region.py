@@ -7,7 +7,8 @@ import numpy as np
 from sceneloom.arrays import BoolArray, FloatArray, Int64Array
 from sceneloom.editing.frame_change import KNOWN, FrameChange
 from sceneloom.errors import OptionError
-from sceneloom.scene import LidarFrame, PointsFrame, RadarFrame
+from sceneloom.scene.clouds import LidarFrame, RadarFrame
+from sceneloom.scene.types import PointsFrame
 
 
 @dataclass(frozen=True, slots=True)

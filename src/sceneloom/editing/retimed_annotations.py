@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from sceneloom.arrays import Int64Array, read_only
-from sceneloom.scene import PosePath
+from sceneloom.scene.poses import PosePath
 from sceneloom.scene.types import Key, key_of
 
 Right = Callable[[Int64Array], Int64Array]

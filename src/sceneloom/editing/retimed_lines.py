@@ -7,8 +7,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from sceneloom.arrays import Int64Array
-from sceneloom.scene import GnssSensor, ImuSensor, LidarSensor, Scene
-from sceneloom.scene.scene import Sensor
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor
+from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Key, key_of
 
 LINES, TEXTS, SHARED = "recording", "further_keys", "shared_lines"

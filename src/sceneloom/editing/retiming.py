@@ -12,24 +12,14 @@ from sceneloom.editing.retimed_annotations import retimed_annotation
 from sceneloom.editing.retimed_lines import retimed_lines
 from sceneloom.errors import OptionError
 from sceneloom.motion.sensor_paths import camera_path, sensor_path
-from sceneloom.scene import (
-    CameraSensor,
-    DepthCameraSensor,
-    GnssSensor,
-    ImuSensor,
-    LazyFrames,
-    LidarFrame,
-    LidarSensor,
-    OdometrySensor,
-    PosePath,
-    RadarFrame,
-    RadarSensor,
-    Scene,
-    Trajectory,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import same_way
-from sceneloom.scene.scene import Sensor
+from sceneloom.scene.poses import PosePath, Trajectory, same_way
+from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.shooting import Shooting, shots_of, with_shots
 from sceneloom.scene.span import scene_period_ns
 from sceneloom.scene.types import Key, key_of

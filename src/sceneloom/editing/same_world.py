@@ -14,20 +14,16 @@ from sceneloom.editing.sameness import is_same
 from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.geometry.geodesy import ecef_from_geodetic
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    Annotation,
-    CameraSensor,
-    Coordinates,
-    CuboidAnnotation,
-    CuboidPath,
-    GnssSensor,
-    LidarSensor,
-    RadarSensor,
-    Scene,
-)
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath
 from sceneloom.scene.annotations_frame import annotations_frame
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.motion import GnssSensor
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import frame_times
+from sceneloom.scene.types import Coordinates
 
 WORLD_FROM_FILE = "world_from_file"
 """Our entry of the metadata with the transform that an earlier edit took off all places in the world."""

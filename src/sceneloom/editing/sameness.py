@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.scene import AttributePath
+from sceneloom.scene.annotations.attributes import AttributePath
 from sceneloom.scene.types import key_of
 
 SAME_TOLERANCE = 1e-6

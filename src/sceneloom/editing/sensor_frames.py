@@ -9,21 +9,17 @@ from sceneloom.editing.frame_change import KNOWN, FrameChange
 from sceneloom.errors import PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.sensor_paths import camera_path, sensor_path
-from sceneloom.scene import (
-    CameraSensor,
-    Coordinates,
-    DepthCameraSensor,
-    LidarSensor,
-    PointsFrame,
-    PosePath,
-    RadarSensor,
-    Scene,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import ego_path, points_source, sensor_source
 from sceneloom.scene.shooting import shots_of
 from sceneloom.scene.span import frame_times
+from sceneloom.scene.types import Coordinates, PointsFrame
 
 PointsOf = LidarSensor | RadarSensor
 Posed = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor

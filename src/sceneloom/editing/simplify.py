@@ -13,23 +13,15 @@ from sceneloom.editing.record import with_notices
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rotations import angle_between, slerp
 from sceneloom.geometry.thinning import thin_greedily
-from sceneloom.scene import (
-    Annotation,
-    CuboidAnnotation,
-    CuboidPath,
-    LocalizationAdjustment,
-    Notice,
-    NoticeKind,
-    OdometrySensor,
-    PointPath,
-    PointsAnnotation,
-    PosePath,
-    Scene,
-    Sensor,
-    Trajectory,
-)
 from sceneloom.scene.angles import CuboidAngles
-from sceneloom.scene.annotations.keypoints import places_of
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.corrections import LocalizationAdjustment
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath
+from sceneloom.scene.annotations.keypoints import PointPath, PointsAnnotation, places_of
+from sceneloom.scene.motion import OdometrySensor
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.sensor_sources import Posed
 
 ROUNDING = 1e-9

@@ -11,22 +11,14 @@ from sceneloom.editing.chosen_points import CloudSensor, OnPoints, chosen_map, w
 from sceneloom.editing.record import with_notices, with_ours
 from sceneloom.editing.voxels import KEEPERS, NEAREST, evenly, one_per_cube
 from sceneloom.errors import OptionError
-from sceneloom.scene import (
-    CameraSensor,
-    DepthCameraSensor,
-    Identifier,
-    LazyFrames,
-    LidarFrame,
-    LidarSensor,
-    PointsSensor,
-    RadarFrame,
-    RadarSensor,
-    Scene,
-    Sensor,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor, RadarFrame, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.labelled import Renumbering, renumbered
+from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.shooting import Shooting, chosen_shots
-from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.types import Identifier, Key, key_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,8 +11,11 @@ from sceneloom.cameras.undistortion import Undistortion, undistorted_camera
 from sceneloom.editing.chosen_cameras import chosen_cameras, lens_record
 from sceneloom.editing.drawn import LensChange, redrawn
 from sceneloom.editing.record import ours_of, skipped, with_notices, with_ours
-from sceneloom.scene import CameraSensor, DepthCameraSensor, Identifier, LazyFrames, Picture, Scene
-from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier, Key, key_of
 
 _LENSES_KEPT = 4
 _OF_OLD_PIXELS = frozenset({"features"})

@@ -9,7 +9,7 @@ from sceneloom.errors import ArrayError, OptionError, PoseError
 from sceneloom.formats.trajectories.rows import FARTHEST
 from sceneloom.geometry.interpolation import interpolate_poses
 from sceneloom.geometry.rotations import normalise_quaternion
-from sceneloom.scene import Trajectory
+from sceneloom.scene.poses import Trajectory
 
 TOLERANCES_NS = {"interpolate": 100_000_000, "nearest": 10_000_000}
 """By way of association, how far the nearest pose of the reference may be where nothing else is said [ns]."""

@@ -15,7 +15,8 @@ from sceneloom.geometry.rotations import (
     nearest_rotation,
     quaternion_from_matrix,
 )
-from sceneloom.scene import Notice, NoticeKind, Trajectory
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.poses import Trajectory
 
 _TURNED_DEG = 5.0
 _STEADY = 0.25

@@ -8,9 +8,9 @@ from sceneloom.arrays import Float64Array
 from sceneloom.errors import DataError
 from sceneloom.evaluate.objects import ObjectTable
 from sceneloom.formats.files import file_faults, open_file
-from sceneloom.formats.kitti import KittiLabels
 from sceneloom.formats.kitti.calibration import read_calibration
 from sceneloom.formats.kitti.camera_boxes import CENTRE_TO_CORNER, lidar_boxes
+from sceneloom.formats.kitti.labels import KittiLabels
 from sceneloom.formats.rig.csv_files import read_lines
 from sceneloom.fusion.messages.fused import FusedDetections
 from sceneloom.fusion.messages.json_form import parse_json

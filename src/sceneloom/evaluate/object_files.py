@@ -14,12 +14,12 @@ from sceneloom.evaluate.objects import ObjectTable
 from sceneloom.evaluate.overlaps import Similarity
 from sceneloom.evaluate.scene_objects import labelled_times, scene_objects
 from sceneloom.formats.files import file_faults, open_file
-from sceneloom.formats.kitti import KittiLabels, read_labels
 from sceneloom.formats.kitti.chosen_sequence import sequences_called
 from sceneloom.formats.kitti.detection_lists import DetectionList, read_boxes_2d_list, read_boxes_3d_list
+from sceneloom.formats.kitti.labels import KittiLabels, read_labels
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.shared_options import open_scenes
-from sceneloom.scene import Notice, NoticeKind
+from sceneloom.scene.notices import Notice, NoticeKind
 
 LABEL_FOLDERS = ("label_02", "label_2", "data")
 """Folders inside a given one in which KITTI and those who evaluate by its rules keep labels and results."""

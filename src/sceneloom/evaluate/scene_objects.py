@@ -8,11 +8,12 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import OptionError
 from sceneloom.evaluate.objects import ObjectTable
 from sceneloom.geometry.rotations import rotate_vectors
-from sceneloom.scene import Scene
 from sceneloom.scene.angles import CuboidAngles
-from sceneloom.scene.annotations import AttributePath, CuboidAnnotation
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
 from sceneloom.scene.annotations_frame import annotations_frame, not_in_world
 from sceneloom.scene.at import cuboid_poses
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import frame_times
 from sceneloom.scene.types import Coordinates, SensorType
 

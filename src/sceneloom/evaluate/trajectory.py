@@ -23,14 +23,15 @@ from sceneloom.evaluate.pair_errors import TrajectoryErrors
 from sceneloom.evaluate.plot import check_plot, plot_errors
 from sceneloom.evaluate.relative import kitti_errors, parse_delta, relative_errors
 from sceneloom.evaluate.report import AbsoluteErrors, AlignmentReport, ErrorStatistics, TrajectoryReport
-from sceneloom.formats.trajectories import TrajectoryFile, read_trajectory_file
+from sceneloom.formats.trajectories.content import TrajectoryFile
 from sceneloom.formats.trajectories.gnss import of_fixes
-from sceneloom.formats.trajectories.table import content_of
+from sceneloom.formats.trajectories.table import content_of, read_trajectory_file
 from sceneloom.geometry.rotations import (
     angle_between,
     quaternion_from_matrix,
 )
-from sceneloom.scene import GnssSensor, PosePath, Trajectory
+from sceneloom.scene.motion import GnssSensor
+from sceneloom.scene.poses import PosePath, Trajectory
 
 RPE_DELTAS = ("1s", "5m", "10m", "50m")
 """Steps over which motions are compared where nothing else is said."""

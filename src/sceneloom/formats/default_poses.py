@@ -16,8 +16,10 @@ from sceneloom.motion.ego_motion import (
 )
 from sceneloom.motion.gnss_receivers import gnss_receivers
 from sceneloom.motion.trajectories import GNSS, IDENTITY, LIDAR
-from sceneloom.scene import NoticeKind, PosePath, Scene, Trajectory
 from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.scene import Scene
 
 
 def default_poses(trajectories: Mapping[Any, Trajectory], place: str, ledger: Ledger) -> PosePath | None:

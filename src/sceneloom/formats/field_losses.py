@@ -6,9 +6,11 @@ from typing import Any
 
 from sceneloom.formats.holdings import Holds, holding_of
 from sceneloom.formats.loss import Fate, Holding, Loss
-from sceneloom.scene import Coordinates, LazyFrames, Scene
 from sceneloom.scene.contents import KINDS, MODEL_FIELDS
+from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.plain import PlainSensor
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Coordinates
 
 _ROOT = ("attributes", "metadata", "time_offset_ns", "extras")
 _OF_THE_WAY = ("file_seconds", "covariances", "quaternions_xyzw", "positions", "timestamps_ns")

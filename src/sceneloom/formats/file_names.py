@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from urllib.parse import quote
 from zlib import crc32
 
-from sceneloom.scene import Identifier
+from sceneloom.scene.types import Identifier
 
 _LONGEST = 120
 """Longer ids are cut: most file systems allow 255 bytes for a name."""

@@ -59,7 +59,7 @@ def late_fingerprint(place: str) -> str:
 
 
 def _remote_files(url: str) -> list[tuple[str, int, str]]:
-    from sceneloom.formats.remote import remote_contents
+    from sceneloom.formats.remote.fetching import remote_contents
 
     try:
         found = remote_contents(url)

@@ -9,7 +9,7 @@ from typing import Any
 from sceneloom.errors import OptionError, check_option_names
 from sceneloom.formats.holdings import Holds
 from sceneloom.formats.loss import Holding, LossReport
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 NOTHING_HELD: Mapping[str, Holding] = MappingProxyType({})
 

@@ -13,7 +13,8 @@ from sceneloom.errors import DataError
 from sceneloom.formats.file_names import file_stems
 from sceneloom.formats.files import read_bytes
 from sceneloom.formats.label_images import read_label_png
-from sceneloom.scene import CameraSensor, Identifier
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.types import Identifier
 
 NAMES_FILE = "labels.json"
 """Beside the images: what each number means, as `{"7": "road"}`."""

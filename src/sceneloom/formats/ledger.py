@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from sceneloom.errors import DataError, SceneloomError
-from sceneloom.scene import Notice, NoticeKind
+from sceneloom.scene.notices import Notice, NoticeKind
 
 
 @dataclass(slots=True)

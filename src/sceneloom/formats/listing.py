@@ -8,7 +8,8 @@ from sceneloom.errors import OptionError
 from sceneloom.formats.holdings import Holds, holding_of
 from sceneloom.formats.loss import Holding
 from sceneloom.formats.table import Format, format_named, format_names, reads, writes
-from sceneloom.formats.trajectories import TRAJECTORY_FORMS, TrajectoryForm
+from sceneloom.formats.trajectories.content import TrajectoryForm
+from sceneloom.formats.trajectories.table import TRAJECTORY_FORMS
 from sceneloom.scene.contents import MODEL_FIELDS
 
 

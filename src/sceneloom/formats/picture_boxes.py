@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from sceneloom.editing.hiding import PictureBox
+from sceneloom.editing.hiding.boxes import PictureBox
 from sceneloom.errors import DataError
 from sceneloom.formats.files import read_bytes
 

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from sceneloom.errors import UnknownOptionError
 from sceneloom.formats.table import open_scene
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 Read = TypeVar("Read")
 

@@ -14,26 +14,27 @@ from sceneloom.formats.loss import Holding, Loss, LossReport
 from sceneloom.formats.output import Source, check_output
 from sceneloom.formats.urls import is_url, path_or_url
 from sceneloom.redaction import redacted
-from sceneloom.scene import Corrections, Notice, NoticeKind, Scene
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.scene import Corrections, Scene
 from sceneloom.scene.types import key_of
 from sceneloom.stages import stage
 
 FORMATS: Mapping[str, str] = MappingProxyType(
     {
-        "sfs": "sceneloom.formats.sfs:FORMAT",
-        "recording": "sceneloom.formats.recording:FORMAT",
-        "rig": "sceneloom.formats.rig:FORMAT",
-        "mcap": "sceneloom.formats.mcap:FORMAT",
-        "ros1": "sceneloom.formats.ros:ROS1",
-        "ros2": "sceneloom.formats.ros:ROS2",
-        "kitti-raw": "sceneloom.formats.kitti.raw:FORMAT",
-        "kitti-object": "sceneloom.formats.kitti.object:FORMAT",
-        "kitti-tracking": "sceneloom.formats.kitti.tracking:FORMAT",
-        "kitti-odometry": "sceneloom.formats.kitti.odometry:FORMAT",
-        "nuscenes": "sceneloom.formats.nuscenes:FORMAT",
-        "argoverse2": "sceneloom.formats.argoverse2:FORMAT",
-        "pandaset": "sceneloom.formats.pandaset:FORMAT",
-        "scale-toolkit": "sceneloom.formats.scale_toolkit:FORMAT",
+        "sfs": "sceneloom.formats.sfs.form:FORMAT",
+        "recording": "sceneloom.formats.recording.form:FORMAT",
+        "rig": "sceneloom.formats.rig.form:FORMAT",
+        "mcap": "sceneloom.formats.mcap.form:FORMAT",
+        "ros1": "sceneloom.formats.ros.form:ROS1",
+        "ros2": "sceneloom.formats.ros.form:ROS2",
+        "kitti-raw": "sceneloom.formats.kitti.raw.form:FORMAT",
+        "kitti-object": "sceneloom.formats.kitti.object.form:FORMAT",
+        "kitti-tracking": "sceneloom.formats.kitti.tracking.form:FORMAT",
+        "kitti-odometry": "sceneloom.formats.kitti.odometry.form:FORMAT",
+        "nuscenes": "sceneloom.formats.nuscenes.form:FORMAT",
+        "argoverse2": "sceneloom.formats.argoverse2.form:FORMAT",
+        "pandaset": "sceneloom.formats.pandaset.form:FORMAT",
+        "scale-toolkit": "sceneloom.formats.scale_toolkit.form:FORMAT",
         "pcd": "sceneloom.formats.clouds.form:PCD",
         "ply": "sceneloom.formats.clouds.form:PLY",
         "las": "sceneloom.formats.clouds.form:LAS",
@@ -41,10 +42,10 @@ FORMATS: Mapping[str, str] = MappingProxyType(
         "kitti-bin": "sceneloom.formats.clouds.form:KITTI_BIN",
         "nuscenes-bin": "sceneloom.formats.clouds.form:NUSCENES_BIN",
         "npz": "sceneloom.formats.clouds.form:NPZ",
-        "euroc-mav": "sceneloom.formats.euroc_mav:FORMAT",
-        "openlabel": "sceneloom.formats.openlabel:FORMAT",
-        "colmap": "sceneloom.formats.colmap:FORMAT",
-        "nerfstudio": "sceneloom.formats.nerfstudio:FORMAT",
+        "euroc-mav": "sceneloom.formats.euroc_mav.form:FORMAT",
+        "openlabel": "sceneloom.formats.openlabel.form:FORMAT",
+        "colmap": "sceneloom.formats.colmap.form:FORMAT",
+        "nerfstudio": "sceneloom.formats.nerfstudio.form:FORMAT",
     }
 )
 """Name of each format and the `module:object` that implements it."""
@@ -295,7 +296,7 @@ def part_of(scene: Scene, *, start: float | None = None, stop: float | None = No
     """
     if start is None and stop is None:
         return scene
-    from sceneloom.editing import crop_scene
+    from sceneloom.editing.crop import crop_scene
 
     try:
         return crop_scene(scene, start=start, stop=stop)
@@ -334,7 +335,7 @@ def _read_by_ranges(url: str, format: str | None) -> bool:
 
 def _fetched_scene(url: str, format: str | None, options: dict[str, Any]) -> Scene:
     """Open a file that is fetched, or a folder whose files are when they are read; they go when the scene is closed."""
-    from sceneloom.formats.remote import fetch
+    from sceneloom.formats.remote.fetching import fetch
 
     with stage("fetching"):
         fetched = fetch(url)
@@ -440,7 +441,7 @@ def write_scene(
         OptionError: no format has that suffix or name.
     """
     if is_url(path):
-        from sceneloom.formats.remote import uploading
+        from sceneloom.formats.remote.uploads import uploading
 
         with uploading(str(path), overwrite=overwrite) as draft:
             return write_scene(scene, draft, format=format, **options)

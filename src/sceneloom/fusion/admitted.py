@@ -9,7 +9,8 @@ from sceneloom.fusion.messages.boxes import Boxes2d, Boxes3d
 from sceneloom.fusion.messages.records import kind_of, size_of
 from sceneloom.fusion.messages.sensor_data import ImageData, PointCloudData, RawData
 from sceneloom.fusion.setting import Setting
-from sceneloom.scene import LidarFrame, Picture
+from sceneloom.scene.cameras import Picture
+from sceneloom.scene.clouds import LidarFrame
 
 WholeRecord = RawData | ImageData | PointCloudData | Boxes3d | Boxes2d
 """What is sent of one frame."""

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from sceneloom.colouring import VisibilitySettings
+from sceneloom.colouring.visibility import VisibilitySettings
 from sceneloom.detections.detector_files import DEFAULT
 from sceneloom.fusion.algorithms import AlgorithmChoice
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array, read_only
 from sceneloom.fusion.messages.boxes import Boxes3d
-from sceneloom.scene import LidarFrame
+from sceneloom.scene.clouds import LidarFrame
 
 
 def is_identity(matrix: Float64Array) -> bool:

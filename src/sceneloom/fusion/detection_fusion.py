@@ -9,15 +9,14 @@ import numpy as np
 
 from sceneloom.arrays import Float32Array
 from sceneloom.cameras.camera import Camera
-from sceneloom.detections import DetectionAlgorithm, DetectionPair, FusedBoxes
+from sceneloom.detections.results import DetectionAlgorithm, DetectionPair, FusedBoxes
 from sceneloom.fusion.pairing import Pairing, Waiting
 from sceneloom.fusion.sensors import KnownCamera, KnownLidar, standing
 from sceneloom.geometry.interpolation import OUT_OF_REACH
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Identifier
 from sceneloom.scene.detections import Boxes2D, Boxes3D
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.types import NO_FIELDS
+from sceneloom.scene.types import NO_FIELDS, Identifier
 
 
 @dataclass(frozen=True, slots=True, eq=False)

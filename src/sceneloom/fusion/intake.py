@@ -12,13 +12,8 @@ from sceneloom.fusion.bare_boxes import seq_of
 from sceneloom.fusion.calibration.axes import SensorKind
 from sceneloom.fusion.ledger import Stream
 from sceneloom.fusion.messages.boxes import Box2d, Box3d, Boxes2d, Boxes3d
-from sceneloom.fusion.messages.scene_form import (
-    lidar_frame_of,
-    lidar_frame_of_raw,
-    picture_of,
-    picture_of_raw,
-    result_fields,
-)
+from sceneloom.fusion.messages.scene_form.clouds import lidar_frame_of, lidar_frame_of_raw, result_fields
+from sceneloom.fusion.messages.scene_form.pictures import picture_of, picture_of_raw
 from sceneloom.fusion.messages.sensor_data import ImageData, PointCloudData, RawData
 from sceneloom.fusion.messages.tables import BOX_3D, POINT_CLOUD
 from sceneloom.fusion.outcome import Cause, Outcome, refused

@@ -15,13 +15,14 @@ from sceneloom.fusion.calibration.axes import SensorKind
 from sceneloom.fusion.detection_fusion import FusedDetectionFrame
 from sceneloom.fusion.messages.boxes import Boxes2d, Boxes3d
 from sceneloom.fusion.messages.fused import FusedDetections, SensorFusionData
-from sceneloom.fusion.messages.scene_form import COLOR_NAMES, result_fields, sensor_fusion_of
+from sceneloom.fusion.messages.scene_form.clouds import COLOR_NAMES, result_fields
+from sceneloom.fusion.messages.scene_form.results import sensor_fusion_of
 from sceneloom.fusion.messages.sensor_data import ImageData
 from sceneloom.fusion.messages.timestamps import Timestamp
 from sceneloom.fusion.setting import Setting
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels.declared_objects import declare_objects
-from sceneloom.scene import LidarFrame, LidarPoints
+from sceneloom.scene.clouds import LidarFrame, LidarPoints
 
 UNSEEN_LEVEL = 128
 """Red, green and blue of points that the picture does not show."""

@@ -7,8 +7,7 @@ from enum import StrEnum
 from typing import Any, Generic, Protocol, TypeVar
 
 from sceneloom.fusion.configuration import FusionConfiguration
-from sceneloom.scene import Identifier
-from sceneloom.scene.types import NO_FIELDS
+from sceneloom.scene.types import NO_FIELDS, Identifier
 
 _DEFAULTS = FusionConfiguration()
 

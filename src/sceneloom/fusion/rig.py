@@ -19,7 +19,8 @@ from sceneloom.fusion.found_objects import FoundObjects
 from sceneloom.fusion.ledger import Ledger, Stream, Ticket
 from sceneloom.fusion.messages.boxes import Boxes3d
 from sceneloom.fusion.messages.records import ResultRecord
-from sceneloom.fusion.messages.scene_form import boxes_2d_of, boxes_3d_of, image_of_raw
+from sceneloom.fusion.messages.scene_form.boxes import boxes_2d_of, boxes_3d_of
+from sceneloom.fusion.messages.scene_form.pictures import image_of_raw
 from sceneloom.fusion.messages.sensor_data import ImageData, RawData
 from sceneloom.fusion.mounting import way_of_mounted
 from sceneloom.fusion.outgoing import fused_detections_record, sensor_fusion_record
@@ -29,7 +30,8 @@ from sceneloom.fusion.setting import Setting
 from sceneloom.fusion.system import FusionSystem
 from sceneloom.geometry.interpolation import OUT_OF_REACH
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import LidarFrame, Picture
+from sceneloom.scene.cameras import Picture
+from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.poses import PosePath
 from sceneloom.scene.shutter import GLOBAL

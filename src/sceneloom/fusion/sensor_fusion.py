@@ -15,9 +15,11 @@ from sceneloom.fusion.pairing import Pairing, Waiting
 from sceneloom.fusion.sensors import KnownCamera, KnownLidar, standing
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.deskew import points_to_world
-from sceneloom.scene import Identifier, LidarFrame, Picture
+from sceneloom.scene.cameras import Picture
+from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.point_times import TimesFound
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.types import Identifier
 from sceneloom.visibility.rolling_shutter import ShutterWay
 
 

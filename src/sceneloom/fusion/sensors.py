@@ -3,11 +3,12 @@
 from collections import deque
 from dataclasses import dataclass, field, replace
 
-from sceneloom.scene import Identifier, LidarFrame
+from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.point_times import RawTimes, TimesFound, timed_frame
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.poses import PosePath
 from sceneloom.scene.shutter import GLOBAL, Shutter
+from sceneloom.scene.types import Identifier
 
 _MOST_SWEEPS = 3
 """So many sweeps are kept for boxes, which come later."""

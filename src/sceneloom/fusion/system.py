@@ -8,8 +8,8 @@ from functools import partial
 from typing import Any, cast
 
 from sceneloom.colouring.results import FusedFrame
-from sceneloom.detections import DetectionAlgorithm
 from sceneloom.detections.detector_files import DEFAULT
+from sceneloom.detections.results import DetectionAlgorithm
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.errors import DataError, OptionError
 from sceneloom.fusion.algorithms import AlgorithmChoice, FusionType, algorithm
@@ -18,12 +18,13 @@ from sceneloom.fusion.detection_fusion import BoxFusion, BoxPairing, FusedDetect
 from sceneloom.fusion.pairing import Leave, OnLeft, Pairing, Waiting, nobody
 from sceneloom.fusion.sensor_fusion import SweepFusion, SweepPairing, TimedSweep
 from sceneloom.fusion.sensors import KnownCamera, KnownLidar
-from sceneloom.scene import Identifier, LidarFrame, Picture
+from sceneloom.scene.cameras import Picture
+from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.detections import Boxes3D
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.poses import PosePath
 from sceneloom.scene.shutter import GLOBAL, Shutter
-from sceneloom.scene.types import NO_FIELDS
+from sceneloom.scene.types import NO_FIELDS, Identifier
 
 Measurement = LidarFrame | Picture | Boxes3D | SeenBoxes
 """What can be sent: sweeps and pictures, and what detectors saw in them."""

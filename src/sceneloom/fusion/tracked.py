@@ -13,7 +13,9 @@ from sceneloom.fusion.outgoing import tracked_detections_record
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.tracks import Support, TrackedObjects
 from sceneloom.scene.types import Identifier
-from sceneloom.tracking import Observation, Tracker, TrackerSettings, View
+from sceneloom.tracking.observation import Observation, View
+from sceneloom.tracking.settings import TrackerSettings
+from sceneloom.tracking.tracker import Tracker
 
 DEFAULTS = TrackerSettings()
 

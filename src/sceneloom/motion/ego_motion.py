@@ -9,14 +9,17 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.gnss_receivers import gnss_receivers
 from sceneloom.motion.heading import headed_poses
 from sceneloom.motion.trajectories import GNSS, IMU, LIDAR, choose_trajectory
-from sceneloom.scene import Coordinates, LidarSensor, Notice, NoticeKind, PointsFrame, Scene, Trajectory
 from sceneloom.scene.annotations_frame import annotations_frame
+from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import ego_path
-from sceneloom.scene.types import Progress
+from sceneloom.scene.types import Coordinates, PointsFrame, Progress
 
 if TYPE_CHECKING:
-    from sceneloom.motion.odometry import OdometryRun
+    from sceneloom.motion.odometry.run import OdometryRun
 
 
 def find_ego_motion(
@@ -136,7 +139,7 @@ def placeable_lidars(scene: Scene) -> tuple[LidarSensor, ...]:
 
 
 def _followed(scene: Scene, progress: Progress | None, *, lenient: bool) -> "OdometryRun":
-    from sceneloom.motion.odometry import lidar_odometry
+    from sceneloom.motion.odometry.run import lidar_odometry
 
     return lidar_odometry(scene, progress=progress, lenient=lenient)
 
@@ -153,7 +156,7 @@ def _from_gnss(
     progress: Progress | None,
     lenient: bool,
 ) -> EgoMotion:
-    from sceneloom.motion.gnss_imu import gnss_imu_motion
+    from sceneloom.motion.gnss_imu.run import gnss_imu_motion
 
     if heading not in {None, "motion"}:
         raise OptionError(f"heading {heading!r}; expected 'motion'")

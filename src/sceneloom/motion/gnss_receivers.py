@@ -3,7 +3,8 @@
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
-from sceneloom.scene import GnssSensor, Scene
+from sceneloom.scene.motion import GnssSensor
+from sceneloom.scene.scene import Scene
 
 HIGHEST = 1e6
 """Heights beyond it [m] no receiver tells that is carried by an ego; NaN stands for one that is not told."""

@@ -3,7 +3,7 @@
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
-from sceneloom.scene import VectorSamples
+from sceneloom.scene.motion import VectorSamples
 
 GYROSCOPE, ACCELEROMETER = "gyroscope", "accelerometer"
 """Streams of an IMU, in the words of the recording format."""

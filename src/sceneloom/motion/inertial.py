@@ -19,8 +19,11 @@ from sceneloom.motion.imu_samples import (
     usable_samples,
 )
 from sceneloom.motion.standing import Standing, find_standing
-from sceneloom.scene import ImuSensor, Notice, NoticeKind, PosePath, Scene, VectorSamples
 from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.motion import ImuSensor, VectorSamples
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,8 +2,10 @@
 
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.motion.heading import headed_poses
-from sceneloom.scene import GnssSensor, PosePath, Scene, Trajectory
 from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.motion import GnssSensor
+from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.scene import Scene
 
 IDENTITY = "identity"
 GNSS = "gnss"

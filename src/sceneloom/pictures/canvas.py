@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from sceneloom.arrays import UInt8Array
-from sceneloom.scene import Notice, NoticeKind
+from sceneloom.scene.notices import Notice, NoticeKind
 
 PilImage = Image.Image
 Colour = tuple[int, int, int]

@@ -15,7 +15,7 @@ from sceneloom.pictures.cloud_perspective import draw_cloud_perspective
 from sceneloom.pictures.clouds import UNSEEN
 from sceneloom.pictures.ego import find_ego
 from sceneloom.pictures.sheets import save_picture
-from sceneloom.scene import PosePath
+from sceneloom.scene.poses import PosePath
 
 CUBE = 0.04
 """Of each sweep, one point per cube of this side is kept [m]: more shows in no picture."""

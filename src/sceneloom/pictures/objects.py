@@ -22,7 +22,9 @@ from sceneloom.pictures.canvas import Canvas, Colour, PilImage, count_text, seco
 from sceneloom.pictures.cloud_above import SIZE_PX, MapLayout, draw_cloud_above
 from sceneloom.pictures.ego import EgoPlace
 from sceneloom.pictures.views import framed, picture_canvas, subdued
-from sceneloom.scene import Identifier, Picture, Support, TrackedObjects
+from sceneloom.scene.cameras import Picture
+from sceneloom.scene.tracks import Support, TrackedObjects
+from sceneloom.scene.types import Identifier
 
 _WORDS = {
     Support.BOTH: "",

@@ -16,7 +16,7 @@ from sceneloom.pictures.cloud_above import draw_cloud_above
 from sceneloom.pictures.cloud_perspective import draw_cloud_perspective
 from sceneloom.pictures.ego import find_ego
 from sceneloom.pictures.views import draw_depth_image, draw_overlay, view_scale
-from sceneloom.scene import PosePath
+from sceneloom.scene.poses import PosePath
 
 _COMPRESSION = 2
 """Higher levels of PNG make these pictures 3 % smaller and take three times as long."""

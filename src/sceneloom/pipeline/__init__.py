@@ -4,8 +4,9 @@ Every name is imported when it is first used: a conversion or an edit needs noth
 import.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
     from sceneloom.pipeline.colouring.job import colour
@@ -25,6 +26,37 @@ if TYPE_CHECKING:
     from sceneloom.pipeline.syncing import SyncReport, sync
     from sceneloom.pipeline.tracking.job import TrackingSettings
     from sceneloom.pipeline.tracking.report import TrackReport
+else:
+    __getattr__, __dir__ = names_on_first_use(
+        __name__,
+        {
+            "CameraReport": "sceneloom.pipeline.fusing.report:CameraReport",
+            "ColourOutputs": "sceneloom.pipeline.colouring.settings:ColourOutputs",
+            "ColourReport": "sceneloom.pipeline.colouring.report:ColourReport",
+            "ColourSettings": "sceneloom.pipeline.colouring.settings:ColourSettings",
+            "ConversionReport": "sceneloom.pipeline.converting.report:ConversionReport",
+            "DepthReport": "sceneloom.pipeline.depth_images:DepthReport",
+            "DeskewReport": "sceneloom.pipeline.deskewing.report:DeskewReport",
+            "DetectionFiles": "sceneloom.pipeline.detections.detected_scene:DetectionFiles",
+            "DetectionFusionReport": "sceneloom.pipeline.detections.report:DetectionFusionReport",
+            "DetectionInput": "sceneloom.pipeline.found_objects:DetectionInput",
+            "FusionOutputs": "sceneloom.pipeline.fusing.outputs:FusionOutputs",
+            "FusionReport": "sceneloom.pipeline.fusing.report:FusionReport",
+            "SyncReport": "sceneloom.pipeline.syncing:SyncReport",
+            "TrackReport": "sceneloom.pipeline.tracking.report:TrackReport",
+            "TrackingSettings": "sceneloom.pipeline.tracking.job:TrackingSettings",
+            "colour": "sceneloom.pipeline.colouring.job:colour",
+            "convert": "sceneloom.pipeline.converting.job:convert",
+            "deskew": "sceneloom.pipeline.deskewing.job:deskew",
+            "deskewed_scene": "sceneloom.pipeline.deskewing.job:deskewed_scene",
+            "fuse": "sceneloom.pipeline.fusing.job:fuse",
+            "fuse_detections": "sceneloom.pipeline.found_objects:fuse_detections",
+            "iter_fused": "sceneloom.pipeline.fusing.job:iter_fused",
+            "sync": "sceneloom.pipeline.syncing:sync",
+            "track_objects": "sceneloom.pipeline.found_objects:track_objects",
+            "write_depth_images": "sceneloom.pipeline.depth_images:write_depth_images",
+        },
+    )
 
 __all__ = [
     "CameraReport",
@@ -53,40 +85,3 @@ __all__ = [
     "track_objects",
     "write_depth_images",
 ]
-
-_ON_FIRST_USE = {
-    "CameraReport": "fusing.report",
-    "ColourOutputs": "colouring.settings",
-    "ColourReport": "colouring.report",
-    "ColourSettings": "colouring.settings",
-    "ConversionReport": "converting.report",
-    "DepthReport": "depth_images",
-    "DeskewReport": "deskewing.report",
-    "DetectionFiles": "detections.detected_scene",
-    "DetectionFusionReport": "detections.report",
-    "DetectionInput": "found_objects",
-    "FusionOutputs": "fusing.outputs",
-    "FusionReport": "fusing.report",
-    "SyncReport": "syncing",
-    "TrackReport": "tracking.report",
-    "TrackingSettings": "tracking.job",
-    "colour": "colouring.job",
-    "convert": "converting.job",
-    "deskew": "deskewing.job",
-    "deskewed_scene": "deskewing.job",
-    "fuse": "fusing.job",
-    "fuse_detections": "found_objects",
-    "iter_fused": "fusing.job",
-    "sync": "syncing",
-    "track_objects": "found_objects",
-    "write_depth_images": "depth_images",
-}
-"""The module of everything that is imported when it is first asked for."""
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _ON_FIRST_USE:
-        raise AttributeError(f"module 'sceneloom.pipeline' has no attribute {name!r}")
-    value = getattr(import_module(f"sceneloom.pipeline.{_ON_FIRST_USE[name]}"), name)
-    globals()[name] = value
-    return value

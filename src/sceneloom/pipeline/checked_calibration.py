@@ -24,7 +24,7 @@ from sceneloom.calibrate.health.verdicts import Item
 from sceneloom.calibrate.planes.followed import PlanePair
 from sceneloom.detections.residuals import BoxResiduals, BoxTurn
 from sceneloom.errors import OptionError
-from sceneloom.formats.kitti import KittiTracking
+from sceneloom.formats.kitti.tracking_folder import KittiTracking
 from sceneloom.geometry.interpolation import OUT_OF_REACH
 from sceneloom.geometry.rotations import (
     conjugate_quaternion,
@@ -36,10 +36,11 @@ from sceneloom.motion.clock.camera_turning import camera_turning
 from sceneloom.motion.ego_motion import find_ego_motion
 from sceneloom.pipeline.detections.detected import DetectedDrive, kitti_drive, moments
 from sceneloom.pipeline.detections.detected_scene import DetectionFiles, scene_drive
-from sceneloom.scene import Identifier, Scene
 from sceneloom.scene.part import cut_scene
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import needs_ego, sensor_source
 from sceneloom.scene.span import scene_period_ns
+from sceneloom.scene.types import Identifier
 
 _MOST_TURNS = 100
 """Pictures whose turning is followed, at most."""

@@ -11,19 +11,22 @@ import numpy as np
 
 from sceneloom.arrays import finite_rows
 from sceneloom.colouring.results import FusedFrame, FusedView
-from sceneloom.depth import METHODS, DenseDepth, complete_depth
+from sceneloom.depth.completion import METHODS, complete_depth
+from sceneloom.depth.results import DenseDepth
 from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.formats.depth_images import write_confidence_png, write_depth_npz, write_depth_png
 from sceneloom.formats.output import check_output, filling, replacing
-from sceneloom.fusion import FusionConfiguration
+from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.pictures.canvas import counting_left_out, leave_out
 from sceneloom.pictures.dense_depths import draw_dense_depth
 from sceneloom.pipeline.fusing.sinks import lidar_folders, names_of
 from sceneloom.pipeline.needed_lidar import check_has_lidar
 from sceneloom.pipeline.play import Skips, build_system, play, telling
 from sceneloom.pipeline.woven.scene import Woven, weave
-from sceneloom.scene import CameraSensor, Identifier, Notice, Scene
-from sceneloom.scene.types import Progress, key_of
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.notices import Notice
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier, Progress, key_of
 
 SPARSE = "sparse"
 DEPTH_METHODS = (SPARSE, *METHODS)

@@ -12,20 +12,13 @@ from sceneloom.editing.chosen_points import OnPoints
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.shared_options import open_scenes
 from sceneloom.formats.table import check_scene_output, format_for_output, scene_for, write_scene
-from sceneloom.scene import (
-    CameraSensor,
-    DepthCameraSensor,
-    DepthFrame,
-    Identifier,
-    LidarSensor,
-    Notice,
-    Picture,
-    PointsSensor,
-    RadarSensor,
-    Scene,
-)
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor, DepthFrame
+from sceneloom.scene.notices import Notice
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import frame_times
-from sceneloom.scene.types import Progress
+from sceneloom.scene.types import Identifier, Progress
 from sceneloom.scene.watched import AnyFrame, watched
 
 Joining = Callable[[Sequence[Scene], OnPoints], Scene]

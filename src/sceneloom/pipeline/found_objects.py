@@ -8,18 +8,17 @@ from typing import Any
 
 import msgspec
 
-from sceneloom.editing import crop_scene
+from sceneloom.editing.crop import crop_scene
 from sceneloom.errors import OptionError
-from sceneloom.formats import open_scene
-from sceneloom.formats.kitti import KittiTracking, open_tracking_folder
-from sceneloom.formats.kitti.tracking_folder import is_tracking_folder
-from sceneloom.formats.table import PART
+from sceneloom.formats.kitti.tracking_folder import KittiTracking, is_tracking_folder, open_tracking_folder
+from sceneloom.formats.table import PART, open_scene
 from sceneloom.pipeline.detections.detected_scene import DetectionFiles, scene_drive
 from sceneloom.pipeline.detections.files import fuse_drive_detections, fuse_folder_detections, fused_files
 from sceneloom.pipeline.detections.report import DetectionFusionReport
 from sceneloom.pipeline.tracking.files import TrackableDrive, track_folder, track_into, track_many
 from sceneloom.pipeline.tracking.report import TrackReport
-from sceneloom.scene import Identifier, Scene
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
 from sceneloom.stages import timed
 
 

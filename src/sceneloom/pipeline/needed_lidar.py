@@ -1,7 +1,7 @@
 """What most of the jobs cannot do without."""
 
 from sceneloom.errors import DataError
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 
 def check_has_lidar(scene: Scene, needing: str) -> None:

@@ -7,21 +7,17 @@ from dataclasses import dataclass, field
 
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import DataError, SceneloomError
-from sceneloom.fusion import FusionConfiguration, FusionSystem
-from sceneloom.scene import (
-    CameraSensor,
-    Identifier,
-    LidarFrame,
-    LidarSensor,
-    Notice,
-    NoticeKind,
-    Picture,
-    Scene,
-)
+from sceneloom.fusion.configuration import FusionConfiguration
+from sceneloom.fusion.system import FusionSystem
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import lidar_place, points_source, sensor_source
 from sceneloom.scene.shutter import Shutter
 from sceneloom.scene.span import scene_period_ns, sweep_period_ns
+from sceneloom.scene.types import Identifier
 
 
 @dataclass(slots=True)

@@ -17,7 +17,8 @@ from sceneloom.motion.clock.scene_clocks import compare_streams
 from sceneloom.motion.clock.streams import Stream, StreamKind, streams_of
 from sceneloom.motion.clock.turning_clock import REACH_NS
 from sceneloom.motion.clock.way_clock import LEVER_SIGMA
-from sceneloom.scene import Notice, NoticeKind, Scene
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Progress, key_of
 
 _RANKS = (StreamKind.IMU, StreamKind.TRAJECTORY, StreamKind.LIDAR, StreamKind.CAMERA, StreamKind.GNSS)

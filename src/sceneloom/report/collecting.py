@@ -8,12 +8,13 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from sceneloom.checks import ValidationReport, validate
 from sceneloom.checks.opening import open_subject
+from sceneloom.checks.report import ValidationReport
+from sceneloom.checks.validation import validate
 from sceneloom.errors import DataError, SceneloomError
-from sceneloom.formats import size_on_disk
 from sceneloom.formats.files import read_bytes
 from sceneloom.formats.loss import Loss
+from sceneloom.formats.size import size_on_disk
 from sceneloom.formats.table import PART
 from sceneloom.formats.urls import path_or_url
 from sceneloom.motion.ego_motion import find_ego_motion, is_computed, with_way_found
@@ -32,7 +33,7 @@ from sceneloom.report.numbers.timing import timing_of
 from sceneloom.report.numbers.verdict import Evidence, verdict_of
 from sceneloom.report.numbers.ways import Ways, ways_of
 from sceneloom.report.settings import ReportSettings
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import needs_ego
 from sceneloom.scene.span import frame_times
 from sceneloom.scene.summary import SceneSummary, summarise

@@ -15,7 +15,7 @@ from sceneloom.report.collecting import collect
 from sceneloom.report.numbers.drive import DriveReport
 from sceneloom.report.page.rendering import check_extra, render_page
 from sceneloom.report.settings import ReportSettings
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Progress
 from sceneloom.stages import stage
 

@@ -1,54 +1,120 @@
 """The scene model, in the words of the Sensor Fusion Scene format, with IMU and GNSS added."""
 
-from sceneloom.scene.annotations import (
-    Activation,
-    Annotation,
-    AttributePath,
-    Box2DAnnotation,
-    BoxPath,
-    CameraCalibration,
-    CuboidAnnotation,
-    CuboidPath,
-    EventAnnotation,
-    GroupAnnotation,
-    LabeledPoints,
-    LabeledPointsAnnotation,
-    LinkAnnotation,
-    LocalizationAdjustment,
-    ObjectAnnotation,
-    PlainAnnotation,
-    PointPath,
-    PointProjection,
-    PointsAnnotation,
-    Projection,
-    ShapeAnnotation,
-    ShapeType,
-    VertexPath,
-)
-from sceneloom.scene.cameras import CameraSensor, Picture, VideoContent
-from sceneloom.scene.clouds import (
-    LidarFrame,
-    LidarPoints,
-    LidarSensor,
-    PointsSensor,
-    RadarFrame,
-    RadarPoints,
-    RadarSensor,
-)
-from sceneloom.scene.depth import DepthCameraSensor, DepthFrame
-from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
-from sceneloom.scene.findings import Finding, Severity
-from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
-from sceneloom.scene.notices import Notice, NoticeKind
-from sceneloom.scene.plain import PlainSensor
-from sceneloom.scene.poses import PosePath, PoseSamples, Trajectory
-from sceneloom.scene.sample import Sample
-from sceneloom.scene.sample_boxes import Boxes
-from sceneloom.scene.samples import Samples
-from sceneloom.scene.scene import Corrections, Scene, Sensor
-from sceneloom.scene.tracks import Support, Track, TrackedObjects, Tracks
-from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, SensorType
+from typing import TYPE_CHECKING
+
+from sceneloom.lazy import names_on_first_use
+
+if TYPE_CHECKING:
+    from sceneloom.scene.annotations.annotation import Annotation
+    from sceneloom.scene.annotations.attributes import AttributePath
+    from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation, BoxPath
+    from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment
+    from sceneloom.scene.annotations.cuboids import Activation, CuboidAnnotation, CuboidPath, Projection
+    from sceneloom.scene.annotations.keypoints import PointPath, PointProjection, PointsAnnotation
+    from sceneloom.scene.annotations.labelled_points import LabeledPoints, LabeledPointsAnnotation
+    from sceneloom.scene.annotations.plain import PlainAnnotation
+    from sceneloom.scene.annotations.relations import (
+        EventAnnotation,
+        GroupAnnotation,
+        LinkAnnotation,
+        ObjectAnnotation,
+    )
+    from sceneloom.scene.annotations.shapes import ShapeAnnotation, ShapeType, VertexPath
+    from sceneloom.scene.cameras import CameraSensor, Picture, VideoContent
+    from sceneloom.scene.clouds import (
+        LidarFrame,
+        LidarPoints,
+        LidarSensor,
+        PointsSensor,
+        RadarFrame,
+        RadarPoints,
+        RadarSensor,
+    )
+    from sceneloom.scene.depth import DepthCameraSensor, DepthFrame
+    from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
+    from sceneloom.scene.findings import Finding, Severity
+    from sceneloom.scene.frames import LazyFrames
+    from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
+    from sceneloom.scene.notices import Notice, NoticeKind
+    from sceneloom.scene.plain import PlainSensor
+    from sceneloom.scene.poses import PosePath, PoseSamples, Trajectory
+    from sceneloom.scene.sample import Sample
+    from sceneloom.scene.sample_boxes import Boxes
+    from sceneloom.scene.samples import Samples
+    from sceneloom.scene.scene import Corrections, Scene, Sensor
+    from sceneloom.scene.tracks import Support, Track, TrackedObjects, Tracks
+    from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, SensorType
+else:
+    __getattr__, __dir__ = names_on_first_use(
+        __name__,
+        {
+            "Activation": "sceneloom.scene.annotations.cuboids:Activation",
+            "Annotation": "sceneloom.scene.annotations.annotation:Annotation",
+            "AttributePath": "sceneloom.scene.annotations.attributes:AttributePath",
+            "Box2DAnnotation": "sceneloom.scene.annotations.boxes_2d:Box2DAnnotation",
+            "BoxPath": "sceneloom.scene.annotations.boxes_2d:BoxPath",
+            "Boxes": "sceneloom.scene.sample_boxes:Boxes",
+            "Boxes2D": "sceneloom.scene.detections:Boxes2D",
+            "Boxes3D": "sceneloom.scene.detections:Boxes3D",
+            "CameraCalibration": "sceneloom.scene.annotations.corrections:CameraCalibration",
+            "CameraSensor": "sceneloom.scene.cameras:CameraSensor",
+            "Coordinates": "sceneloom.scene.types:Coordinates",
+            "Corrections": "sceneloom.scene.scene:Corrections",
+            "CuboidAnnotation": "sceneloom.scene.annotations.cuboids:CuboidAnnotation",
+            "CuboidPath": "sceneloom.scene.annotations.cuboids:CuboidPath",
+            "DepthCameraSensor": "sceneloom.scene.depth:DepthCameraSensor",
+            "DepthFrame": "sceneloom.scene.depth:DepthFrame",
+            "EventAnnotation": "sceneloom.scene.annotations.relations:EventAnnotation",
+            "Finding": "sceneloom.scene.findings:Finding",
+            "GnssSensor": "sceneloom.scene.motion:GnssSensor",
+            "GroupAnnotation": "sceneloom.scene.annotations.relations:GroupAnnotation",
+            "Identifier": "sceneloom.scene.types:Identifier",
+            "ImuSensor": "sceneloom.scene.motion:ImuSensor",
+            "LabeledPoints": "sceneloom.scene.annotations.labelled_points:LabeledPoints",
+            "LabeledPointsAnnotation": "sceneloom.scene.annotations.labelled_points:LabeledPointsAnnotation",
+            "LazyFrames": "sceneloom.scene.frames:LazyFrames",
+            "LidarFrame": "sceneloom.scene.clouds:LidarFrame",
+            "LidarPoints": "sceneloom.scene.clouds:LidarPoints",
+            "LidarSensor": "sceneloom.scene.clouds:LidarSensor",
+            "LinkAnnotation": "sceneloom.scene.annotations.relations:LinkAnnotation",
+            "LocalizationAdjustment": "sceneloom.scene.annotations.corrections:LocalizationAdjustment",
+            "Notice": "sceneloom.scene.notices:Notice",
+            "NoticeKind": "sceneloom.scene.notices:NoticeKind",
+            "ObjectAnnotation": "sceneloom.scene.annotations.relations:ObjectAnnotation",
+            "OdometrySensor": "sceneloom.scene.motion:OdometrySensor",
+            "Picture": "sceneloom.scene.cameras:Picture",
+            "PlainAnnotation": "sceneloom.scene.annotations.plain:PlainAnnotation",
+            "PlainSensor": "sceneloom.scene.plain:PlainSensor",
+            "PointPath": "sceneloom.scene.annotations.keypoints:PointPath",
+            "PointProjection": "sceneloom.scene.annotations.keypoints:PointProjection",
+            "PointsAnnotation": "sceneloom.scene.annotations.keypoints:PointsAnnotation",
+            "PointsFrame": "sceneloom.scene.types:PointsFrame",
+            "PointsSensor": "sceneloom.scene.clouds:PointsSensor",
+            "PosePath": "sceneloom.scene.poses:PosePath",
+            "PoseSamples": "sceneloom.scene.poses:PoseSamples",
+            "Projection": "sceneloom.scene.annotations.cuboids:Projection",
+            "RadarFrame": "sceneloom.scene.clouds:RadarFrame",
+            "RadarPoints": "sceneloom.scene.clouds:RadarPoints",
+            "RadarSensor": "sceneloom.scene.clouds:RadarSensor",
+            "Sample": "sceneloom.scene.sample:Sample",
+            "Samples": "sceneloom.scene.samples:Samples",
+            "Scene": "sceneloom.scene.scene:Scene",
+            "ScoreForm": "sceneloom.scene.detections:ScoreForm",
+            "Sensor": "sceneloom.scene.scene:Sensor",
+            "SensorType": "sceneloom.scene.types:SensorType",
+            "Severity": "sceneloom.scene.findings:Severity",
+            "ShapeAnnotation": "sceneloom.scene.annotations.shapes:ShapeAnnotation",
+            "ShapeType": "sceneloom.scene.annotations.shapes:ShapeType",
+            "Support": "sceneloom.scene.tracks:Support",
+            "Track": "sceneloom.scene.tracks:Track",
+            "TrackedObjects": "sceneloom.scene.tracks:TrackedObjects",
+            "Tracks": "sceneloom.scene.tracks:Tracks",
+            "Trajectory": "sceneloom.scene.poses:Trajectory",
+            "VectorSamples": "sceneloom.scene.motion:VectorSamples",
+            "VertexPath": "sceneloom.scene.annotations.shapes:VertexPath",
+            "VideoContent": "sceneloom.scene.cameras:VideoContent",
+        },
+    )
 
 __all__ = [
     "Activation",

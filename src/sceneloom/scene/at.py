@@ -12,15 +12,11 @@ from numpy.typing import ArrayLike
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.geometry.rotations import conjugate_quaternion, multiply_quaternions, slerp
 from sceneloom.scene.angles import CuboidAngles
-from sceneloom.scene.annotations import (
-    AttributePath,
-    Box2DAnnotation,
-    CuboidAnnotation,
-    PointPath,
-    PointsAnnotation,
-    ShapeAnnotation,
-)
-from sceneloom.scene.annotations.cuboids import Activation
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.cuboids import Activation, CuboidAnnotation
+from sceneloom.scene.annotations.keypoints import PointPath, PointsAnnotation
+from sceneloom.scene.annotations.shapes import ShapeAnnotation
 from sceneloom.scene.types import Identifier, key_of
 
 STANDARD_ANGLES = CuboidAngles()

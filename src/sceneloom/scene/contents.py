@@ -9,20 +9,19 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from sceneloom.scene.annotations import (
-    Box2DAnnotation,
-    CameraCalibration,
-    CuboidAnnotation,
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.annotations.keypoints import PointsAnnotation
+from sceneloom.scene.annotations.labelled_points import LabeledPointsAnnotation
+from sceneloom.scene.annotations.plain import PlainAnnotation
+from sceneloom.scene.annotations.relations import (
     EventAnnotation,
     GroupAnnotation,
-    LabeledPointsAnnotation,
     LinkAnnotation,
-    LocalizationAdjustment,
     ObjectAnnotation,
-    PlainAnnotation,
-    PointsAnnotation,
-    ShapeAnnotation,
 )
+from sceneloom.scene.annotations.shapes import ShapeAnnotation
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
 from sceneloom.scene.depth import DepthCameraSensor

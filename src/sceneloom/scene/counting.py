@@ -12,7 +12,7 @@ import numpy as np
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import SceneloomError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.annotations import AttributePath
+from sceneloom.scene.annotations.attributes import AttributePath
 from sceneloom.scene.cameras import CameraSensor, Picture, VideoContent
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarSensor
 from sceneloom.scene.contents import IMU_STREAMS, KINDS, MODEL_FIELDS, NO_DATA

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sceneloom.arrays import Int64Array, UInt32Array
-from sceneloom.scene.annotations import Annotation, LabeledPoints, LabeledPointsAnnotation
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.labelled_points import LabeledPoints, LabeledPointsAnnotation
 from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.types import Key, key_of
 

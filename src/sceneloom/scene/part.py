@@ -9,7 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Int64Array
 from sceneloom.errors import OptionError
-from sceneloom.scene.annotations import Annotation
+from sceneloom.scene.annotations.annotation import Annotation
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.depth import DepthCameraSensor

@@ -8,23 +8,15 @@ from typing import Any, TypeVar
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Int64Array
-from sceneloom.scene.annotations import (
-    Activation,
-    Annotation,
-    AttributePath,
-    Box2DAnnotation,
-    CameraCalibration,
-    CuboidAnnotation,
-    EventAnnotation,
-    LinkAnnotation,
-    LocalizationAdjustment,
-    PlainAnnotation,
-    PointPath,
-    PointProjection,
-    PointsAnnotation,
-    Projection,
-    ShapeAnnotation,
-)
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment
+from sceneloom.scene.annotations.cuboids import Activation, CuboidAnnotation, Projection
+from sceneloom.scene.annotations.keypoints import PointPath, PointProjection, PointsAnnotation
+from sceneloom.scene.annotations.plain import PlainAnnotation
+from sceneloom.scene.annotations.relations import EventAnnotation, LinkAnnotation
+from sceneloom.scene.annotations.shapes import ShapeAnnotation
 from sceneloom.scene.poses import PosePath
 from sceneloom.scene.types import Key, key_of
 

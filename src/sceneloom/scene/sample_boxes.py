@@ -10,7 +10,7 @@ from sceneloom.arrays import BoolArray, Float64Array, Int64Array, hold_array
 from sceneloom.geometry.boxes import box_corners
 from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.scene.angles import CuboidAngles
-from sceneloom.scene.annotations import CuboidAnnotation
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
 from sceneloom.scene.annotations_frame import annotations_frame, not_in_world
 from sceneloom.scene.at import CuboidPoses, activated, active_at, cuboid_poses, turned
 from sceneloom.scene.scene import Scene

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any, Self
 
 from sceneloom.arrays import hold_timestamp
 from sceneloom.errors import OptionError, SceneloomError
-from sceneloom.scene.annotations import Annotation, AttributePath, CameraCalibration, LocalizationAdjustment
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
 from sceneloom.scene.depth import DepthCameraSensor

@@ -1,5 +1,1 @@
 """The fusion system as a service: DB34/T 4101-2022, clause 5, over gRPC (extra `serve`)."""
-
-from sceneloom.service.extra import EXTRA
-
-__all__ = ["EXTRA"]

@@ -16,7 +16,7 @@ from sceneloom.fusion.messages.protobuf_form import encode_in, fill_message
 from sceneloom.fusion.messages.records import SentRecord
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.fusion.outcome import Cause, Outcome, refused
-from sceneloom.fusion.properties import Property
+from sceneloom.fusion.properties.store import Property
 from sceneloom.scene.poses import PosePath
 from sceneloom.service.client_errors import code_of, details_of, reader_of, service_error
 from sceneloom.service.motion_form import motion_request

@@ -14,15 +14,17 @@ import numpy as np
 from sceneloom.errors import OptionError
 from sceneloom.formats.depth_images import write_depth_png
 from sceneloom.formats.output import filling, replacing
-from sceneloom.formats.sfs import SceneWriter
 from sceneloom.formats.sfs.write_pictures import encode_jpeg
+from sceneloom.formats.sfs.writer import SceneWriter
 from sceneloom.fusion.events import Result
 from sceneloom.fusion.messages.array_bytes import bytes_of
 from sceneloom.fusion.messages.encodings import ENCODINGS
 from sceneloom.fusion.messages.fused import FusedDetections, SensorFusionData
 from sceneloom.fusion.messages.json_form import to_json
-from sceneloom.fusion.messages.scene_form import lidar_frame_of_result, rgb_of_pixels
-from sceneloom.scene import LazyFrames, LidarFrame, LidarSensor
+from sceneloom.fusion.messages.scene_form.clouds import lidar_frame_of_result
+from sceneloom.fusion.messages.scene_form.pictures import rgb_of_pixels
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
+from sceneloom.scene.frames import LazyFrames
 
 _ARRAYS = ("image_data", "image_depth", "point_data")
 

@@ -9,7 +9,7 @@ from sceneloom.fusion.messages.protobuf_form import from_protobuf
 from sceneloom.fusion.messages.value_types import ValueType
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.fusion.outcome import DONE, Cause, Outcome
-from sceneloom.fusion.properties import Property, Snapshot
+from sceneloom.fusion.properties.store import Property, Snapshot
 from sceneloom.service.values import value_from_protobuf
 
 

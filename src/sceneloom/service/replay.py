@@ -19,7 +19,7 @@ from sceneloom.fusion.messages.protobuf_form import encode, from_protobuf, parse
 from sceneloom.fusion.messages.records import kind_of
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.fusion.motion import RecentWay
-from sceneloom.fusion.properties import Snapshot
+from sceneloom.fusion.properties.store import Snapshot
 from sceneloom.fusion.queues import Flushed, Moved
 from sceneloom.fusion.setting import Setting
 from sceneloom.service.motion_form import path_of

@@ -6,7 +6,7 @@ from sceneloom.fusion.messages.protobuf_form import encoded_parts
 from sceneloom.fusion.messages.records import kind_of
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.fusion.outcome import DONE, Outcome
-from sceneloom.fusion.properties import Snapshot
+from sceneloom.fusion.properties.store import Snapshot
 from sceneloom.service.values import property_to_protobuf
 
 NO_DATA = fusion_pb2.GetReply(no_data=fusion_pb2.NoData()).SerializeToString()

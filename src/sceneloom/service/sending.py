@@ -13,7 +13,9 @@ from sceneloom.fusion.calibration.lenses import LENSES
 from sceneloom.fusion.messages.calibration_data import CalibrationData
 from sceneloom.fusion.messages.records import SentRecord, kind_of
 from sceneloom.fusion.outcome import Cause, Outcome
-from sceneloom.scene import Notice, NoticeKind, PosePath, Scene
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import sweep_period_ns, usual_period_ns
 from sceneloom.scene.types import Progress
 from sceneloom.service.sent_records import Piece, pieces_of

@@ -9,7 +9,7 @@ from typing import Any
 
 from sceneloom.fusion.messages.protobuf_form import from_protobuf
 from sceneloom.fusion.outcome import Cause
-from sceneloom.fusion.properties import Property
+from sceneloom.fusion.properties.store import Property
 from sceneloom.service.motion_form import path_of
 from sceneloom.service.received import property_of
 from sceneloom.service.replay import LogEntry, read_log

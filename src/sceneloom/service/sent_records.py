@@ -9,28 +9,21 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import OptionError
 from sceneloom.fusion.messages.boxes import Boxes2d, Boxes3d
 from sceneloom.fusion.messages.records import SentRecord
-from sceneloom.fusion.messages.scene_form import (
-    boxes_2d_record,
-    boxes_3d_record,
-    image_data_of,
-    point_cloud_of,
-)
+from sceneloom.fusion.messages.scene_form.boxes import boxes_2d_record, boxes_3d_record
+from sceneloom.fusion.messages.scene_form.clouds import point_cloud_of
+from sceneloom.fusion.messages.scene_form.pictures import image_data_of
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.play import Reader, in_time_order
-from sceneloom.scene import (
-    Box2DAnnotation,
-    Boxes2D,
-    Boxes3D,
-    CuboidAnnotation,
-    Identifier,
-    LidarFrame,
-    LidarSensor,
-    Picture,
-    PosePath,
-)
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.cameras import Picture
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
+from sceneloom.scene.detections import Boxes2D, Boxes3D
 from sceneloom.scene.point_times import RawTimes, timed_frame
+from sceneloom.scene.poses import PosePath
 from sceneloom.scene.sample_boxes import BoxTable
 from sceneloom.scene.span import scene_period_ns, sweep_period_ns, time_span
+from sceneloom.scene.types import Identifier
 from sceneloom.service.sent_rig import SentRig
 
 _SECOND = 1_000_000_000

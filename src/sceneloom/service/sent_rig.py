@@ -19,21 +19,17 @@ from sceneloom.fusion.calibration.entries import CalibrationEntry
 from sceneloom.fusion.messages.calibration_data import CalibrationData
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_motion import find_ego_motion
-from sceneloom.scene import (
-    CameraSensor,
-    Identifier,
-    LidarSensor,
-    Notice,
-    NoticeKind,
-    PointsFrame,
-    PosePath,
-    Scene,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import points_source, sensor_source
 from sceneloom.scene.shutter import Shutter
 from sceneloom.scene.span import scene_period_ns
+from sceneloom.scene.types import Identifier, PointsFrame
 
 CAMERA_AXES, LIDAR_AXES = "+z,+x,-y", "+x,-y,+z"
 """Where forward, right and up point in the frames of a scene: what a session has to be told."""

@@ -7,7 +7,7 @@ import numpy as np
 from sceneloom.errors import DataError
 from sceneloom.fusion.messages.basic_types import shown
 from sceneloom.fusion.messages.wire import fusion_pb2
-from sceneloom.fusion.properties import Property
+from sceneloom.fusion.properties.store import Property
 
 _INT64 = range(-(2**63), 2**63)
 

@@ -13,15 +13,11 @@ import numpy as np
 
 from sceneloom.cameras.table import MODELS
 from sceneloom.fusion.interface import FusionInterface
-from sceneloom.fusion.messages import (
-    Boxes2d,
-    Boxes3d,
-    CalibrationData,
-    ImageData,
-    PointCloudData,
-    SentRecord,
-    Timestamp,
-)
+from sceneloom.fusion.messages.boxes import Boxes2d, Boxes3d
+from sceneloom.fusion.messages.calibration_data import CalibrationData
+from sceneloom.fusion.messages.records import SentRecord
+from sceneloom.fusion.messages.sensor_data import ImageData, PointCloudData
+from sceneloom.fusion.messages.timestamps import Timestamp
 from sceneloom.kernels.cache import compile_kernels, declaring_modules, find_kernel_cache, lacks_kernels
 
 LOG = logging.getLogger(__name__)

@@ -5,34 +5,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array
-from sceneloom.cameras import project
+from sceneloom.cameras.models import project
 from sceneloom.errors import OptionError
 from sceneloom.geometry.boxes import box_corners
-from sceneloom.scene import (
-    Activation,
-    Annotation,
-    AttributePath,
-    Box2DAnnotation,
-    BoxPath,
-    CameraCalibration,
-    CuboidAnnotation,
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation, BoxPath
+from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment
+from sceneloom.scene.annotations.cuboids import Activation, CuboidAnnotation, Projection
+from sceneloom.scene.annotations.keypoints import PointPath, PointProjection, PointsAnnotation
+from sceneloom.scene.annotations.labelled_points import LabeledPoints, LabeledPointsAnnotation
+from sceneloom.scene.annotations.relations import (
     EventAnnotation,
     GroupAnnotation,
-    LabeledPoints,
-    LabeledPointsAnnotation,
     LinkAnnotation,
-    LocalizationAdjustment,
     ObjectAnnotation,
-    PointPath,
-    PointProjection,
-    PointsAnnotation,
-    PosePath,
-    Projection,
-    ShapeAnnotation,
-    ShapeType,
-    VertexPath,
 )
+from sceneloom.scene.annotations.shapes import ShapeAnnotation, ShapeType, VertexPath
 from sceneloom.scene.at import cuboid_poses
+from sceneloom.scene.poses import PosePath
 from sceneloom.simulate.drive import SimulatedDrive
 from sceneloom.simulate.street import StreetObject
 

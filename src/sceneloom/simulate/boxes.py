@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
-from sceneloom.scene import CuboidAnnotation, CuboidPath
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath
 from sceneloom.simulate.movers import Mover
 from sceneloom.simulate.street import Street, StreetObject
 

@@ -9,7 +9,7 @@ from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array, U
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import check_camera, project, unproject
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Picture
+from sceneloom.scene.cameras import Picture
 from sceneloom.scene.types import NO_FIELDS
 from sceneloom.simulate.bounds import check_bounds
 from sceneloom.simulate.casting import Hits, Paint, Rays, cast, instances_of, paint, silhouettes

@@ -9,7 +9,8 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.errors import OptionError
-from sceneloom.scene import Boxes2D, Boxes3D, Identifier
+from sceneloom.scene.detections import Boxes2D, Boxes3D
+from sceneloom.scene.types import Identifier
 from sceneloom.simulate.drive import SimulatedDrive
 from sceneloom.simulate.randomness import Stream, generator_for
 from sceneloom.simulate.scores import ScoreSpec, deal_out, draw_scores

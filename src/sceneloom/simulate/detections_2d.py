@@ -10,7 +10,9 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import unproject
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Boxes2D, Boxes3D, CameraSensor, Identifier
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.detections import Boxes2D, Boxes3D
+from sceneloom.scene.types import Identifier
 from sceneloom.simulate.camera import PictureTruth
 from sceneloom.simulate.detections import (
     FALSE,

@@ -9,8 +9,10 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Boxes3D, Identifier, LidarSensor, PointsFrame
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.detections import Boxes3D
 from sceneloom.scene.sensor_sources import sensor_source
+from sceneloom.scene.types import Identifier, PointsFrame
 from sceneloom.simulate.detections import (
     FALSE,
     FALSE_HEIGHTS,

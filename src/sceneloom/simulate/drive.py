@@ -9,11 +9,9 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
-from sceneloom.scene import (
-    Identifier,
-    Scene,
-    Trajectory,
-)
+from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
 from sceneloom.simulate.boxes import annotations_of
 from sceneloom.simulate.camera import CameraSpec, camera_mount
 from sceneloom.simulate.faults import Faults

@@ -11,7 +11,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Identifier, SensorType
+from sceneloom.scene.types import Identifier, SensorType
 
 Interval = tuple[int, int]
 """`[start_ns, stop_ns)` on the true clock [ns]."""

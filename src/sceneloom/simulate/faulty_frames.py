@@ -12,7 +12,10 @@ from sceneloom.arrays import AnyArray, BoolArray, Int64Array, UInt8Array, read_o
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Identifier, LazyFrames, LidarFrame, Picture, RadarFrame
+from sceneloom.scene.cameras import Picture
+from sceneloom.scene.clouds import LidarFrame, RadarFrame
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.types import Identifier
 from sceneloom.simulate.faults import Interval, PointTimes, SensorFaults
 from sceneloom.simulate.randomness import Stream, generator_for
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.scene import ImuSensor, VectorSamples
+from sceneloom.scene.motion import ImuSensor, VectorSamples
 from sceneloom.simulate.bounds import check_bounds
 from sceneloom.simulate.path import EgoPath
 from sceneloom.simulate.randomness import Stream, generator_for

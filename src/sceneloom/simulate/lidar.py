@@ -11,7 +11,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array, UInt8Array, read_only
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import LidarFrame, LidarPoints
+from sceneloom.scene.clouds import LidarFrame, LidarPoints
 from sceneloom.simulate.bounds import check_bounds
 from sceneloom.simulate.casting import (
     Hits,

@@ -8,7 +8,7 @@ from numpy.polynomial import polynomial
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rotations import quaternion_from_matrix
-from sceneloom.scene import PosePath
+from sceneloom.scene.poses import PosePath
 from sceneloom.simulate.splines import BASIS, DEGREE
 from sceneloom.simulate.warp import Stop, TimeWarp
 

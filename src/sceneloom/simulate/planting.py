@@ -10,22 +10,15 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    CameraSensor,
-    GnssSensor,
-    Identifier,
-    ImuSensor,
-    LazyFrames,
-    LidarSensor,
-    PosePath,
-    RadarSensor,
-    Scene,
-    SensorType,
-    VectorSamples,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.scene import Sensor
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.span import frame_times
+from sceneloom.scene.types import Identifier, SensorType
 from sceneloom.simulate.faults import POSSIBLE_FAULTS, Faults, SensorFaults
 from sceneloom.simulate.faulty_frames import Clock, FaultyClouds, FaultyPictures, FramePlan, refocused
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, read_only
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import RadarFrame, RadarPoints
+from sceneloom.scene.clouds import RadarFrame, RadarPoints
 from sceneloom.simulate.bounds import check_bounds, check_fan
 from sceneloom.simulate.casting import (
     GROUND_INSTANCE,

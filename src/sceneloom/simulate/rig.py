@@ -9,8 +9,11 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import CameraSensor, LazyFrames, LidarSensor, PosePath, RadarSensor
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath
 from sceneloom.scene.types import NO_FIELDS
 from sceneloom.simulate.camera import CameraSpec, RenderedCamera
 from sceneloom.simulate.lidar import ScanningLidar

@@ -6,7 +6,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.geometry.geodesy import geodetic_from_enu
-from sceneloom.scene import GnssSensor
+from sceneloom.scene.motion import GnssSensor
 from sceneloom.simulate.bounds import check_bounds
 from sceneloom.simulate.path import EgoPath
 from sceneloom.simulate.randomness import Stream, generator_for

@@ -5,7 +5,8 @@ from collections.abc import Collection
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.scene import Boxes3D, PointsFrame
+from sceneloom.scene.detections import Boxes3D
+from sceneloom.scene.types import PointsFrame
 from sceneloom.simulate.boxes import boxes_of
 from sceneloom.simulate.street import Street
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import PosePath
+from sceneloom.scene.poses import PosePath
 from sceneloom.simulate.boxes import BoxTruth, boxes_of
 from sceneloom.simulate.camera import PictureTruth, RenderedCamera
 from sceneloom.simulate.casting import Rays, bundles_by_direction, cast

@@ -1,8 +1,32 @@
 """Objects followed through time, by what sweeps and pictures show of them at each moment."""
 
-from sceneloom.tracking.drive import track_drive
-from sceneloom.tracking.observation import Observation, View
-from sceneloom.tracking.settings import PictureBox, TrackerSettings
-from sceneloom.tracking.tracker import Tracker
+from typing import TYPE_CHECKING
 
-__all__ = ["Observation", "PictureBox", "Tracker", "TrackerSettings", "View", "track_drive"]
+from sceneloom.lazy import names_on_first_use
+
+if TYPE_CHECKING:
+    from sceneloom.tracking.drive import track_drive
+    from sceneloom.tracking.observation import Observation, View
+    from sceneloom.tracking.settings import PictureBox, TrackerSettings
+    from sceneloom.tracking.tracker import Tracker
+else:
+    __getattr__, __dir__ = names_on_first_use(
+        __name__,
+        {
+            "Observation": "sceneloom.tracking.observation:Observation",
+            "PictureBox": "sceneloom.tracking.settings:PictureBox",
+            "Tracker": "sceneloom.tracking.tracker:Tracker",
+            "TrackerSettings": "sceneloom.tracking.settings:TrackerSettings",
+            "View": "sceneloom.tracking.observation:View",
+            "track_drive": "sceneloom.tracking.drive:track_drive",
+        },
+    )
+
+__all__ = [
+    "Observation",
+    "PictureBox",
+    "Tracker",
+    "TrackerSettings",
+    "View",
+    "track_drive",
+]

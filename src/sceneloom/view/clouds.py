@@ -9,10 +9,12 @@ from sceneloom.arrays import Float32Array, Float64Array
 from sceneloom.errors import PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.deskew import points_at
-from sceneloom.scene import LidarFrame, LidarSensor, PointsFrame, PointsSensor, PosePath, RadarSensor
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor, RadarSensor
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath
 from sceneloom.scene.sensor_sources import ego_path
 from sceneloom.scene.span import scene_period_ns, sweep_period_ns
+from sceneloom.scene.types import PointsFrame
 from sceneloom.view.colours import CloudPainter, one_packed, packed
 from sceneloom.view.feeds import Tell
 from sceneloom.view.places import Places

@@ -10,7 +10,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array, FloatArray, UInt8Array
 from sceneloom.pictures.annotations.figures import PALETTE
 from sceneloom.pictures.colour_maps import colour_map
-from sceneloom.scene import LidarPoints
+from sceneloom.scene.clouds import LidarPoints
 from sceneloom.view.settings import ColourBy
 
 Packed = np.ndarray[tuple[int, ...], np.dtype[np.uint32]]

@@ -16,7 +16,9 @@ from sceneloom.cameras.undistortion import Undistortion, undistorted_camera
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.depth_images import read_depth_png
 from sceneloom.formats.files import check_regular, file_faults, open_file
-from sceneloom.scene import DepthCameraSensor, DepthFrame, Identifier, Scene
+from sceneloom.scene.depth import DepthCameraSensor, DepthFrame
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
 from sceneloom.view.feeds import Feed, Tell
 from sceneloom.view.pictures import PlacedCamera, picture_path
 from sceneloom.view.sdk import sdk

@@ -8,23 +8,18 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError, OptionError
-from sceneloom.scene import (
-    CameraSensor,
-    DepthCameraSensor,
-    Finding,
-    Identifier,
-    LidarSensor,
-    PlainAnnotation,
-    PlainSensor,
-    PointsSensor,
-    RadarSensor,
-    Scene,
-)
+from sceneloom.scene.annotations.plain import PlainAnnotation
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.findings import Finding
 from sceneloom.scene.part import cut_scene
+from sceneloom.scene.plain import PlainSensor
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import time_span
-from sceneloom.scene.types import Key, Progress, key_of
-from sceneloom.view.annotations import AnnotationLayers, annotation_layers
+from sceneloom.scene.types import Identifier, Key, Progress, key_of
 from sceneloom.view.annotations.corrections import show_corrections
+from sceneloom.view.annotations.layers import AnnotationLayers, annotation_layers
 from sceneloom.view.annotations.points import LabelledPoints
 from sceneloom.view.annotations.relations import show_graph
 from sceneloom.view.annotations.states import list_annotations, show_attributes, show_events

@@ -11,7 +11,9 @@ from sceneloom.errors import ArrayError, DataError
 from sceneloom.formats.files import file_faults, open_file
 from sceneloom.pictures.objects import objects_of_fused
 from sceneloom.pipeline.detections.files import fused_files, read_fused
-from sceneloom.scene import Identifier, Scene, Support, TrackedObjects
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.tracks import Support, TrackedObjects
+from sceneloom.scene.types import Identifier
 
 
 def read_detections(path: Path) -> tuple[TrackedObjects, ...]:

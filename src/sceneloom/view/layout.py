@@ -7,7 +7,10 @@ from typing import Any
 import numpy as np
 
 from sceneloom.geometry.rotations import conjugate_quaternion, rotate_vectors
-from sceneloom.scene import EventAnnotation, GnssSensor, Identifier, ImuSensor, Scene
+from sceneloom.scene.annotations.relations import EventAnnotation
+from sceneloom.scene.motion import GnssSensor, ImuSensor
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
 from sceneloom.view.annotations.relations import RELATIONS
 from sceneloom.view.annotations.states import ATTRIBUTES, EVENTS, LIST
 from sceneloom.view.clouds import SENSORS, WORLD

@@ -9,7 +9,9 @@ from sceneloom.arrays import Float64Array
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from sceneloom.motion.gnss_receivers import usable_fixes, usable_places
 from sceneloom.pictures.canvas import Colour
-from sceneloom.scene import GnssSensor, ImuSensor, PosePath, Scene, VectorSamples
+from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene
 from sceneloom.view.clouds import WORLD
 from sceneloom.view.colours import colour_of_name, one_packed
 from sceneloom.view.places import Places

@@ -7,7 +7,8 @@ import numpy as np
 from sceneloom.arrays import Float64Array
 from sceneloom.detections.noise import radius_squared
 from sceneloom.geometry.rotations import quaternion_from_matrix
-from sceneloom.scene import Identifier, Support, TrackedObjects
+from sceneloom.scene.tracks import Support, TrackedObjects
+from sceneloom.scene.types import Identifier
 from sceneloom.view.annotations.cuboids import EDGES
 from sceneloom.view.clouds import WORLD
 from sceneloom.view.colours import colour_of_name, one_packed

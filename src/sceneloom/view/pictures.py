@@ -12,17 +12,13 @@ from sceneloom.editing.undistortion import undistort_scene
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.sfs.write_pictures import encode_jpeg
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    CameraCalibration,
-    CameraSensor,
-    DepthCameraSensor,
-    Identifier,
-    LazyFrames,
-    Picture,
-    Scene,
-)
+from sceneloom.scene.annotations.corrections import CameraCalibration
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier, Key, key_of
 from sceneloom.view.clouds import SENSORS, WORLD
 from sceneloom.view.feeds import Tell
 from sceneloom.view.places import Places, poses_within_reach

@@ -13,18 +13,14 @@ from sceneloom.errors import PoseError
 from sceneloom.geometry.interpolation import OUT_OF_REACH
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_motion import find_ego_motion
-from sceneloom.scene import (
-    CameraSensor,
-    LidarSensor,
-    Notice,
-    NoticeKind,
-    OdometrySensor,
-    PosePath,
-    PoseSamples,
-    Scene,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.motion import OdometrySensor
+from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath, PoseSamples
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import Posed, needs_ego, sensor_source
 from sceneloom.scene.span import scene_period_ns
 from sceneloom.scene.types import Progress

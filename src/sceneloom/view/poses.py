@@ -7,8 +7,8 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import PoseSamples
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PoseSamples
 from sceneloom.view.places import poses_within_reach
 from sceneloom.view.sdk import sdk
 

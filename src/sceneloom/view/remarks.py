@@ -4,8 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from sceneloom.checks import validate
-from sceneloom.scene import Finding, Notice, NoticeKind, Scene, Severity
+from sceneloom.checks.validation import validate
+from sceneloom.scene.findings import Finding, Severity
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.scene import Scene
 from sceneloom.view.sdk import sdk
 from sceneloom.view.stream import Stream
 

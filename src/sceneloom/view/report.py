@@ -2,7 +2,7 @@
 
 import msgspec
 
-from sceneloom.scene import Notice
+from sceneloom.scene.notices import Notice
 
 
 class DriveShown(msgspec.Struct, frozen=True, kw_only=True):

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from sceneloom.errors import OptionError
-from sceneloom.formats import open_scene
 from sceneloom.formats.output import check_output, replacing
 from sceneloom.formats.shared_options import SharedOptions
-from sceneloom.scene import Scene
+from sceneloom.formats.table import open_scene
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import time_span
 from sceneloom.scene.types import Progress
 from sceneloom.view.drive import DriveView, check_single, log_drive, prepare_drive

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from sceneloom.errors import OptionError
-from sceneloom.scene import Identifier, Scene
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
 
 
 class ColourBy(StrEnum):

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sceneloom.arrays import AnyArray, BoolArray, Int64Array
-from sceneloom.scene import Identifier, Notice, NoticeKind
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.types import Identifier
 from sceneloom.view.sdk import sdk
 
 TIME = "time"

@@ -1,9 +1,30 @@
 """Who sees what: cuboids in pictures, points in cuboids."""
 
-from sceneloom.visibility.counted import with_activations, with_counts, with_labeled_points
-from sceneloom.visibility.points import FrameCounts, Moment, PointCounts, count_points
-from sceneloom.visibility.projected import project_cuboids
-from sceneloom.visibility.sights import Sights, sight
+from typing import TYPE_CHECKING
+
+from sceneloom.lazy import names_on_first_use
+
+if TYPE_CHECKING:
+    from sceneloom.visibility.counted import with_activations, with_counts, with_labeled_points
+    from sceneloom.visibility.points import FrameCounts, Moment, PointCounts, count_points
+    from sceneloom.visibility.projected import project_cuboids
+    from sceneloom.visibility.sights import Sights, sight
+else:
+    __getattr__, __dir__ = names_on_first_use(
+        __name__,
+        {
+            "FrameCounts": "sceneloom.visibility.points:FrameCounts",
+            "Moment": "sceneloom.visibility.points:Moment",
+            "PointCounts": "sceneloom.visibility.points:PointCounts",
+            "Sights": "sceneloom.visibility.sights:Sights",
+            "count_points": "sceneloom.visibility.points:count_points",
+            "project_cuboids": "sceneloom.visibility.projected:project_cuboids",
+            "sight": "sceneloom.visibility.sights:sight",
+            "with_activations": "sceneloom.visibility.counted:with_activations",
+            "with_counts": "sceneloom.visibility.counted:with_counts",
+            "with_labeled_points": "sceneloom.visibility.counted:with_labeled_points",
+        },
+    )
 
 __all__ = [
     "FrameCounts",

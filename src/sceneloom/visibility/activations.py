@@ -3,8 +3,9 @@
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
-from sceneloom.scene import Activation, Identifier
+from sceneloom.scene.annotations.cuboids import Activation
 from sceneloom.scene.span import usual_period_ns
+from sceneloom.scene.types import Identifier
 
 
 def activation_of(

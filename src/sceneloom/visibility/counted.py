@@ -6,16 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from sceneloom.errors import OptionError
-from sceneloom.scene import (
-    Annotation,
-    AttributePath,
-    CuboidAnnotation,
-    Identifier,
-    LabeledPoints,
-    LabeledPointsAnnotation,
-    Scene,
-)
-from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.annotations.labelled_points import LabeledPoints, LabeledPointsAnnotation
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier, Key, key_of
 from sceneloom.visibility.activations import activation_of
 from sceneloom.visibility.points import FrameCounts, PointCounts
 

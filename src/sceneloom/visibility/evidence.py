@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sceneloom.arrays import FloatArray
-from sceneloom.scene import LidarSensor
+from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.point_times import timed_frame
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.span import sweep_period_ns

@@ -11,15 +11,16 @@ from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rotations import conjugate_quaternion, multiply_quaternions, rotate_vectors
 from sceneloom.kernels.path_transform import transform_by_path
 from sceneloom.kernels.points_in_boxes import find_points_in_boxes
-from sceneloom.scene import Identifier, LidarFrame, LidarSensor, Scene
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.point_times import timed_frame
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.sample_boxes import Boxes, BoxTable
 from sceneloom.scene.sample_places import WORLD, choose_ego, place_of_points
 from sceneloom.scene.sample_selection import ALL, Choice, chosen_sensors
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import sweep_period_ns
-from sceneloom.scene.types import Progress
+from sceneloom.scene.types import Identifier, Progress
 
 _KNOT_NS = 10_000_000
 """Boxes that are met point by point are placed so often during a sweep [ns]; between, they go straight."""

@@ -8,27 +8,21 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    Activation,
-    Annotation,
-    AttributePath,
-    CameraSensor,
-    CuboidAnnotation,
-    Identifier,
-    Notice,
-    NoticeKind,
-    Projection,
-    Scene,
-)
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.cuboids import Activation, CuboidAnnotation, Projection
 from sceneloom.scene.assumed_lenses import check_lenses
 from sceneloom.scene.at import cuboid_at
+from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.sample_boxes import BoxTable
 from sceneloom.scene.sample_places import choose_ego, places_of
 from sceneloom.scene.sample_selection import ALL, Choice, chosen_sensors
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.shutter import Shutter
-from sceneloom.scene.types import Progress, key_of
+from sceneloom.scene.types import Identifier, Progress, key_of
 from sceneloom.visibility.activations import activation_of
 from sceneloom.visibility.counted import with_attributes
 from sceneloom.visibility.evidence import SweptPoints

@@ -11,7 +11,7 @@ from sceneloom.geometry.boxes import box_corners
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import conjugate_quaternion, multiply_quaternions
 from sceneloom.kernels.box_sight import count_evidence, count_sights
-from sceneloom.scene import Boxes
+from sceneloom.scene.sample_boxes import Boxes
 from sceneloom.visibility.outlines import CENTRE_TO_CORNER, box_extents, widest_angle
 from sceneloom.visibility.rolled_outlines import Rolling, rolled_extents
 from sceneloom.visibility.rolling_shutter import ShutterWay, pixels_by_lines, project_by_lines

@@ -10,9 +10,10 @@ from scipy.ndimage import map_coordinates
 from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
 from sceneloom.calibrate.measures.candidate import UNITS, Change
 from sceneloom.calibrate.mounting_estimate import step_between
-from sceneloom.calibrate.refinement import RefinementVerdict, refine
 from sceneloom.calibrate.refinement.cues import find_cues
 from sceneloom.calibrate.refinement.moving_pixels import moving_pixels
+from sceneloom.calibrate.refinement.refine import refine
+from sceneloom.calibrate.refinement.results import RefinementVerdict
 from sceneloom.calibrate.refinement.views import views_of
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.checks import Hit, Rule, all_rules, catalogue, chosen_rules, validate
+from sceneloom.checks import Hit, Rule, all_rules, chosen_rules, validate
+from sceneloom.checks.catalogue import catalogue
 from sceneloom.checks.report import findings_of
 from sceneloom.checks.subject import Subject
 from sceneloom.checks.walk import find_all

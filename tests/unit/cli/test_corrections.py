@@ -15,9 +15,9 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.catalog.drafts import read_draft
 from sceneloom.catalog.drives import read_drive
 from sceneloom.cli.main import sceneloom as command_line
-from sceneloom.formats.trajectories import read_trajectory
+from sceneloom.formats.trajectories.table import read_trajectory
 from sceneloom.fusion.messages.json_form import format_json
-from sceneloom.fusion.messages.scene_form import boxes_2d_record, boxes_3d_record
+from sceneloom.fusion.messages.scene_form.boxes import boxes_2d_record, boxes_3d_record
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.checked_calibration import check_drive
 from sceneloom.scene import (

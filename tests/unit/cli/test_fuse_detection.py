@@ -9,9 +9,9 @@ import pytest
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections.detector_files import FOLDER
-from sceneloom.formats.kitti import read_labels
+from sceneloom.formats.kitti.labels import read_labels
 from sceneloom.fusion.messages.json_form import format_json, parse_json
-from sceneloom.fusion.messages.scene_form import boxes_2d_record, boxes_3d_record
+from sceneloom.fusion.messages.scene_form.boxes import boxes_2d_record, boxes_3d_record
 from sceneloom.scene.span import time_span
 from sceneloom.simulate import CameraSpec, LidarSpec, camera_mount, detect_2d, detect_3d, simulate_street
 

@@ -24,7 +24,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cli.main import sceneloom as command_line
 from sceneloom.formats.table import written_formats
 from sceneloom.fusion.messages.json_form import format_json
-from sceneloom.fusion.messages.scene_form import boxes_2d_record, boxes_3d_record
+from sceneloom.fusion.messages.scene_form.boxes import boxes_2d_record, boxes_3d_record
 from sceneloom.service.running import running_server
 from sceneloom.simulate import CameraSpec, LidarSpec, detect_2d, detect_3d, simulate_street
 

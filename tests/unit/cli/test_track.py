@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.formats.kitti import read_labels
+from sceneloom.formats.kitti.labels import read_labels
 
 FRAMES = 8
 FOCAL, CX, CY = 707.0493, 604.0814, 180.5066

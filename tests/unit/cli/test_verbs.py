@@ -113,7 +113,7 @@ def test_demo_keeps_a_recording_a_scene_and_pictures(
 ) -> None:
     camera = CameraSpec(Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5))
     street = partial(simulate_street, lidar=LidarSpec(beams=8, steps=90), cameras=(camera,))
-    monkeypatch.setattr("sceneloom.simulate.demo_drive", street)
+    monkeypatch.setattr("sceneloom.simulate.drive.demo_drive", street)
     outcome = call("demo", "--keep", tmp_path / "kept", "--frames", "2")
     assert outcome.code == 0
     kept = {path.name for path in (tmp_path / "kept").iterdir()}

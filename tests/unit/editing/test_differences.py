@@ -8,9 +8,10 @@ import pytest
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.editing import simplify_scene
-from sceneloom.editing.differences import Change, diff_scenes
 from sceneloom.editing.differences.arrays import apart
 from sceneloom.editing.differences.frames import pairs
+from sceneloom.editing.differences.report import Change
+from sceneloom.editing.differences.scenes import diff_scenes
 from sceneloom.errors import OptionError
 from sceneloom.geometry.euler import cuboid_angles_from_rotation
 from sceneloom.geometry.rigid import RigidTransform

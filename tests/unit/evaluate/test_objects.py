@@ -6,7 +6,7 @@ import pytest
 from sceneloom.errors import ArrayError
 from sceneloom.evaluate.objects import ObjectTable
 from sceneloom.evaluate.overlaps import FramePairs, Similarity, similarities
-from sceneloom.formats.kitti import KittiLabels
+from sceneloom.formats.kitti.labels import KittiLabels
 
 shapely = pytest.importorskip("shapely", reason="no shapely: pip install shapely")
 

@@ -19,7 +19,8 @@ import simplejpeg
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
-from sceneloom.formats.video import PngFolder, VideoReader, open_video
+from sceneloom.formats.video.png_folder import PngFolder
+from sceneloom.formats.video.reader import VideoReader, open_video
 from sceneloom.pipeline.deskewing.job import deskewed_scene
 from sceneloom.pipeline.woven.origin import moved_scene
 from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, Picture, PointsSensor, Scene

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from sceneloom.editing.hiding import PictureBox
+from sceneloom.editing.hiding.boxes import PictureBox
 from sceneloom.errors import DataError
 from sceneloom.formats.picture_boxes import read_picture_boxes
 

@@ -7,7 +7,7 @@ import pytest
 
 from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.outcome import Cause
-from sceneloom.fusion.properties import PREDEFINED
+from sceneloom.fusion.properties.predefined import PREDEFINED
 
 from .sending import boxes_2d, boxes_3d, calibration, cloud, image
 

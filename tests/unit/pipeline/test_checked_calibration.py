@@ -10,7 +10,7 @@ from sceneloom.calibrate.health.verdicts import Verdict
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.fusion.messages.json_form import format_json
-from sceneloom.fusion.messages.scene_form import boxes_2d_record, boxes_3d_record
+from sceneloom.fusion.messages.scene_form.boxes import boxes_2d_record, boxes_3d_record
 from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.checked_calibration import check_drive

@@ -11,7 +11,8 @@ from PIL import Image
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, OutputError
-from sceneloom.formats.clouds import NO_LABEL, read_cloud
+from sceneloom.formats.clouds.table import read_cloud
+from sceneloom.formats.clouds.written import NO_LABEL
 from sceneloom.pipeline import ColourOutputs, ColourSettings, colour, iter_fused
 from sceneloom.scene import LabeledPointsAnnotation, LazyFrames, LidarFrame, LidarPoints, Picture
 from sceneloom.simulate import CameraSpec, ExposureSpec, LidarSpec, TrafficSpec, camera_mount, simulate_street

@@ -11,7 +11,7 @@ import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pictures.annotations import figures_in_world
+from sceneloom.pictures.annotations.figures import figures_in_world
 from sceneloom.scene import (
     Activation,
     CameraSensor,

@@ -12,7 +12,7 @@ import numpy as np
 from sceneloom.calibrate.health.check import PARTS, CalibrationHealth
 from sceneloom.calibrate.health.verdicts import LIMITS, SIGNIFICANT, Item, Verdict, judge
 from sceneloom.detections.residuals import BoxTurn
-from sceneloom.scene import Identifier
+from sceneloom.scene.types import Identifier
 
 ACROSS, ABOUT_SIGHT = "boxes", "boxes_roll"
 """Turns about the camera's x and y axes, and about its axis of sight, of which boxes know less."""

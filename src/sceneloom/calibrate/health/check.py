@@ -15,7 +15,9 @@ from sceneloom.calibrate.health.verdicts import Item, Verdict, judge
 from sceneloom.calibrate.measures.agreement import MEASURES, Agreement
 from sceneloom.calibrate.measures.candidate import COUNT, Change
 from sceneloom.calibrate.measures.features import FrameFeatures
-from sceneloom.scene import Identifier, Notice, Scene
+from sceneloom.scene.notices import Notice
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
 
 DISTINCT = 4.5
 """Deviations above chance from which on pictures and sweeps agree; the best of some hundred chances reaches 3.3."""

@@ -10,8 +10,8 @@ from sceneloom.calibrate.target.board import Board
 from sceneloom.calibrate.target.board_pose import board_in_cloud, board_pose
 from sceneloom.calibrate.target.corners import find_corners
 from sceneloom.calibrate.target.target_start import BoardView
-from sceneloom.scene import Identifier, PointsFrame, Scene
-from sceneloom.scene.types import Progress
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier, PointsFrame, Progress
 
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 _FARTHEST_NS = 100_000_000

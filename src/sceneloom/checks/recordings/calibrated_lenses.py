@@ -7,7 +7,7 @@ from sceneloom.checks.reading import as_read, notices_of_code
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.recording.lenses import CameraParameters
-from sceneloom.scene import Severity
+from sceneloom.scene.findings import Severity
 
 SHORTEST, LONGEST = 0.2, 5.0
 """Focal lengths outside these parts of the picture's width are rare: they see 136° and more, or 11° and less."""

@@ -8,7 +8,7 @@ from sceneloom.checks.reading import as_read
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.recording.lenses import LENS_READINGS
-from sceneloom.scene import Severity
+from sceneloom.scene.findings import Severity
 
 CAMERA_KEYS = frozenset(
     {

@@ -7,7 +7,7 @@ from sceneloom.checks.subject import Subject
 from sceneloom.formats.recording.further_contents import VIO_CONFIG_FILE
 from sceneloom.formats.recording.vio_config import VioConfig, read_vio_config, repeated_keys, similar_key
 from sceneloom.formats.recording.vio_config_keys import KNOWN_KEYS
-from sceneloom.scene import Severity
+from sceneloom.scene.findings import Severity
 
 
 def _text(subject: Subject) -> str:

@@ -6,7 +6,7 @@ from sceneloom.checks.reading import faults_of
 from sceneloom.checks.recordings.lines_at_fault import lines_at_fault
 from sceneloom.checks.rule import Find, Hit, Rule
 from sceneloom.checks.subject import Subject
-from sceneloom.scene import Severity
+from sceneloom.scene.findings import Severity
 
 
 def _without_calibration(subject: Subject) -> Iterator[Hit]:

@@ -10,7 +10,7 @@ from sceneloom.checks.recordings.streams import Kind, Stream, place, streams_of_
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.geometry.geodesy import enu_from_geodetic
-from sceneloom.scene import Severity
+from sceneloom.scene.findings import Severity
 
 LOWEST, HIGHEST = -500.0, 10_000.0
 """Altitudes [m] between the Dead Sea's shore and the highest roads, with room for aeroplanes."""

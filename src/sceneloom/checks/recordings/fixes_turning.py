@@ -14,7 +14,7 @@ from sceneloom.checks.recordings.streams import Kind, Stream, streams_of_kind
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.geometry.geodesy import enu_from_geodetic
-from sceneloom.scene import Severity
+from sceneloom.scene.findings import Severity
 
 LEAST_CORRELATION = -0.8
 """Turns that correlate worse were taken to the other side."""

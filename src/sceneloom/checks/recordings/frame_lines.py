@@ -12,7 +12,7 @@ from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.recording.column_arrays import time_order, view
 from sceneloom.formats.recording.columns import FrameColumns
-from sceneloom.scene import Severity
+from sceneloom.scene.findings import Severity
 
 IN_STEP = 0.002
 """Pictures of a stereo pair are taken within this time [s]."""

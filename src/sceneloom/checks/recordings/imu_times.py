@@ -9,7 +9,7 @@ from sceneloom.checks.recordings.streams import Kind, Stream, place, streams_of_
 from sceneloom.checks.recordings.times import APART_SECONDS
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
-from sceneloom.scene import Severity
+from sceneloom.scene.findings import Severity
 
 FAR_SECONDS = 0.1
 FAR_PERIODS = 4.0

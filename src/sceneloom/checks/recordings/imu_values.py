@@ -8,7 +8,7 @@ from sceneloom.arrays import Float64Array
 from sceneloom.checks.recordings.streams import Kind, Stream, place, streams_of_kind
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
-from sceneloom.scene import Severity
+from sceneloom.scene.findings import Severity
 
 LEAST_MEAN_PULL, GREATEST_MEAN_PULL = 8.0, 20.0
 """What an accelerometer measures on average [m/s²]: gravity is in it, and no vehicle pulls twice as much for long."""

@@ -8,7 +8,8 @@ import numpy as np
 
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
-from sceneloom.scene import LidarFrame, LidarSensor, Severity
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
+from sceneloom.scene.findings import Severity
 
 FARTHEST, NEAREST = 400.0, 0.5
 """Half of a sweep's points lie nearer than the first, and farther than the second [m]."""

@@ -8,7 +8,9 @@ from typing import Any
 
 import msgspec
 
-from sceneloom.scene import CameraSensor, DepthCameraSensor, Scene
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.scene import Scene
 
 
 def counted_anew(scene: Scene) -> Scene:

@@ -13,16 +13,11 @@ from sceneloom.checks.reordering import chosen_frames
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.geometry.rotations import normalise_quaternion
-from sceneloom.scene import (
-    CameraSensor,
-    GnssSensor,
-    ImuSensor,
-    Scene,
-    Sensor,
-    Severity,
-    Trajectory,
-    VectorSamples,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.findings import Severity
+from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
+from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.scene import Scene, Sensor
 
 NORM_TOLERANCE = 1e-3
 """Lengths of quaternions that are off by no more [1] are rounding."""

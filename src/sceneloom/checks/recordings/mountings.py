@@ -15,15 +15,12 @@ from sceneloom.checks.subject import Subject
 from sceneloom.errors import CalibrationError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import SILENT_ERROR, nearest_rotation
-from sceneloom.scene import (
-    CameraSensor,
-    DepthCameraSensor,
-    ImuSensor,
-    LidarSensor,
-    Scene,
-    Sensor,
-    Severity,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.findings import Severity
+from sceneloom.scene.motion import ImuSensor
+from sceneloom.scene.scene import Scene, Sensor
 
 FARTHEST = 5.0
 """A sensor is no farther from the IMU [m]."""

@@ -20,7 +20,7 @@ from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.poses import GREATEST_NORM_ERROR
 from sceneloom.geometry.rotations import angle_between
-from sceneloom.scene import Severity
+from sceneloom.scene.findings import Severity
 
 
 def _of_own_time(stream: Stream, usable: BoolArray) -> Int64Array:

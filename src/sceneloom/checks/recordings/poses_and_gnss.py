@@ -10,7 +10,9 @@ from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.geometry.geodesy import enu_from_geodetic
 from sceneloom.motion.gnss_receivers import usable_fixes
-from sceneloom.scene import GnssSensor, Severity, Trajectory
+from sceneloom.scene.findings import Severity
+from sceneloom.scene.motion import GnssSensor
+from sceneloom.scene.poses import Trajectory
 
 NEAREST_TOLD = 5.0
 """Fixes within this distance [m] of a trajectory agree with it, whatever they claim: antennas sit elsewhere."""

@@ -10,7 +10,9 @@ from sceneloom.checks.recordings.turning import CleanSamples, PoseIntervals, fin
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.geometry.rotations import normalise_quaternion
-from sceneloom.scene import ImuSensor, Severity, Trajectory
+from sceneloom.scene.findings import Severity
+from sceneloom.scene.motion import ImuSensor
+from sceneloom.scene.poses import Trajectory
 
 _LEAST_CORRELATION = 0.8
 """Turn rates of orientations and of the gyroscope that correlate less do not agree."""

@@ -7,7 +7,7 @@ from sceneloom.checks.recordings.streams import Kind, streams_of, streams_of_kin
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.recording.calibration import CALIBRATION_FILE
-from sceneloom.scene import Severity
+from sceneloom.scene.findings import Severity
 
 _IMU = (Kind.ACCELEROMETER, Kind.GYROSCOPE)
 

@@ -10,7 +10,7 @@ from sceneloom.checks.recordings.imu_values import magnitudes
 from sceneloom.checks.recordings.streams import Kind, Stream, place, streams_of_kind
 from sceneloom.checks.rule import Find, Hit, Rule
 from sceneloom.checks.subject import Subject
-from sceneloom.scene import Severity
+from sceneloom.scene.findings import Severity
 
 
 @dataclass(frozen=True, slots=True)

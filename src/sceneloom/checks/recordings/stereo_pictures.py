@@ -11,11 +11,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.cameras import Camera, project, unproject
+from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.models import project, unproject
 from sceneloom.checks.recordings.camera_pairs import CameraPair, stereo_pairs
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
-from sceneloom.scene import CameraSensor, Picture, Severity
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.findings import Severity
 
 _WIDTH = 192
 """Pictures are compared at this width [px], or at their own where that is less."""

@@ -12,7 +12,7 @@ from sceneloom.checks.recordings.streams import Kind, Stream, place, place_in_fi
 from sceneloom.checks.rule import Find, Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.recording.column_arrays import line_seconds
-from sceneloom.scene import Severity
+from sceneloom.scene.findings import Severity
 
 GAP_SECONDS = 0.25
 GAP_PERIODS = 10.0

@@ -11,7 +11,8 @@ from sceneloom.geometry.rotations import (
     rotate_vectors,
     rotation_vector_from_quaternion,
 )
-from sceneloom.scene import Trajectory, VectorSamples
+from sceneloom.scene.motion import VectorSamples
+from sceneloom.scene.poses import Trajectory
 
 INTERVAL = 0.2
 """Rates are compared over so long [s], or over the time from pose to pose where that is longer."""

@@ -16,10 +16,9 @@ from sceneloom.cli.batch.status import print_summary, status
 from sceneloom.cli.printing import print_json
 
 if TYPE_CHECKING:
-    from sceneloom.batch import Outcome, RunSummary
-    from sceneloom.batch.jobs import Further, Input
+    from sceneloom.batch.jobs import Further, Input, Outcome
     from sceneloom.batch.pool import Executor
-    from sceneloom.batch.running import Told
+    from sceneloom.batch.running import RunSummary, Told
 
 _OWN = (
     "inputs",
@@ -184,8 +183,9 @@ _OPTIONS = (
 
 
 def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
-    from sceneloom.batch import Job, run
     from sceneloom.batch.files import give_files
+    from sceneloom.batch.jobs import Job
+    from sceneloom.batch.running import run
     from sceneloom.cli.batch.listed import find_listed
     from sceneloom.formats.processors import processors
 

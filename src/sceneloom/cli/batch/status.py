@@ -9,8 +9,8 @@ from sceneloom.cli import options
 from sceneloom.cli.printing import print_json, print_table, several
 
 if TYPE_CHECKING:
-    from sceneloom.batch import RunSummary
     from sceneloom.batch.record import Row
+    from sceneloom.batch.running import RunSummary
 
 _SHOWN = 5
 

@@ -38,7 +38,7 @@ def build(
     Drives are paths, patterns in quotes, URLs, or the lines of a list. One that cannot be read is told, and the others
     go on; exit 1 then.
     """
-    from sceneloom.catalog import build as build_catalogue
+    from sceneloom.catalog.building import build as build_catalogue
 
     named = named_drives(drives, lists, reading, quiet=quiet)
     with progress_bar("reading drives", quiet=quiet) as progress:

@@ -9,7 +9,8 @@ from sceneloom.cli import options
 from sceneloom.cli.printing import print_json, print_table
 
 if TYPE_CHECKING:
-    from sceneloom.catalog import Result, Selection
+    from sceneloom.catalog.database import Result
+    from sceneloom.catalog.selection import Selection
 
 FORMS = ("table", "json", "csv", "list")
 
@@ -110,7 +111,7 @@ def query(
     del quiet, verbose
     if sql is not None and any(value not in {None, ()} for value in filters.values()):
         raise click.UsageError("--sql takes the place of filters: say them in its WHERE")
-    from sceneloom.catalog import query as query_catalogue
+    from sceneloom.catalog.asking import query as query_catalogue
 
     wanted = sql if sql is not None else _selection(filters)
     result = query_catalogue(catalogue, wanted, show=show, gap=gap, margin=margin, limit=limit)
@@ -118,7 +119,7 @@ def query(
 
 
 def _selection(filters: dict[str, Any]) -> "Selection":
-    from sceneloom.catalog import Selection
+    from sceneloom.catalog.selection import Selection
 
     pairs = [pair.partition("=") for pair in filters.pop("attributes")]
     for name, sign, value in pairs:
@@ -136,19 +137,19 @@ def _print_rows(result: "Result") -> None:
 
 
 def _print_json(result: "Result") -> None:
-    from sceneloom.catalog import records
+    from sceneloom.catalog.results import records
 
     print_json(records(result))
 
 
 def _print_csv(result: "Result") -> None:
-    from sceneloom.catalog import format_csv
+    from sceneloom.catalog.results import format_csv
 
     click.echo(format_csv(result), nl=False)
 
 
 def _print_list(result: "Result") -> None:
-    from sceneloom.catalog import iter_list
+    from sceneloom.catalog.results import iter_list
 
     for line in iter_list(result):
         click.echo(line)

@@ -10,7 +10,9 @@ from sceneloom.cli import options
 from sceneloom.cli.printing import print_json, print_lines, several
 
 if TYPE_CHECKING:
-    from sceneloom.catalog import CatalogReport, Drive, Failure
+    from sceneloom.catalog.building import CatalogReport
+    from sceneloom.catalog.drives import Drive
+    from sceneloom.catalog.running import Failure
 
 checks = click.option(
     "--checks",
@@ -33,7 +35,7 @@ def named_drives(
 ) -> "list[Drive]":
     """The drives that a command names, and how each is opened, which lists may say; whole ones only."""
     from sceneloom.batch.inputs import READING
-    from sceneloom.catalog import Drive
+    from sceneloom.catalog.drives import Drive
     from sceneloom.cli.batch.listed import find_listed
 
     found = find_listed("catalog", places, lists, reading=reading, quiet=quiet)

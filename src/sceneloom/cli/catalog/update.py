@@ -36,7 +36,7 @@ def update(
     Without drives, all that stand in the catalogue are looked at, and read as they were before. One that cannot be
     read is told, and what stood of it stays; exit 1 then.
     """
-    from sceneloom.catalog import update as update_catalogue
+    from sceneloom.catalog.building import update as update_catalogue
 
     named = named_drives(drives, lists, reading, quiet=quiet) if drives or lists else []
     with progress_bar("looking at drives", quiet=quiet) as progress:

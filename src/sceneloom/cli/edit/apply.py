@@ -10,7 +10,7 @@ from sceneloom.cli.edit.running import annotations_in, common, editing, run_edit
 
 if TYPE_CHECKING:
     from sceneloom.editing.chosen_points import OnPoints
-    from sceneloom.scene import Scene
+    from sceneloom.scene.scene import Scene
 
 
 @click.command()
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 @common
 def apply(path: Path, output: Path, only: tuple[str, ...], annotations_in: str | None, **common: Any) -> None:
     """Apply localization adjustments and camera calibrations; the scene then bears them no more."""
-    from sceneloom.editing import apply_corrections
+    from sceneloom.editing.apply import apply_corrections
 
     def change(scenes: "Sequence[Scene]", on_points: "OnPoints") -> "Scene":
         del on_points

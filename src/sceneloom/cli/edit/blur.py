@@ -11,7 +11,7 @@ from sceneloom.cli.edit.running import common, editing, print_edit
 from sceneloom.cli.printing import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
-    from sceneloom.pipeline.sharing import BlurReport
+    from sceneloom.pipeline.sharing.blurring import BlurReport
 
 
 @click.command()
@@ -73,7 +73,7 @@ def blur(
 ) -> None:
     """Hide faces, plates and other places in videos and pictures for good."""
     from sceneloom.formats.picture_boxes import read_picture_boxes
-    from sceneloom.pipeline.sharing import blur_files
+    from sceneloom.pipeline.sharing.blurring import blur_files
 
     boxes = () if box_file is None else read_picture_boxes(box_file)
     names = tuple(name for label in labels for name in label.split(",") if name)

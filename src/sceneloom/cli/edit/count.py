@@ -11,8 +11,8 @@ from sceneloom.cli.edit.running import chosen_way, common, editing, run_edit, wa
 from sceneloom.cli.identifiers import known_ids
 
 if TYPE_CHECKING:
-    from sceneloom.scene import Scene
-    from sceneloom.visibility import PointCounts
+    from sceneloom.scene.scene import Scene
+    from sceneloom.visibility.points import PointCounts
 
 
 @click.command()
@@ -49,7 +49,8 @@ def count(
     **common: Any,
 ) -> None:
     """Count the points in each cuboid: an attribute `points` per lidar, and labelled points on request."""
-    from sceneloom.visibility import count_points, with_activations, with_counts, with_labeled_points
+    from sceneloom.visibility.counted import with_activations, with_counts, with_labeled_points
+    from sceneloom.visibility.points import count_points
 
     details: dict[str, Any] = {}
 

@@ -12,7 +12,7 @@ from sceneloom.cli.identifiers import known_ids
 
 if TYPE_CHECKING:
     from sceneloom.editing.chosen_points import OnPoints
-    from sceneloom.scene import Scene
+    from sceneloom.scene.scene import Scene
 
 _CHOICES = ("start", "stop", "box", "frame", "reach", "trajectory", "heading")
 """Options that go to the function as they are."""
@@ -74,7 +74,7 @@ def crop(
     **values: Any,
 ) -> None:
     """Keep a part of a scene: in time, in space, of some sensors or labels."""
-    from sceneloom.editing import crop_scene
+    from sceneloom.editing.crop import crop_scene
 
     chosen = {name: values.pop(name) for name in _CHOICES}
 

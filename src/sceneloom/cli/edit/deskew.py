@@ -52,8 +52,8 @@ def deskew(
     **reading: Any,
 ) -> None:
     """Undo the motion during each lidar sweep: points stay in their sensor, as if measured all at one time."""
-    from sceneloom.formats import open_scene
-    from sceneloom.pipeline import deskew as deskew_scene
+    from sceneloom.formats.table import open_scene
+    from sceneloom.pipeline.deskewing.job import deskew as deskew_scene
 
     with (
         open_scene(path, **options.said(**reading)) as scene,

@@ -11,7 +11,7 @@ from sceneloom.cli.edit.running import common, editing, run_edit
 from sceneloom.cli.identifiers import known_ids
 
 if TYPE_CHECKING:
-    from sceneloom.scene import Scene
+    from sceneloom.scene.scene import Scene
 
 
 @click.command()
@@ -41,7 +41,7 @@ def lens(
     path: Path, output: Path, model: str, cameras: tuple[str, ...], limit: float, share: float, **common: Any
 ) -> None:
     """Tell the lenses by another model, fitted as near as it comes; pictures stay as they are."""
-    from sceneloom.editing import convert_lenses
+    from sceneloom.editing.lenses import convert_lenses
 
     def change(scenes: "Sequence[Scene]", _: Any) -> "Scene":
         chosen = known_ids(scenes[0], cameras)

@@ -11,7 +11,7 @@ from sceneloom.cli.edit.running import OUTPUT, common, run_edit
 
 if TYPE_CHECKING:
     from sceneloom.editing.chosen_points import OnPoints
-    from sceneloom.scene import Scene
+    from sceneloom.scene.scene import Scene
 
 
 @click.command()
@@ -31,7 +31,7 @@ def merge(
     paths: tuple[Path | str, ...], output: Path, rename: bool, join: bool, force: bool, **common: Any
 ) -> None:
     """Make one scene of several scenes of one drive on one clock."""
-    from sceneloom.editing import merge_scenes
+    from sceneloom.editing.merge import merge_scenes
 
     def change(scenes: "Sequence[Scene]", on_points: "OnPoints") -> "Scene":
         del on_points

@@ -11,7 +11,7 @@ from sceneloom.cli.edit.running import chosen_way, common, editing, run_edit, wa
 from sceneloom.cli.identifiers import known_id_or_none, known_ids
 
 if TYPE_CHECKING:
-    from sceneloom.scene import Scene
+    from sceneloom.scene.scene import Scene
 
 
 @click.command()
@@ -54,8 +54,8 @@ def project(
     **common: Any,
 ) -> None:
     """See the cuboids with the cameras: boxes in each picture, shares cut off and hidden."""
-    from sceneloom.scene import CuboidAnnotation
-    from sceneloom.visibility import project_cuboids
+    from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+    from sceneloom.visibility.projected import project_cuboids
 
     details: dict[str, Any] = {}
 

@@ -9,7 +9,7 @@ import click
 from sceneloom.cli.edit.running import common, editing, run_edit
 
 if TYPE_CHECKING:
-    from sceneloom.scene import Scene
+    from sceneloom.scene.scene import Scene
 
 
 @click.command()
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 @common
 def relative(path: Path, output: Path, fixes: str, dates: str, **common: Any) -> None:
     """Take out of a drive where it was, by whom, and on request when."""
-    from sceneloom.editing.relative import relative_scene
+    from sceneloom.editing.relative.scene import relative_scene
 
     def change(scenes: "Sequence[Scene]", _: Any) -> "Scene":
         return relative_scene(scenes[0], fixes=fixes, dates=dates)

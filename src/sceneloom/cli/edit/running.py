@@ -12,8 +12,8 @@ from sceneloom.cli.printing import print_json, print_losses, print_notices, prog
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
     from sceneloom.pipeline.edited import EditReport, Joining
-    from sceneloom.scene import Scene
     from sceneloom.scene.ego import EgoMotion
+    from sceneloom.scene.scene import Scene
 
 OUTPUT = click.option(
     "-o",

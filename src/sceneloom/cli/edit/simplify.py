@@ -10,7 +10,7 @@ from sceneloom.cli import options
 from sceneloom.cli.edit.running import common, editing, run_edit
 
 if TYPE_CHECKING:
-    from sceneloom.scene import Scene
+    from sceneloom.scene.scene import Scene
 
 PATHS = ("cuboids", "keypoints", "poses")
 
@@ -46,7 +46,7 @@ def simplify(
     **common: Any,
 ) -> None:
     """Keep only those stamps of paths that the others do not tell within the tolerances."""
-    from sceneloom.editing import simplify_scene
+    from sceneloom.editing.simplify import simplify_scene
 
     chosen = {name: name in (only or PATHS) for name in PATHS}
     details: dict[str, Any] = {}

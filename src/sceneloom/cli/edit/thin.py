@@ -11,7 +11,7 @@ from sceneloom.cli.identifiers import known_ids
 
 if TYPE_CHECKING:
     from sceneloom.editing.chosen_points import OnPoints
-    from sceneloom.scene import Scene
+    from sceneloom.scene.scene import Scene
 
 
 @click.command()
@@ -47,7 +47,7 @@ def thin(
     **common: Any,
 ) -> None:
     """Keep fewer points, or fewer frames; labelled points follow."""
-    from sceneloom.editing import thin_scene
+    from sceneloom.editing.thin import thin_scene
 
     def change(scenes: "Sequence[Scene]", on_points: "OnPoints") -> "Scene":
         return thin_scene(

@@ -10,7 +10,7 @@ from sceneloom.cli.edit.running import annotations_in, common, editing, run_edit
 
 if TYPE_CHECKING:
     from sceneloom.editing.chosen_points import OnPoints
-    from sceneloom.scene import Scene
+    from sceneloom.scene.scene import Scene
 
 
 @click.command("to-ego")
@@ -27,7 +27,7 @@ def to_ego(
     **common: Any,
 ) -> None:
     """Bring points, poses and annotations onto the ego, each frame at its own time."""
-    from sceneloom.editing import to_ego as change_frame
+    from sceneloom.editing.frames import to_ego as change_frame
 
     def change(scenes: "Sequence[Scene]", on_points: "OnPoints") -> "Scene":
         del on_points

@@ -10,7 +10,7 @@ from sceneloom.cli.edit.running import common, editing, run_edit, way
 
 if TYPE_CHECKING:
     from sceneloom.editing.chosen_points import OnPoints
-    from sceneloom.scene import Scene
+    from sceneloom.scene.scene import Scene
 
 
 @click.command("to-sensor")
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 @common
 def to_sensor(path: Path, output: Path, trajectory: str | None, heading: str | None, **common: Any) -> None:
     """Bring the points of lidars and radars into the frames of their sensors."""
-    from sceneloom.editing import to_sensor as change_frame
+    from sceneloom.editing.frames import to_sensor as change_frame
 
     def change(scenes: "Sequence[Scene]", on_points: "OnPoints") -> "Scene":
         del on_points

@@ -11,7 +11,7 @@ from sceneloom.cli.edit.running import common, editing, run_edit
 from sceneloom.cli.identifiers import known_ids
 
 if TYPE_CHECKING:
-    from sceneloom.scene import Scene
+    from sceneloom.scene.scene import Scene
 
 KEEP = {"valid": 0.0, "all": 1.0}
 
@@ -46,7 +46,7 @@ def undistort(
     **common: Any,
 ) -> None:
     """Resample pictures so that their lenses are pinholes; what is drawn into them follows."""
-    from sceneloom.editing import undistort_scene
+    from sceneloom.editing.undistortion import undistort_scene
 
     width, height = size or (None, None)
 

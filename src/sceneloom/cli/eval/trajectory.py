@@ -84,10 +84,10 @@ def trajectory(
     several trajectories; of a drive also `lidar` and `gnss` (computed) and `fixes` (as received). `--start` and
     `--stop` count from the first pose of REF.
     """
-    from sceneloom.evaluate import RPE_DELTAS, evaluate_trajectory
     from sceneloom.evaluate.plot import check_plot
+    from sceneloom.evaluate.trajectory import RPE_DELTAS, evaluate_trajectory
     from sceneloom.formats.shared_options import SharedOptions
-    from sceneloom.formats.trajectories import read_trajectory_file
+    from sceneloom.formats.trajectories.table import read_trajectory_file
 
     if plot is not None:
         check_plot(plot, overwrite=overwrite)

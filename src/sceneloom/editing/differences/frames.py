@@ -10,7 +10,9 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.editing.differences.report import Change
 from sceneloom.editing.differences.values import Comparison
-from sceneloom.scene import CameraSensor, DepthCameraSensor, DepthFrame, LazyFrames, Picture, VideoContent
+from sceneloom.scene.cameras import CameraSensor, Picture, VideoContent
+from sceneloom.scene.depth import DepthCameraSensor, DepthFrame
+from sceneloom.scene.frames import LazyFrames
 
 _PIECE = 1 << 20
 

@@ -11,17 +11,11 @@ from sceneloom.editing.differences.report import Change, Findings, SceneDifferen
 from sceneloom.editing.differences.tolerances import Tolerances
 from sceneloom.editing.differences.values import Comparison, shown
 from sceneloom.errors import OptionError
-from sceneloom.scene import (
-    CameraSensor,
-    DepthCameraSensor,
-    LidarFrame,
-    LidarSensor,
-    RadarFrame,
-    RadarSensor,
-    Scene,
-    Sensor,
-)
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.span import frame_times
 from sceneloom.scene.types import Key, Progress, key_of
 

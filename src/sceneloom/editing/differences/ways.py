@@ -8,10 +8,11 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.geometry.rotations import angle_between
-from sceneloom.scene import CuboidAnnotation, CuboidPath, PointPath, PosePath, Trajectory
 from sceneloom.scene.angles import CuboidAngles
-from sceneloom.scene.annotations.keypoints import places_of
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath
+from sceneloom.scene.annotations.keypoints import PointPath, places_of
 from sceneloom.scene.at import cuboid_poses, point_at
+from sceneloom.scene.poses import PosePath, Trajectory
 
 
 class Places(NamedTuple):

@@ -7,8 +7,11 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import OptionError
-from sceneloom.scene import Box2DAnnotation, CameraSensor, Identifier, Scene, ShapeAnnotation
-from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.shapes import ShapeAnnotation
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier, Key, key_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.scene import CameraSensor, LazyFrames, Picture, Scene
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.scene import Scene
 
 _STARTS = (b"\xff\xd8\xff", b"\x89PNG\r\n", b"GIF8", b"II*\x00", b"MM\x00*", b"\x1a\x45\xdf\xa3")
 """How JPEG, PNG, GIF, TIFF and Matroska files begin."""

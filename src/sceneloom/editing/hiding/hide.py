@@ -12,18 +12,12 @@ from sceneloom.editing.hiding.filling import FILLS, filled
 from sceneloom.editing.hiding.regions import HiddenRegions, hidden_regions
 from sceneloom.editing.record import assumed, skipped, with_notices
 from sceneloom.errors import OptionError
-from sceneloom.scene import (
-    CameraSensor,
-    Identifier,
-    LazyFrames,
-    LidarFrame,
-    LidarSensor,
-    Notice,
-    Picture,
-    PointsSensor,
-    Scene,
-)
-from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.notices import Notice
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier, Key, key_of
 
 _NO_BOXES = np.zeros((0, 4), np.int64)
 

@@ -6,7 +6,8 @@ from typing import Any
 from sceneloom.arrays import read_only
 from sceneloom.editing.retimed_annotations import retimed_annotation
 from sceneloom.editing.retiming import ClockCorrection, retimed_sensor, retimed_trajectory
-from sceneloom.scene import PosePath, Scene, Sensor
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.span import time_span
 from sceneloom.scene.types import key_of
 

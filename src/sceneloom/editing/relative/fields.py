@@ -6,7 +6,10 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
-from sceneloom.scene import CameraSensor, LazyFrames, LidarSensor, RadarSensor, Scene
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.scene import Scene
 
 _WORDS: Mapping[str, str] = MappingProxyType(
     {

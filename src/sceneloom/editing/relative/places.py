@@ -14,21 +14,15 @@ from sceneloom.errors import OptionError
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.gnss_receivers import usable_places
-from sceneloom.scene import (
-    CameraSensor,
-    Coordinates,
-    DepthCameraSensor,
-    GnssSensor,
-    ImuSensor,
-    LidarSensor,
-    Notice,
-    OdometrySensor,
-    PosePath,
-    RadarSensor,
-    Scene,
-    Trajectory,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
+from sceneloom.scene.notices import Notice
 from sceneloom.scene.part import chosen_fixes
+from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Coordinates
 
 FIXES = ("drop", "shift")
 """What can become of satellite fixes."""

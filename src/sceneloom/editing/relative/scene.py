@@ -5,7 +5,8 @@ from sceneloom.editing.relative.clock import clock_from_zero
 from sceneloom.editing.relative.fields import FieldSweep
 from sceneloom.editing.relative.places import places_from_start
 from sceneloom.errors import OptionError
-from sceneloom.scene import Notice, Scene
+from sceneloom.scene.notices import Notice
+from sceneloom.scene.scene import Scene
 
 _ALWAYS = frozenset({"place", "name", "file"})
 

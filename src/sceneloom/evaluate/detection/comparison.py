@@ -17,7 +17,7 @@ from sceneloom.evaluate.detection.evaluation import (
 from sceneloom.evaluate.detection.rules import DetectionRules
 from sceneloom.evaluate.object_files import BothSides, check_classes, check_similarity, classes_of, read_both
 from sceneloom.evaluate.overlaps import Similarity, similarity_named
-from sceneloom.scene import Notice
+from sceneloom.scene.notices import Notice
 
 SIMILARITIES = (Similarity.PICTURE, Similarity.ABOVE, Similarity.SPACE)
 """Those of KITTI's object benchmark."""

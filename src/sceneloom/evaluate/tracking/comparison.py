@@ -11,7 +11,7 @@ from sceneloom.evaluate.object_files import BothSides, check_classes, check_simi
 from sceneloom.evaluate.overlaps import Similarity, similarity_named
 from sceneloom.evaluate.tracking.evaluation import CLASSES, ClassTracking, evaluate_tracking
 from sceneloom.evaluate.tracking.protocol import KITTI_RULES, TrackingRules
-from sceneloom.scene import Notice, NoticeKind
+from sceneloom.scene.notices import Notice, NoticeKind
 
 
 class TrackingReport(msgspec.Struct, frozen=True, kw_only=True):

@@ -12,8 +12,10 @@ from sceneloom.formats.argoverse2.feather import POSE_COLUMNS, Columns, poses_of
 from sceneloom.formats.argoverse2.place import ANNOTATIONS
 from sceneloom.formats.ledger import Ledger
 from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
-from sceneloom.scene import AttributePath, CuboidAnnotation, CuboidPath, PosePath
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath
+from sceneloom.scene.poses import PosePath
 
 _SIZES = ("length_m", "width_m", "height_m")
 _COLUMNS: Columns = {

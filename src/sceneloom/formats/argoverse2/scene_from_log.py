@@ -13,7 +13,9 @@ from sceneloom.formats.argoverse2.place import POSES, find_log
 from sceneloom.formats.argoverse2.sensors import build_cameras, build_lidars, read_mounts
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.option_values import as_flag
-from sceneloom.scene import NoticeKind, Scene, Trajectory
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.scene import Scene
 
 TRAJECTORY = "pose"
 """The name of the ego's way."""

@@ -17,18 +17,14 @@ from sceneloom.formats.argoverse2.place import CAMERAS, LENSES, LIDAR, MOUNTS, s
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.pictures import PictureReader
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    CameraSensor,
-    LazyFrames,
-    LidarFrame,
-    LidarPoints,
-    LidarSensor,
-    NoticeKind,
-    PointsFrame,
-    PosePath,
-    Sensor,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarFrame, LidarPoints, LidarSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.pose_source import poses_along
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Sensor
+from sceneloom.scene.types import PointsFrame
 
 UP, DOWN, BOTH = "up_lidar", "down_lidar", "lidar"
 _LASERS = {UP: (0, 32), DOWN: (32, 64), BOTH: (0, 256)}

@@ -9,8 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float32Array
 from sceneloom.formats.loss import Fate, Loss
-from sceneloom.scene import LidarFrame
-from sceneloom.scene.clouds import grey_where_unseen
+from sceneloom.scene.clouds import LidarFrame, grey_where_unseen
 
 OFFSET = "offset_ns"
 """Times of points from the frame's time on [ns]: 32 bits hold two seconds either way."""

@@ -10,7 +10,7 @@ from sceneloom.formats.clouds.kinds import KINDS
 from sceneloom.formats.clouds.opening import CloudReading, open_clouds
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.option_values import as_positive
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 
 class CloudFormat:

@@ -26,7 +26,12 @@ from sceneloom.formats.clouds.sweeps import (
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.option_values import as_positive
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import LazyFrames, LidarSensor, NoticeKind, PointsFrame, PosePath, Scene, Trajectory
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import PointsFrame
 
 DEFAULT_RATE_HZ = 10.0
 """How fast most lidars turn: taken for files whose names are plain numbers."""

@@ -11,7 +11,7 @@ from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Int64Array, UInt
 from sceneloom.errors import DataError
 from sceneloom.formats.clouds.cloud import Cloud
 from sceneloom.formats.clouds.roles import find_roles
-from sceneloom.scene import LidarPoints
+from sceneloom.scene.clouds import LidarPoints
 
 FARTHEST_POINT_TIME_NS = 10_000_000_000
 """A point that is farther than this from its file's stamp has another unit or another clock."""

@@ -26,10 +26,14 @@ from sceneloom.formats.loss import Fate, Loss, LossReport
 from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.motion.ego_motion import is_computed, with_way_found
 from sceneloom.motion.trajectories import IDENTITY
-from sceneloom.scene import Coordinates, LidarSensor, OdometrySensor, PointsFrame, PosePath, Scene
+from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.motion import OdometrySensor
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import is_on_ego, named_odometry, sensor_source
 from sceneloom.scene.span import scene_period_ns
+from sceneloom.scene.types import Coordinates, PointsFrame
 
 _MOVES: Mapping[PointsFrame, Callable[..., Scene]] = MappingProxyType(
     {PointsFrame.SENSOR: to_sensor, PointsFrame.EGO: to_ego, PointsFrame.WORLD: to_world}
@@ -317,7 +321,7 @@ def _path(scene: Scene, lidar: LidarSensor) -> PosePath | None:
 def _write_tum(path: Path, poses: PosePath) -> None:
     from sceneloom.formats.trajectories.content import TrajectoryFile
     from sceneloom.formats.trajectories.tum import FORM
-    from sceneloom.scene import Trajectory
+    from sceneloom.scene.poses import Trajectory
 
     way = Trajectory("poses", poses.timestamps_ns, poses.positions, poses.quaternions_xyzw)
     list(FORM.write(TrajectoryFile(way), path, path))

@@ -23,8 +23,7 @@ from sceneloom.formats.clouds.points import (
 )
 from sceneloom.formats.clouds.roles import find_roles
 from sceneloom.formats.clouds.table import read_cloud
-from sceneloom.scene import LidarFrame
-from sceneloom.scene.clouds import white_where_unseen
+from sceneloom.scene.clouds import LidarFrame, white_where_unseen
 
 _LOOKED_AT = 10
 """Files that are looked through for one that is bright enough to tell the scale of brightness."""

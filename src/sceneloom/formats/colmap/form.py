@@ -7,7 +7,7 @@ from sceneloom.errors import OptionError, check_option_names
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.posed_pictures.settings import NAMES, PosedSettings
 from sceneloom.formats.posed_pictures.writing_only import WrittenOnly
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 FORMS = ("txt", "bin", "both")
 """How the model's files are written."""

@@ -19,7 +19,7 @@ from sceneloom.formats.posed_pictures.lenses import told_lens
 from sceneloom.formats.posed_pictures.map_points import map_points
 from sceneloom.formats.posed_pictures.settings import PosedSettings
 from sceneloom.formats.posed_pictures.views import PosedScene, View
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 _KIND = FolderKind(
     "folder of COLMAP",

@@ -8,7 +8,7 @@ from sceneloom.errors import OptionError, check_option_names
 from sceneloom.formats.euroc_mav.place import mav_folder, near_miss
 from sceneloom.formats.holdings import Holds
 from sceneloom.formats.loss import LossReport
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 
 class EurocFormat:

@@ -21,19 +21,14 @@ from sceneloom.formats.trajectories.content import Reading
 from sceneloom.formats.trajectories.euroc import FORM
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
-from sceneloom.scene import (
-    CameraSensor,
-    ImuSensor,
-    LazyFrames,
-    NoticeKind,
-    PointsSensor,
-    PosePath,
-    Scene,
-    Sensor,
-    Trajectory,
-    VectorSamples,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import PointsSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.motion import ImuSensor, VectorSamples
+from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.scene import Scene, Sensor
 
 WAYS = {"state_groundtruth_estimate0": "groundTruth", "vicon0": "vicon0", "leica0": "leica0"}
 """Folders of trajectories, the best first, and what these are called."""

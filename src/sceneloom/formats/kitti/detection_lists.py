@@ -15,7 +15,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.kitti.number_lines import Line, Parser, as_table, read_lines, sound_rows
 from sceneloom.formats.ledger import Ledger
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 COLUMNS_2D = ("frame", "x1", "y1", "x2", "y2", "score")
 COLUMNS_3D = (

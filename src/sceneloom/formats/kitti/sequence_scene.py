@@ -5,7 +5,12 @@ import numpy as np
 from sceneloom.errors import OptionError
 from sceneloom.formats.kitti.tracking_folder import CAMERA_ID, KittiSequence
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import CameraSensor, Coordinates, LazyFrames, OdometrySensor, Picture, PosePath, Scene
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.motion import OdometrySensor
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Coordinates
 
 EGO_ID = "ego"
 """What the sensor is called whose way is that of the OXTS unit."""

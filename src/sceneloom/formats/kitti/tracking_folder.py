@@ -27,7 +27,9 @@ from sceneloom.formats.kitti.oxts import PERIOD_NS, read_fields, read_oxts
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.times import line_stamps
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Boxes2D, Boxes3D, Notice, NoticeKind, PosePath, ScoreForm
+from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.poses import PosePath
 
 CAMERA_ID, LIDAR_ID = "camera2", "velodyne"
 """What the sensors of a sequence are called."""

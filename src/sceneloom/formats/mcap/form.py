@@ -7,7 +7,7 @@ from sceneloom.errors import MissingExtraError, check_option_names, how_to_insta
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.mcap.holdings import HOLDS
 from sceneloom.formats.mcap.sniffing import is_foxglove_mcap, near_miss
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 _READING_OPTIONS = ("lenient", "assume_model", "stamps", "ego", "world")
 _WRITING_OPTIONS = ("compression", "pictures")

@@ -5,8 +5,8 @@ from pathlib import Path
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.mcap.log import open_log
 from sceneloom.formats.topics.scene_from_topics import scene_from_topics
-from sceneloom.scene import Scene
 from sceneloom.scene.assumed_lenses import with_assumed_models
+from sceneloom.scene.scene import Scene
 
 
 def open_mcap(

@@ -19,7 +19,7 @@ from sceneloom.formats.topics.records import AnyRecord
 from sceneloom.formats.topics.scene_streams import SceneStreams
 from sceneloom.formats.topics.streams import merged
 from sceneloom.formats.topics.written_pictures import check_pictures
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 from sceneloom.version import __version__
 
 DIALECT = Dialect(

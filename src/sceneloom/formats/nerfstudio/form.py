@@ -7,7 +7,7 @@ from sceneloom.errors import check_option_names
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.posed_pictures.settings import NAMES, PosedSettings
 from sceneloom.formats.posed_pictures.writing_only import WrittenOnly
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 
 class NerfstudioFormat(WrittenOnly):

@@ -25,7 +25,8 @@ from sceneloom.formats.posed_pictures.lenses import Models, ToldLens, coefficien
 from sceneloom.formats.posed_pictures.map_points import MapPoints, map_points
 from sceneloom.formats.posed_pictures.settings import PosedSettings
 from sceneloom.formats.posed_pictures.views import PosedScene, View
-from sceneloom.scene import Identifier, Scene
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
 
 _MISSING = ("k4", "k5", "k6", "lx", "ly", "s1", "s2", "s3", "s4", "tx", "ty")
 CAMERA_MODELS: Mapping[str, Models] = MappingProxyType(

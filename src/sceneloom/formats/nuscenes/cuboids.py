@@ -13,8 +13,9 @@ from sceneloom.formats.nuscenes.selection import SceneTables, dangling, rows_by_
 from sceneloom.formats.nuscenes.sensors import MICROSECOND
 from sceneloom.formats.nuscenes.tables import AnnotationRow, CategoryRow, InstanceRow, iter_rows
 from sceneloom.formats.quaternion_lengths import lengths_of
-from sceneloom.scene import AttributePath, CuboidAnnotation, CuboidPath
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath
 
 _TABLES = ("sample_annotation", "instance", "category", "attribute", "visibility")
 

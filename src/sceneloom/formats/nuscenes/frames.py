@@ -16,7 +16,8 @@ from sceneloom.formats.clouds.layout import NUSCENES
 from sceneloom.formats.clouds.pcd import read_pcd
 from sceneloom.formats.rig.pictures import PictureFile, is_jpeg
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import LidarFrame, LidarPoints, Picture, RadarFrame, RadarPoints
+from sceneloom.scene.cameras import Picture
+from sceneloom.scene.clouds import LidarFrame, LidarPoints, RadarFrame, RadarPoints
 
 Facts = tuple[tuple[str, Any], ...]
 """What the tables say about a file, as pairs of name and value."""

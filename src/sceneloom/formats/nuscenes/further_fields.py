@@ -4,15 +4,12 @@ from collections.abc import Iterable, Iterator
 
 from sceneloom.formats.loss import Loss
 from sceneloom.formats.nuscenes.keyframes import KEY_FRAMES
-from sceneloom.scene import (
-    CameraSensor,
-    CuboidAnnotation,
-    LabeledPointsAnnotation,
-    LidarSensor,
-    RadarSensor,
-    Scene,
-)
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.annotations.labelled_points import LabeledPointsAnnotation
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.contents import KINDS
+from sceneloom.scene.scene import Scene
 
 OF_SENSORS = frozenset({"token", "calibrated_sensor_token", KEY_FRAMES})
 OF_FRAMES = frozenset({"file", "token", "sample_token", "is_key_frame"})

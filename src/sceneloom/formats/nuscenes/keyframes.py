@@ -9,7 +9,9 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.nuscenes.written_tables import token_of
-from sceneloom.scene import CameraSensor, LidarSensor, RadarSensor, Scene
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.scene import Scene
 
 RATE_HZ = 2.0
 """Samples a second in nuScenes."""

@@ -16,7 +16,7 @@ from sceneloom.formats.files import read_bytes
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.nuscenes.selection import SceneTables, SensorData, file_of
 from sceneloom.formats.nuscenes.tables import CategoryRow, LidarsegRow, iter_rows
-from sceneloom.scene import LabeledPoints, LabeledPointsAnnotation
+from sceneloom.scene.annotations.labelled_points import LabeledPoints, LabeledPointsAnnotation
 
 ID_PREFIX = "lidarseg:"
 """What ids of the annotations begin with, before the name of the class."""

@@ -14,7 +14,9 @@ from sceneloom.formats.nuscenes.selection import SceneTables, select
 from sceneloom.formats.nuscenes.sensors import build_sensors, trajectory_of
 from sceneloom.formats.option_values import as_flag
 from sceneloom.geometry.euler import AngleUnit
-from sceneloom.scene import Annotation, NoticeKind, Scene
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.scene import Scene
 
 _LEFT_OUT = (
     ("map.json", "maps", "maps are left out"),

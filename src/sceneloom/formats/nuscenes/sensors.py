@@ -18,16 +18,12 @@ from sceneloom.formats.quaternion_lengths import lengths_of
 from sceneloom.formats.rig.pictures import picture_size
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, normalise_quaternion, rotate_vectors
-from sceneloom.scene import (
-    CameraSensor,
-    LazyFrames,
-    LidarSensor,
-    NoticeKind,
-    PosePath,
-    RadarSensor,
-    Sensor,
-    Trajectory,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.scene import Sensor
 
 MICROSECOND = 1000
 """Nanoseconds in the unit of all times of the tables."""

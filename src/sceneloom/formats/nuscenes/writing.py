@@ -36,7 +36,10 @@ from sceneloom.formats.nuscenes.written_tables import Row, TableWriter, placed, 
 from sceneloom.formats.option_values import as_positive
 from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import LidarFrame, LidarSensor, Picture, PointsFrame, RadarFrame, Scene
+from sceneloom.scene.cameras import Picture
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import PointsFrame
 
 PICTURES = ("copy", "png")
 """How pictures are written."""

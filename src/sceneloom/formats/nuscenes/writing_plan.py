@@ -24,9 +24,12 @@ from sceneloom.formats.nuscenes.tables import LogRow, SceneRow
 from sceneloom.formats.nuscenes.written_tables import token_of
 from sceneloom.formats.recording.written_mounts import each_mounted, mounting
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import CameraSensor, LidarSensor, PosePath, RadarSensor, Scene
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.contents import KINDS
 from sceneloom.scene.ego import EgoAxes, ego_axes
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import check_one_ego
 from sceneloom.scene.types import key_of
 

@@ -13,9 +13,10 @@ from sceneloom.formats.nuscenes.keyframes import Samples, microseconds
 from sceneloom.formats.nuscenes.written_frames import FrameLosses
 from sceneloom.formats.nuscenes.written_tables import TableWriter, token_of, write_table, wxyz
 from sceneloom.geometry.rotations import conjugate_quaternion, rotate_vectors
-from sceneloom.scene import CuboidAnnotation, Scene
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
 from sceneloom.scene.at import CuboidPoses, attribute_at, cuboid_poses
+from sceneloom.scene.scene import Scene
 
 VISIBILITIES = {"v0-40": "1", "v40-60": "2", "v60-80": "3", "v80-100": "4"}
 """Tokens of the levels, by name. Source: "visibility" of the schema."""

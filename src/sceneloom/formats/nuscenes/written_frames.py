@@ -13,7 +13,9 @@ from sceneloom.formats.clouds.layout import NUSCENES
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.rig.pictures import PictureFile
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import LidarFrame, Picture, PointsFrame, RadarFrame
+from sceneloom.scene.cameras import Picture
+from sceneloom.scene.clouds import LidarFrame, RadarFrame
+from sceneloom.scene.types import PointsFrame
 
 JPEG_QUALITY = 95
 """Of pictures that come from a video or from memory."""

@@ -10,7 +10,8 @@ from sceneloom.arrays import UInt32Array
 from sceneloom.formats.loss import Fate
 from sceneloom.formats.nuscenes.written_frames import FrameLosses
 from sceneloom.formats.nuscenes.written_tables import token_of
-from sceneloom.scene import LabeledPointsAnnotation, Scene
+from sceneloom.scene.annotations.labelled_points import LabeledPointsAnnotation
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Key, key_of
 
 NOISE = "noise"

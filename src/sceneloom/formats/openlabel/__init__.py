@@ -1,5 +1,1 @@
 """ASAM OpenLABEL 1.0: what is said about a drive, as one file of JSON, and the sensors that it is said of."""
-
-from sceneloom.formats.openlabel.form import FORMAT
-
-__all__ = ["FORMAT"]

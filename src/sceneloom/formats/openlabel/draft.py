@@ -10,8 +10,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.formats.openlabel.words import UID
 from sceneloom.formats.openlabel.written_data import Datum
-from sceneloom.scene import Identifier
-from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.types import Identifier, Key, key_of
 
 
 @dataclass(slots=True)

@@ -11,7 +11,7 @@ from sceneloom.formats.loss import LossReport
 from sceneloom.formats.openlabel.holdings import HOLDS
 from sceneloom.formats.openlabel.reading import read_openlabel
 from sceneloom.formats.openlabel.writing import write_openlabel
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 _BEGINNING = 4096
 _FIRST = re.compile(rb"(?:\xef\xbb\xbf)?\s*\{\s*\"openlabel\"\s*:")

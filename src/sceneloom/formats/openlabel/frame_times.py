@@ -9,7 +9,7 @@ from sceneloom.formats.clouds.points import UNITS_NS
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.openlabel.document import Part
 from sceneloom.formats.rig.stamps import StampError, parse_stamp
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 DEFAULT_RATE_HZ = 10.0
 _FARTHEST_NS = 9_200_000_000_000_000_000

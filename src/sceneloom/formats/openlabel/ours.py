@@ -12,25 +12,19 @@ from sceneloom.arrays import Float64Array
 from sceneloom.errors import SceneloomError
 from sceneloom.formats.openlabel.document import Part
 from sceneloom.formats.openlabel.words import OURS
-from sceneloom.scene import (
-    Activation,
-    Annotation,
-    AttributePath,
-    Box2DAnnotation,
-    CuboidAnnotation,
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.cuboids import Activation, CuboidAnnotation, Projection
+from sceneloom.scene.annotations.keypoints import PointPath, PointProjection, PointsAnnotation
+from sceneloom.scene.annotations.labelled_points import LabeledPoints, LabeledPointsAnnotation
+from sceneloom.scene.annotations.relations import (
     EventAnnotation,
     GroupAnnotation,
-    LabeledPoints,
-    LabeledPointsAnnotation,
     LinkAnnotation,
     ObjectAnnotation,
-    PointPath,
-    PointProjection,
-    PointsAnnotation,
-    Projection,
-    ShapeAnnotation,
-    ShapeType,
 )
+from sceneloom.scene.annotations.shapes import ShapeAnnotation, ShapeType
 from sceneloom.scene.types import NO_FIELDS
 
 Kind = TypeVar("Kind", bound=Annotation)

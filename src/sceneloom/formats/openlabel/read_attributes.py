@@ -9,7 +9,7 @@ import numpy as np
 from sceneloom.formats.openlabel.document import Part
 from sceneloom.formats.openlabel.gathering import Said
 from sceneloom.formats.openlabel.words import KEPT_WHOLE, PLAIN
-from sceneloom.scene import AttributePath
+from sceneloom.scene.annotations.attributes import AttributePath
 
 TYPE = "openlabel_type"
 """Further field of an attribute: the type of its data, where the value does not tell it."""

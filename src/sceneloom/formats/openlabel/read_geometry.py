@@ -20,17 +20,11 @@ from sceneloom.formats.openlabel.systems import Systems
 from sceneloom.formats.openlabel.transforms import rotation_from_euler, unit_quaternions
 from sceneloom.formats.openlabel.words import ABSOLUTE, RELATIVE
 from sceneloom.geometry.rotations import multiply_quaternions, quaternion_from_matrix, rotate_vectors
-from sceneloom.scene import (
-    Box2DAnnotation,
-    BoxPath,
-    CuboidAnnotation,
-    CuboidPath,
-    Identifier,
-    ShapeAnnotation,
-    ShapeType,
-    VertexPath,
-)
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation, BoxPath
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath
+from sceneloom.scene.annotations.shapes import ShapeAnnotation, ShapeType, VertexPath
+from sceneloom.scene.types import Identifier
 
 RBBOX = "rbbox"
 """Further field of a path: the turned boxes that its polygons were made of, rows x y w h angle."""

@@ -17,16 +17,12 @@ from sceneloom.formats.openlabel.read_attributes import attribute, nested_attrib
 from sceneloom.formats.openlabel.read_geometry import IN_PICTURES, READERS, Rows
 from sceneloom.formats.openlabel.systems import Systems
 from sceneloom.formats.openlabel.words import ABSOLUTE, CONFIRMED, GEOMETRY, INTERPOLATED, RELATIVE
-from sceneloom.scene import (
-    Annotation,
-    CameraSensor,
-    EventAnnotation,
-    Identifier,
-    LinkAnnotation,
-    NoticeKind,
-    ObjectAnnotation,
-    Sensor,
-)
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.relations import EventAnnotation, LinkAnnotation, ObjectAnnotation
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.scene import Sensor
+from sceneloom.scene.types import Identifier
 
 KIND = "openlabel"
 """Further field of an annotation: what the file calls it and says of it besides."""

@@ -13,19 +13,15 @@ from sceneloom.formats.openlabel.lenses import read_lens
 from sceneloom.formats.openlabel.systems import Systems
 from sceneloom.formats.openlabel.words import OURS, SENSOR_TYPES
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    CameraSensor,
-    GnssSensor,
-    Identifier,
-    ImuSensor,
-    LazyFrames,
-    LidarSensor,
-    NoticeKind,
-    PlainSensor,
-    PosePath,
-    RadarSensor,
-    Sensor,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.motion import GnssSensor, ImuSensor
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.plain import PlainSensor
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Sensor
+from sceneloom.scene.types import Identifier
 
 
 def nothing_to_read(number: int) -> NoReturn:

@@ -14,8 +14,12 @@ from sceneloom.formats.openlabel.read_streams import ego_path, read_streams
 from sceneloom.formats.openlabel.systems import read_systems
 from sceneloom.formats.openlabel.words import OURS, SCHEMA_VERSION
 from sceneloom.formats.option_values import as_positive
-from sceneloom.scene import Annotation, Identifier, NoticeKind, Scene, Trajectory
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
 
 KEPT = ("metadata", "ontologies", "resources", "tags")
 """Members of the root that are kept as they are."""

@@ -16,7 +16,8 @@ from sceneloom.formats.openlabel.frame_times import FrameTimes
 from sceneloom.formats.openlabel.transforms import read_transform
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
-from sceneloom.scene import NoticeKind, PosePath
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import PosePath
 
 Edges = dict[str, tuple[str, PosePath]]
 

@@ -3,15 +3,13 @@
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from sceneloom.scene import (
-    Annotation,
-    Box2DAnnotation,
-    CuboidAnnotation,
-    LabeledPointsAnnotation,
-    ObjectAnnotation,
-    PointsAnnotation,
-    ShapeAnnotation,
-)
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.annotations.keypoints import PointsAnnotation
+from sceneloom.scene.annotations.labelled_points import LabeledPointsAnnotation
+from sceneloom.scene.annotations.relations import ObjectAnnotation
+from sceneloom.scene.annotations.shapes import ShapeAnnotation
 from sceneloom.scene.types import Key, key_of
 
 _PARTS = (CuboidAnnotation, Box2DAnnotation, ShapeAnnotation, PointsAnnotation, LabeledPointsAnnotation)

@@ -38,30 +38,27 @@ from sceneloom.formats.openlabel.written_data import (
 from sceneloom.formats.openlabel.written_streams import Streams
 from sceneloom.formats.output import replacing
 from sceneloom.formats.recording.written_times import seconds_text
-from sceneloom.scene import (
-    Annotation,
-    AttributePath,
-    Box2DAnnotation,
-    CameraCalibration,
-    Coordinates,
-    CuboidAnnotation,
+from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.annotations.keypoints import PointsAnnotation
+from sceneloom.scene.annotations.labelled_points import LabeledPointsAnnotation
+from sceneloom.scene.annotations.plain import PlainAnnotation
+from sceneloom.scene.annotations.relations import (
     EventAnnotation,
     GroupAnnotation,
-    LabeledPointsAnnotation,
     LinkAnnotation,
-    LocalizationAdjustment,
     ObjectAnnotation,
-    PlainAnnotation,
-    PointsAnnotation,
-    Scene,
-    Sensor,
-    ShapeAnnotation,
 )
-from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.shapes import ShapeAnnotation
 from sceneloom.scene.annotations_frame import annotations_frame
 from sceneloom.scene.contents import KINDS
+from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.span import frame_times
-from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.types import Coordinates, Key, key_of
 
 _LEFT_OUT = (LocalizationAdjustment, CameraCalibration, PlainAnnotation)
 _NO_PLACE = "left out: OpenLABEL has no place for it"

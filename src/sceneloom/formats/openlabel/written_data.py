@@ -10,17 +10,12 @@ from sceneloom.arrays import Int64Array
 from sceneloom.formats.openlabel.read_attributes import TYPE
 from sceneloom.formats.openlabel.read_geometry import RBBOX
 from sceneloom.formats.openlabel.words import ABSOLUTE, CONFIRMED, INTERPOLATED
-from sceneloom.scene import (
-    AttributePath,
-    Box2DAnnotation,
-    CuboidAnnotation,
-    PointsAnnotation,
-    Projection,
-    ShapeAnnotation,
-    ShapeType,
-)
 from sceneloom.scene.angles import CuboidAngles
-from sceneloom.scene.annotations.keypoints import places_of
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation, Projection
+from sceneloom.scene.annotations.keypoints import PointsAnnotation, places_of
+from sceneloom.scene.annotations.shapes import ShapeAnnotation, ShapeType
 from sceneloom.scene.at import cuboid_poses
 
 Datum = tuple[int | None, str, dict[str, Any]]

@@ -13,23 +13,16 @@ from sceneloom.formats.openlabel.words import EGO, OURS, WORLD
 from sceneloom.formats.recording.written_times import seconds_text
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import angle_between
-from sceneloom.scene import (
-    CameraSensor,
-    Coordinates,
-    GnssSensor,
-    Identifier,
-    ImuSensor,
-    LidarSensor,
-    OdometrySensor,
-    PlainSensor,
-    PosePath,
-    RadarSensor,
-    Scene,
-    Sensor,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
+from sceneloom.scene.plain import PlainSensor
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.sensor_sources import check_one_ego
 from sceneloom.scene.shooting import mounts_of_shots
 from sceneloom.scene.span import frame_times
+from sceneloom.scene.types import Coordinates, Identifier
 
 STREAM_TYPES: Mapping[type[Any], str] = {
     CameraSensor: "camera",

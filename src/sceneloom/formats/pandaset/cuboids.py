@@ -12,7 +12,8 @@ from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.pandaset.pickled_frames import PickledFrame, read_pickled_frame
 from sceneloom.formats.pandaset.place import numbered_files
 from sceneloom.formats.pandaset.sensors import LIDARS, Sweeps
-from sceneloom.scene import AttributePath, CuboidAnnotation, CuboidPath
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath
 
 _LABEL = "label"
 _SAID = ("camera_used",)

@@ -14,7 +14,8 @@ from sceneloom.formats.pandaset.sensors import (
     read_sweeps,
     trajectory_of,
 )
-from sceneloom.scene import Annotation, Scene
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.scene import Scene
 
 _ANGLES = MappingProxyType({"euler_unit": "degrees", "euler_order": "xyz"})
 

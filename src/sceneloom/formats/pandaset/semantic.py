@@ -13,7 +13,7 @@ from sceneloom.formats.pandaset.cuboids import stamps_of
 from sceneloom.formats.pandaset.pickled_frames import PickledFrame, read_pickled_frame
 from sceneloom.formats.pandaset.sensors import LIDARS, Sweeps, rows_of_lidar
 from sceneloom.formats.pandaset.text_files import read_json
-from sceneloom.scene import LabeledPoints, LabeledPointsAnnotation
+from sceneloom.scene.annotations.labelled_points import LabeledPoints, LabeledPointsAnnotation
 
 ID_PREFIX = "semseg:"
 """What ids of the annotations begin with, before the name of the class."""

@@ -26,19 +26,14 @@ from sceneloom.formats.rig.lidars import FARTHEST_WORLD
 from sceneloom.formats.rig.pictures import PictureReader, picture_size
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions
-from sceneloom.scene import (
-    CameraSensor,
-    GnssSensor,
-    LazyFrames,
-    LidarFrame,
-    LidarPoints,
-    LidarSensor,
-    NoticeKind,
-    PointsFrame,
-    PosePath,
-    Sensor,
-    Trajectory,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarFrame, LidarPoints, LidarSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.motion import GnssSensor
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.scene import Sensor
+from sceneloom.scene.types import PointsFrame
 
 LIDARS = ("main_pandar64", "front_gt")
 """The lidars by their number in the column `d`; the names are those of the published static calibration."""

@@ -7,7 +7,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.fitting import nearest
 from sceneloom.cameras.table import MODELS
 from sceneloom.formats.loss import Fate, Loss
-from sceneloom.scene import Identifier
+from sceneloom.scene.types import Identifier
 
 Models = Mapping[str, Collection[str]]
 """Names of models, each with the coefficients of it that the target does not have."""

@@ -11,8 +11,7 @@ from sceneloom.errors import PoseError
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.posed_pictures.views import PosedScene
 from sceneloom.geometry.rotations import rotate_vectors
-from sceneloom.scene import LidarPoints, LidarSensor, PointsSensor
-from sceneloom.scene.clouds import grey_where_unseen
+from sceneloom.scene.clouds import LidarPoints, LidarSensor, PointsSensor, grey_where_unseen
 from sceneloom.scene.sensor_sources import points_source
 from sceneloom.scene.span import scene_period_ns
 

@@ -13,10 +13,12 @@ from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.posed_pictures.settings import PosedSettings
 from sceneloom.formats.sfs.write_pictures import encode_jpeg
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import CameraSensor, Identifier, Picture, Scene
+from sceneloom.scene.cameras import CameraSensor, Picture
 from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import needs_ego, sensor_source
 from sceneloom.scene.span import scene_period_ns
+from sceneloom.scene.types import Identifier
 
 FARTHEST_M = 4000.0
 """Farther from 0 than this, the single precision of most readers is coarser than a quarter of a millimetre."""

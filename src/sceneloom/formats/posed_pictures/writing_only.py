@@ -6,7 +6,7 @@ from typing import Any
 from sceneloom.errors import OptionError
 from sceneloom.formats.holdings import Holds
 from sceneloom.formats.posed_pictures.holdings import HOLDS
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 
 class WrittenOnly:

@@ -20,7 +20,7 @@ from sceneloom.formats.recording.mounts import MatrixNumbers, rigid_transform
 from sceneloom.formats.recording.old_forms import read_old_calibration
 from sceneloom.formats.recording.rig_calibration import RigCalibration, read_rig
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 CALIBRATION_FILE = "calibration.json"
 

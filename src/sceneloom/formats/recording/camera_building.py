@@ -38,11 +38,15 @@ from sceneloom.formats.recording.picture_files import (
     unused_pictures,
 )
 from sceneloom.formats.recording.picture_table import PictureTable, build_table, further_fields
-from sceneloom.formats.video import VideoReader, open_video
+from sceneloom.formats.video.reader import VideoReader, open_video
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import angle_between
-from sceneloom.scene import CameraSensor, DepthCameraSensor, LazyFrames, NoticeKind, PosePath, VideoContent
+from sceneloom.scene.cameras import CameraSensor, VideoContent
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.pose_source import poses_along
+from sceneloom.scene.poses import PosePath
 
 _SAME_M, _SAME_DEG = 1e-6, 1e-4
 """Mountings no further apart than this say the same."""

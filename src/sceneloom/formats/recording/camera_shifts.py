@@ -5,7 +5,7 @@ from typing import Any
 
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.calibration import Calibration, CameraCalibration
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 SHIFT_KEY = "imuToCameraShiftSeconds"
 

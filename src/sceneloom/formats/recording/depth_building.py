@@ -14,7 +14,10 @@ from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.calibration import Calibration, CameraCalibration
 from sceneloom.formats.recording.picture_files import PictureFiles
 from sceneloom.formats.recording.picture_table import PictureTable
-from sceneloom.scene import CameraSensor, DepthCameraSensor, DepthFrame, LazyFrames, NoticeKind
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.depth import DepthCameraSensor, DepthFrame
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.notices import NoticeKind
 
 DEFAULT_SCALE = 0.001
 """Metres a step where nothing says it: the usual unit of depth cameras. ASSUMED, with a notice."""

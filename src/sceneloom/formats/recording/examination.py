@@ -8,7 +8,7 @@ from sceneloom.formats.faults import FaultLedger, PlacedFault, placed
 from sceneloom.formats.recording.further_contents import RecordingContents
 from sceneloom.formats.recording.place import find_place
 from sceneloom.formats.recording.scene_from_recording import check_values, read_recording
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,7 +11,7 @@ from sceneloom.formats.recording.place import DATA_FILE, is_log, near_miss
 from sceneloom.formats.recording.scene_from_recording import open_recording
 from sceneloom.formats.recording.writer import check_outside_recordings, write_recording
 from sceneloom.formats.recording.zipped import holds_recording
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 _READING_OPTIONS = ("lenient", "altitude", "camera_shift", "image_index")
 _WRITING_OPTIONS = ("pictures",)

@@ -24,7 +24,8 @@ from sceneloom.formats.recording.columns import TEXT, Columns, RecordingColumns
 from sceneloom.formats.recording.frame_notes import frame_notes
 from sceneloom.formats.recording.number_sensors import BAROMETER, GPS_ORIGIN, RECEIVER, imu_streams, receivers
 from sceneloom.formats.recording.old_forms import PARAMETERS_FILE
-from sceneloom.scene import NoticeKind, Trajectory
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import Trajectory
 
 VIO_CONFIG_FILE = "vio_config.yaml"
 

@@ -15,8 +15,11 @@ from sceneloom.formats.recording.column_arrays import by_time
 from sceneloom.formats.recording.columns import LidarColumns
 from sceneloom.formats.recording.lidar_files import check_size, find_file, read_points
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import LazyFrames, LidarFrame, LidarSensor, NoticeKind, PosePath
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.pose_source import poses_along
+from sceneloom.scene.poses import PosePath
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,7 @@ from sceneloom.arrays import AnyArray, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.files import open_file, why_no_file
 from sceneloom.formats.recording.columns import FARTHEST_TIME
-from sceneloom.scene import LidarPoints
+from sceneloom.scene.clouds import LidarPoints
 
 XYZIRT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "u1"), ("ring", "<u2"), ("timestamp", "<f8")]

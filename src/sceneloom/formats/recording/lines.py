@@ -13,7 +13,7 @@ from sceneloom.formats.recording.column_arrays import line_seconds
 from sceneloom.formats.recording.columns import RecordingColumns
 from sceneloom.formats.recording.json_faults import BYTE_ORDER_MARK, other_file
 from sceneloom.formats.recording.line_reading import BLANK, BLANK_LINE, LineReader
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 _BLOCK = 1 << 16
 _LONGEST_LINE = 1 << 26

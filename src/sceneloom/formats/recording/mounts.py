@@ -9,7 +9,7 @@ from sceneloom.errors import CalibrationError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import GREATEST_ERROR, SILENT_ERROR, nearest_rotation
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 MatrixNumbers = list[float | list[float]]
 """A matrix as JSON has it: rows of four (or three) numbers, or sixteen (or nine) numbers column by column."""

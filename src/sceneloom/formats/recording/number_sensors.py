@@ -8,7 +8,8 @@ from sceneloom.formats.recording.calibration import Calibration
 from sceneloom.formats.recording.column_arrays import by_time
 from sceneloom.formats.recording.columns import Columns, RecordingColumns
 from sceneloom.formats.recording.line_taking import Origin
-from sceneloom.scene import GnssSensor, ImuSensor, Sensor, VectorSamples
+from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
+from sceneloom.scene.scene import Sensor
 
 BAROMETER = "barometer"
 """Name of the stream of `barometer` lines [hPa]."""

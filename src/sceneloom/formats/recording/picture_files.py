@@ -11,7 +11,8 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.video import PngFolder, VideoReader, open_video
+from sceneloom.formats.video.png_folder import PngFolder
+from sceneloom.formats.video.reader import VideoReader, open_video
 
 VIDEO_SUFFIXES = ("mkv", "mp4", "mov", "avi", "ts")
 """Endings of `data`, `data2`, … that are looked for, in this order."""

@@ -21,7 +21,7 @@ from sceneloom.formats.recording.line_shapes import FrameEntry
 from sceneloom.formats.recording.old_forms import has_old_frame, with_frames
 from sceneloom.formats.recording.picture_files import PictureFiles
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Picture
+from sceneloom.scene.cameras import Picture
 
 _HELD_KEYS = frozenset(FrameEntry.__struct_fields__)
 

@@ -14,7 +14,7 @@ from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_fault
 from sceneloom.formats.recording.mounts import MatrixNumbers, rigid_transform
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 _FARTHEST = 1e6
 _SHORTEST = 1e-6

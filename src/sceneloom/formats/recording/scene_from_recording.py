@@ -18,9 +18,7 @@ from sceneloom.formats.recording.number_sensors import build_number_sensors
 from sceneloom.formats.recording.picture_files import ALIGNMENTS, OpenPictures
 from sceneloom.formats.recording.place import DATA_FILE, Closing, RecordingPlace, find_place
 from sceneloom.formats.recording.trajectories import build_trajectories
-from sceneloom.scene import (
-    Scene,
-)
+from sceneloom.scene.scene import Scene
 
 ALTITUDES = ("wgs84", "msl")
 

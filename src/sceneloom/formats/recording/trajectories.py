@@ -11,7 +11,8 @@ from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.poses import GREATEST_NORM_ERROR
 from sceneloom.formats.recording.column_arrays import SortedColumns, by_time
 from sceneloom.formats.recording.columns import PoseColumns
-from sceneloom.scene import NoticeKind, Trajectory
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import Trajectory
 
 RANKS: Mapping[str, int] = {"groundTruth": 0, "pose": 1, "externalPose": 1}
 """Which root keys are taken for the default trajectory before others."""

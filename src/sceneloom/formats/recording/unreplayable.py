@@ -10,7 +10,9 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.vio_config import unknown_keys
-from sceneloom.scene import DepthCameraSensor, ImuSensor, LidarSensor
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.motion import ImuSensor
 from sceneloom.scene.shooting import ShootingSensor, shots_of
 
 FIELD = "replay"

@@ -4,17 +4,11 @@ from collections.abc import Iterator, Sequence
 
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.written_shots import shooting_sensors
-from sceneloom.scene import (
-    GnssSensor,
-    ImuSensor,
-    OdometrySensor,
-    PlainSensor,
-    PointsSensor,
-    RadarSensor,
-    Scene,
-    Sensor,
-    Trajectory,
-)
+from sceneloom.scene.clouds import PointsSensor, RadarSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
+from sceneloom.scene.plain import PlainSensor
+from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.shooting import ShootingSensor
 
 _NO_PLACE = "left out: the format has none"

@@ -26,8 +26,9 @@ from sceneloom.formats.recording.written_pictures import PICTURES, PictureSink, 
 from sceneloom.formats.recording.written_shots import of_recording
 from sceneloom.formats.recording.written_sweeps import LIDAR_MODEL, SweepWriter, sweep_stream
 from sceneloom.formats.recording.written_times import TimeWriter
-from sceneloom.scene import GnssSensor, Scene
 from sceneloom.scene.assumed_lenses import check_lenses
+from sceneloom.scene.motion import GnssSensor
+from sceneloom.scene.scene import Scene
 
 _KIND = FolderKind(
     "recording",

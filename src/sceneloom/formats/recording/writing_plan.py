@@ -17,10 +17,13 @@ from sceneloom.formats.recording.written_lines import origin_for
 from sceneloom.formats.recording.written_mounts import each_mounted, mounting
 from sceneloom.formats.recording.written_shots import shooting_sensors
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Coordinates, ImuSensor, LidarSensor, OdometrySensor, PosePath, Scene, Trajectory
-from sceneloom.scene.poses import same_way
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.motion import ImuSensor, OdometrySensor
+from sceneloom.scene.poses import PosePath, Trajectory, same_way
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import check_one_ego
 from sceneloom.scene.shooting import ShootingSensor, shots_of
+from sceneloom.scene.types import Coordinates
 
 
 class RecordingNotes(msgspec.Struct):

@@ -13,7 +13,9 @@ from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.unwritten import main_receiver
 from sceneloom.formats.recording.written_mounts import matrix_entry, mount_entry
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import GnssSensor, LidarSensor, Scene
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.motion import GnssSensor
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.shooting import ShootingSensor
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from sceneloom.arrays import Float32Array, UInt8Array, UInt16Array, check_array
 from sceneloom.errors import OptionError
 from sceneloom.formats.loss import Loss
-from sceneloom.scene import DepthCameraSensor, DepthFrame
+from sceneloom.scene.depth import DepthCameraSensor, DepthFrame
 from sceneloom.scene.shooting import Shot
 
 DEPTH_STEPS = (0.001, 0.002, 0.005, 0.01)

@@ -15,7 +15,7 @@ from sceneloom.formats.recording.written_lines import make_line
 from sceneloom.formats.recording.written_pictures import PictureSink
 from sceneloom.formats.recording.written_shots import field_of
 from sceneloom.formats.recording.written_times import TimeWriter
-from sceneloom.scene import DepthFrame
+from sceneloom.scene.depth import DepthFrame
 from sceneloom.scene.shooting import ShootingSensor, Shot, shots_of
 
 _OWN_EXTRAS = OWN_FIELDS | {LENS, MOUNT}

@@ -23,7 +23,8 @@ from sceneloom.formats.recording.number_sensors import BAROMETER, GPS_ORIGIN, RE
 from sceneloom.formats.recording.number_texts import number_texts, row_texts, written_seconds
 from sceneloom.formats.recording.unwritten import main_receiver
 from sceneloom.formats.recording.written_times import TimeWriter, writing_order
-from sceneloom.scene import GnssSensor, ImuSensor, Trajectory, VectorSamples
+from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
+from sceneloom.scene.poses import Trajectory
 
 AXES: Mapping[str, int] = {"accelerometer": 3, "gyroscope": 3, "magnetometer": 3}
 """Sensors whose samples must have that many values, lest the vendor's software refuses them."""

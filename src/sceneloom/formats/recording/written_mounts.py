@@ -21,16 +21,14 @@ from sceneloom.geometry.rotations import (
     multiply_quaternions,
     rotate_vectors,
 )
-from sceneloom.scene import (
-    CameraSensor,
-    Coordinates,
-    DepthCameraSensor,
-    LazyFrames,
-    LidarSensor,
-    PosePath,
-    Scene,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.shooting import ShootingSensor, mounts_of_shots, shots_of, with_shots
+from sceneloom.scene.types import Coordinates
 
 _RIGID_WITHIN_M, _RIGID_WITHIN_DEG = 0.001, 0.05
 """How far a sensor may move on the vehicle before it is reported that one mounting does not describe it."""

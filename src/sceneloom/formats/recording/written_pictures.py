@@ -13,10 +13,13 @@ from sceneloom.errors import SceneloomError
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.written_depth import DepthImages, DepthScales
 from sceneloom.formats.recording.written_shots import frame_rate
-from sceneloom.formats.video import VideoReader, VideoWriter, copy_to_matroska
 from sceneloom.formats.video.codecs import is_lossless
 from sceneloom.formats.video.png_folder import picture_name
-from sceneloom.scene import CameraSensor, DepthCameraSensor, Picture, VideoContent
+from sceneloom.formats.video.reader import VideoReader
+from sceneloom.formats.video.remux import copy_to_matroska
+from sceneloom.formats.video.writer import VideoWriter
+from sceneloom.scene.cameras import CameraSensor, Picture, VideoContent
+from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.shooting import ShootingSensor, Shot, shots_of
 
 PICTURES = ("copy", "lossless", "h264", "ffv1", "png")

@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 
-from sceneloom.scene import CameraSensor, DepthCameraSensor, Scene
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.shooting import ShootingSensor, shots_of
 
 _DEFAULT_FPS = 10.0

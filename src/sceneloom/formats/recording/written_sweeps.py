@@ -22,8 +22,10 @@ from sceneloom.formats.recording.written_times import TimeWriter
 from sceneloom.geometry.interpolation import OUT_OF_REACH
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import angle_between, conjugate_quaternion, rotate_vectors
-from sceneloom.scene import Coordinates, LidarFrame, LidarPoints, LidarSensor, PointsFrame, PosePath
+from sceneloom.scene.clouds import LidarFrame, LidarPoints, LidarSensor
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.types import Coordinates, PointsFrame
 
 LIDAR_MODEL = LIDAR_MODELS[0]
 """The one model that the format describes."""

@@ -16,7 +16,9 @@ from sceneloom.formats.rig.times import drop_unreadable
 from sceneloom.formats.rig.transforms import frame_from_optical
 from sceneloom.formats.rig.videos import VideoFile, VideoPictures
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import CameraSensor, LazyFrames, NoticeKind
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.shutter import LONGEST_ROLL_S
 from sceneloom.scene.types import NO_FIELDS
 

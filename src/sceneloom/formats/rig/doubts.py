@@ -9,7 +9,11 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Float32Array
 from sceneloom.formats.clouds.roles import find_roles
 from sceneloom.formats.ledger import Ledger
-from sceneloom.scene import CameraSensor, LidarSensor, NoticeKind, Sensor, Trajectory
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.scene import Sensor
 from sceneloom.scene.span import frame_times
 
 FARTHEST_MOUNT = 30.0

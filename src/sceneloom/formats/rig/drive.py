@@ -13,8 +13,8 @@ from sceneloom.formats.rig.times import TimeSource
 from sceneloom.formats.rig.transforms import FrameTree
 from sceneloom.formats.rig.videos import VideoFile
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import PosePath
 from sceneloom.scene.pose_source import poses_along
+from sceneloom.scene.poses import PosePath
 
 
 def own_frame(record: Record) -> str:

@@ -9,7 +9,7 @@ from sceneloom.formats.holdings import Holds
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.rig.manifest import looks_like_manifest
 from sceneloom.formats.rig.scene_from_rig import open_rig
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 _READING_OPTIONS = ("lenient", "assume_model")
 

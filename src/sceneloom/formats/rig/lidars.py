@@ -7,7 +7,8 @@ from types import MappingProxyType
 import numpy as np
 
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds import CLOUD_SUFFIXES, PointMapping, cloud_suffix, read_cloud
+from sceneloom.formats.clouds.points import PointMapping
+from sceneloom.formats.clouds.table import CLOUD_SUFFIXES, cloud_suffix, read_cloud
 from sceneloom.formats.rig.doubts import note_odd_points
 from sceneloom.formats.rig.drive import Drive, own_frame
 from sceneloom.formats.rig.records import Record
@@ -15,7 +16,10 @@ from sceneloom.formats.rig.sweep_columns import choose_layout, named_columns, wi
 from sceneloom.formats.rig.sweep_reader import SweepReader
 from sceneloom.formats.rig.times import Stamps, drop_unreadable
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import LazyFrames, LidarSensor, NoticeKind, PointsFrame
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.types import PointsFrame
 
 WORLD = "world"
 FARTHEST_WORLD = 100_000.0

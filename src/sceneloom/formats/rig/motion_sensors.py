@@ -12,7 +12,8 @@ from sceneloom.formats.rig.csv_files import TIME_COLUMNS, Table, pick_columns, r
 from sceneloom.formats.rig.drive import Drive
 from sceneloom.formats.rig.records import Record
 from sceneloom.formats.rig.stamps import shifted
-from sceneloom.scene import GnssSensor, ImuSensor, NoticeKind, VectorSamples
+from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
+from sceneloom.scene.notices import NoticeKind
 
 _IMU_COLUMNS: Mapping[str, Sequence[str]] = {
     "time": TIME_COLUMNS,

@@ -13,7 +13,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
 from sceneloom.formats.encoded_pictures import open_image
 from sceneloom.formats.files import read_bytes
-from sceneloom.scene import Picture
+from sceneloom.scene.cameras import Picture
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 """Endings of files that hold pictures."""

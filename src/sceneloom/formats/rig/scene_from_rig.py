@@ -22,8 +22,10 @@ from sceneloom.formats.rig.roots import open_root
 from sceneloom.formats.rig.trajectories import build_trajectory
 from sceneloom.formats.rig.transforms import Edge, FrameTree, read_transform
 from sceneloom.formats.rig.videos import VideoFile
-from sceneloom.scene import NoticeKind, Scene, Sensor, Trajectory
 from sceneloom.scene.assumed_lenses import with_assumed_models
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.scene import Scene, Sensor
 
 _BUILDERS: Mapping[str, Callable[[Drive, Record, str], Sensor]] = MappingProxyType(
     {"lidar": build_lidar, "camera": build_camera, "imu": build_imu, "gnss": build_gnss}

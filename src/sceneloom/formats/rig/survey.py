@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds import cloud_suffix, read_cloud
 from sceneloom.formats.clouds.layout import KITTI, NUSCENES, FieldLayout
+from sceneloom.formats.clouds.table import cloud_suffix, read_cloud
 from sceneloom.formats.rig.column_hints import column_hints
 from sceneloom.formats.rig.csv_files import FILE_COLUMNS, TIME_COLUMNS, Table, read_lines, read_table
 from sceneloom.formats.rig.pictures import PICTURE_SUFFIXES, picture_size
@@ -226,7 +226,7 @@ def _several(group: _Group) -> str:
 
 
 def _video(root: Path, path: Path) -> FoundSensor:
-    from sceneloom.formats.video import open_video
+    from sceneloom.formats.video.reader import open_video
 
     with open_video(path) as video:
         size, about = (video.width, video.height), f"{video.count} pictures, {video.codec}"

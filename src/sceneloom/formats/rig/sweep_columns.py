@@ -9,22 +9,16 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.clouds import (
-    Cloud,
-    FieldLayout,
-    IntensityScale,
-    PointMapping,
-    PointTimes,
-    cloud_suffix,
-    parse_layout,
-)
 from sceneloom.formats.clouds.bin import default_layout
-from sceneloom.formats.clouds.points import detect_scale
+from sceneloom.formats.clouds.cloud import Cloud
+from sceneloom.formats.clouds.layout import FieldLayout, parse_layout
+from sceneloom.formats.clouds.points import IntensityScale, PointMapping, PointTimes, detect_scale
 from sceneloom.formats.clouds.roles import ALIASES, ROW_ALIASES, find_roles
+from sceneloom.formats.clouds.table import cloud_suffix
 from sceneloom.formats.rig.drive import Drive
 from sceneloom.formats.rig.records import Record
 from sceneloom.formats.rig.sweep_reader import SweepReader
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 _LOOKED_AT = 10
 """Files that are looked through for one that is bright enough to tell the scale of brightness."""

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Int64Array, read_only
-from sceneloom.formats.clouds import Cloud, FieldLayout, PointMapping, points_of, read_cloud
-from sceneloom.formats.clouds.points import ReadPoints, SweepClock
+from sceneloom.formats.clouds.cloud import Cloud
+from sceneloom.formats.clouds.layout import FieldLayout
+from sceneloom.formats.clouds.points import PointMapping, ReadPoints, SweepClock, points_of
+from sceneloom.formats.clouds.table import read_cloud
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import LidarFrame, LidarPoints
+from sceneloom.scene.clouds import LidarFrame, LidarPoints
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,7 @@ from sceneloom.formats.rig.csv_files import FILE_COLUMNS, TIME_COLUMNS, Table, r
 from sceneloom.formats.rig.records import Record
 from sceneloom.formats.rig.roots import Root
 from sceneloom.formats.rig.stamps import FARTHEST_NS, NamePattern, StampError, parse_stamp, shifted
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 WAYS = ("pattern", "csv", "lines", "rate_hz", "container")
 """The fields of `times` that each say where stamps come from; a pattern of indices needs a rate beside it."""

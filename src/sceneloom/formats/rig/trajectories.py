@@ -26,7 +26,8 @@ from sceneloom.geometry.rotations import (
     quaternion_from_matrix,
     rotate_vectors,
 )
-from sceneloom.scene import NoticeKind, Trajectory
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import Trajectory
 
 POSE_COLUMNS: Mapping[str, Sequence[str]] = {
     "time": TIME_COLUMNS,

@@ -13,7 +13,7 @@ from sceneloom.formats.rig.records import Record
 from sceneloom.geometry.euler import rotation_from_cuboid_angles
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import GREATEST_ERROR, SILENT_ERROR, matrix_from_quaternion
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 _ROTATIONS = ("quaternion_xyzw", "quaternion_wxyz", "rotation_matrix", "euler_deg")
 _NORM_ERROR = 0.01

@@ -13,8 +13,8 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
 from sceneloom.formats.files import open_file
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.video import VideoReader, open_video
-from sceneloom.scene import Picture, VideoContent
+from sceneloom.formats.video.reader import VideoReader, open_video
+from sceneloom.scene.cameras import Picture, VideoContent
 
 
 class VideoFile:

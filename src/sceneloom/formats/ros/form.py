@@ -7,7 +7,7 @@ from sceneloom.errors import check_option_names
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.ros.holdings import HOLDS
 from sceneloom.formats.ros.sniffing import is_ros1, is_ros2
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 _READING_OPTIONS = ("lenient", "assume_model", "stamps", "ego", "world", "distro")
 

@@ -15,7 +15,7 @@ from sceneloom.formats.ros.ros1_bag import Ros1Bag
 from sceneloom.formats.ros.sniffing import METADATA, ROOT_KEY
 from sceneloom.formats.ros.sqlite_bag import SqliteBag
 from sceneloom.formats.ros.unpacked import UnpackedBag
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 STORAGES: Mapping[str, Callable[[Path, Ledger], Bag]] = MappingProxyType(
     {".bag": Ros1Bag, ".db3": SqliteBag, ".mcap": McapBag}

@@ -7,8 +7,9 @@ from sceneloom.formats.ros.log import RosLog, log_of
 from sceneloom.formats.ros.opening import open_bags
 from sceneloom.formats.ros.reading import NOT_READ
 from sceneloom.formats.topics.scene_from_topics import scene_from_topics
-from sceneloom.scene import NoticeKind, Scene
 from sceneloom.scene.assumed_lenses import with_assumed_models
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.scene import Scene
 
 
 def open_bag(

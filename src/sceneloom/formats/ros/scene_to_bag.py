@@ -17,7 +17,7 @@ from sceneloom.formats.topics.records import AnyRecord, NotesRecord
 from sceneloom.formats.topics.scene_streams import FIXED_FRAMES_TOPIC, SceneStreams
 from sceneloom.formats.topics.streams import merged
 from sceneloom.formats.topics.written_pictures import check_pictures
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 STORAGES = ("sqlite3", "mcap")
 """What files of ROS 2 bags can be."""

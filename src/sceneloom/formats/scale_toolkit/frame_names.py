@@ -8,7 +8,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 _UNITS = ((18, 20, 1, "nanoseconds"), (15, 18, 1_000, "microseconds"), (12, 15, 1_000_000, "milliseconds"))
 """From so many digits up to so many a name is a time since 1970 in a unit of so many nanoseconds."""

@@ -10,9 +10,9 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, DataError
-from sceneloom.formats.clouds import PointMapping, read_cloud
-from sceneloom.formats.clouds.points import detect_scale
+from sceneloom.formats.clouds.points import PointMapping, detect_scale
 from sceneloom.formats.clouds.roles import find_roles
+from sceneloom.formats.clouds.table import read_cloud
 from sceneloom.formats.files import read_bytes
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.pandaset.text_files import read_json
@@ -21,19 +21,14 @@ from sceneloom.formats.rig.pictures import PICTURE_SUFFIXES, PictureReader, pict
 from sceneloom.formats.rig.sweep_reader import SweepReader
 from sceneloom.formats.scale_toolkit.frame_names import frame_names
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    CameraSensor,
-    LazyFrames,
-    LidarSensor,
-    NoticeKind,
-    PointsFrame,
-    PosePath,
-    RadarFrame,
-    RadarPoints,
-    RadarSensor,
-    Sensor,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarFrame, RadarPoints, RadarSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.pose_source import poses_along
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Sensor
+from sceneloom.scene.types import PointsFrame
 
 CLOUDS = (".ply", ".pcd")
 _LENS = ("fx", "fy", "cx", "cy")

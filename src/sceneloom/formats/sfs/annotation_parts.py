@@ -10,7 +10,8 @@ from sceneloom.arrays import AnyArray, Float64Array, Int64Array, read_only
 from sceneloom.errors import ArrayError
 from sceneloom.formats.sfs.poses import mended_path_of, rows_of, times_of
 from sceneloom.formats.sfs.records import Faults, FieldError, Place
-from sceneloom.scene import AttributePath, PosePath
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.poses import PosePath
 
 Record = Mapping[str, Any]
 

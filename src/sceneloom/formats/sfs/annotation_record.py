@@ -6,7 +6,8 @@ from typing import Any
 from sceneloom.formats.sfs.annotation_parts import Record, further, read_attributes
 from sceneloom.formats.sfs.records import Faults, Place
 from sceneloom.formats.sfs.source import Source
-from sceneloom.scene import Identifier, NoticeKind
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.types import Identifier
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from sceneloom.formats.sfs.records import Place
 from sceneloom.formats.sfs.root import OURS
 from sceneloom.formats.sfs.spool import Blob, Spool
 from sceneloom.formats.sfs.times import TICKS_NS
-from sceneloom.scene import Identifier
+from sceneloom.scene.types import Identifier
 
 VERSION = "1.0"
 LAYOUT = 1

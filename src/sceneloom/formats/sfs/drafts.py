@@ -12,7 +12,8 @@ from sceneloom.formats.sfs.poses import mount_rows
 from sceneloom.formats.sfs.spool import Blob
 from sceneloom.formats.sfs.times import FileClock
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Identifier, PosePath
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.types import Identifier
 
 _LATEST_STANDING_NS = 100_000_000_000
 

@@ -9,8 +9,9 @@ import numpy as np
 from sceneloom.arrays import read_only
 from sceneloom.formats.sfs.annotation_parts import attribute_values
 from sceneloom.formats.sfs.poses import times_of
-from sceneloom.scene import Annotation, AttributePath, Identifier
-from sceneloom.scene.types import key_of
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.types import Identifier, key_of
 
 Record = Mapping[str, Any]
 

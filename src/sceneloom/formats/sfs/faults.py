@@ -8,7 +8,8 @@ from sceneloom.errors import DataError
 from sceneloom.formats.faults import PlacedFault
 from sceneloom.formats.sfs.container import format_keys
 from sceneloom.formats.sfs.records import Place
-from sceneloom.scene import Notice, Scene
+from sceneloom.scene.notices import Notice
+from sceneloom.scene.scene import Scene
 
 _TOLD = 4
 """So many places of further faults stand in an error."""

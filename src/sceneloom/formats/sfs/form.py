@@ -13,7 +13,7 @@ from sceneloom.formats.sfs.reading import read_scene
 from sceneloom.formats.sfs.source import ReadingOptions
 from sceneloom.formats.sfs.writing import write_scene
 from sceneloom.formats.urls import path_or_url
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 
 class SfsFormat:

@@ -6,8 +6,9 @@ from typing import Any
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.formats.sfs.source import BROWN, OPENCV, TANGENTIALS, Source
-from sceneloom.scene import NoticeKind, Scene
 from sceneloom.scene.assumed_lenses import with_assumed_models
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.scene import Scene
 
 _P1, _P2 = 2, 3
 

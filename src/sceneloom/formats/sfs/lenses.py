@@ -10,7 +10,7 @@ from sceneloom.cameras.table import MODELS
 from sceneloom.formats.loss import Fate
 from sceneloom.formats.sfs.distortion import COEFFICIENT_COUNTS
 from sceneloom.formats.sfs.drafts import Losses, with_further
-from sceneloom.scene import CameraCalibration
+from sceneloom.scene.annotations.corrections import CameraCalibration
 
 _STAND_INS = ("brown_conrady", "fisheye", "fisheye_rad_tan_prism", "omnidirectional")
 """Models of the format that lenses of other models are fitted to: those whose formulas have a source."""

@@ -10,7 +10,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.formats.sfs.poses import mount_of, mount_rows
 from sceneloom.formats.sfs.records import FieldError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Picture
+from sceneloom.scene.cameras import Picture
 from sceneloom.scene.types import NO_FIELDS
 
 EXPOSURE = "exposureTimeSeconds"

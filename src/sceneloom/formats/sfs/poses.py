@@ -9,7 +9,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import ArrayError, CalibrationError
 from sceneloom.formats.sfs.records import Faults, FieldError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import PosePath
+from sceneloom.scene.poses import PosePath
 
 NORM_TOLERANCE = 0.01
 """How far from 1 the norm of a quaternion may be. Source: our reading of "PosePath", in docs/CONVENTIONS.md."""

@@ -24,25 +24,19 @@ from sceneloom.formats.sfs.read_keypoints import read_keypoints
 from sceneloom.formats.sfs.records import Faults, FieldError, Place
 from sceneloom.formats.sfs.source import PAIRS, Source
 from sceneloom.formats.sfs.usual_cuboids import read_usual_cuboids
-from sceneloom.scene import (
-    Annotation,
-    Box2DAnnotation,
-    BoxPath,
-    CameraCalibration,
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation, BoxPath
+from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment
+from sceneloom.scene.annotations.labelled_points import LabeledPoints, LabeledPointsAnnotation
+from sceneloom.scene.annotations.plain import PlainAnnotation
+from sceneloom.scene.annotations.relations import (
     EventAnnotation,
     GroupAnnotation,
-    LabeledPoints,
-    LabeledPointsAnnotation,
     LinkAnnotation,
-    LocalizationAdjustment,
-    NoticeKind,
     ObjectAnnotation,
-    PlainAnnotation,
-    ShapeAnnotation,
-    ShapeType,
-    VertexPath,
 )
-from sceneloom.scene.annotations.shapes import DIMENSIONS
+from sceneloom.scene.annotations.shapes import DIMENSIONS, ShapeAnnotation, ShapeType, VertexPath
+from sceneloom.scene.notices import NoticeKind
 
 
 def read_annotations(source: Source, raw: Any, place: Place) -> tuple[Annotation, ...]:

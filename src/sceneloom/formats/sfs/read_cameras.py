@@ -17,7 +17,9 @@ from sceneloom.formats.sfs.read_clouds import Record, read_moving, rest_of
 from sceneloom.formats.sfs.read_pictures import PictureContent, image_content, no_content, video_content
 from sceneloom.formats.sfs.records import Faults, FieldError, Place
 from sceneloom.formats.sfs.source import Source
-from sceneloom.scene import CameraSensor, LazyFrames, NoticeKind, Picture
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.notices import NoticeKind
 
 
 def read_camera(source: Source, values: Record, place: Place, faults: Faults) -> CameraSensor | None:

@@ -14,20 +14,19 @@ from sceneloom.formats.sfs.records import Faults, FieldError, Place
 from sceneloom.formats.sfs.source import Source
 from sceneloom.formats.sfs.times import TimeRangeError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    Coordinates,
-    LazyFrames,
+from sceneloom.scene.clouds import (
     LidarFrame,
     LidarPoints,
     LidarSensor,
-    NoticeKind,
-    PointsFrame,
     PointsSensor,
-    PosePath,
     RadarFrame,
     RadarPoints,
     RadarSensor,
 )
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.types import Coordinates, PointsFrame
 
 Record = dict[str, Any]
 

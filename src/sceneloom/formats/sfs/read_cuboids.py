@@ -16,7 +16,7 @@ from sceneloom.formats.sfs.annotation_parts import (
 from sceneloom.formats.sfs.annotation_record import AnnotationRecord
 from sceneloom.formats.sfs.poses import times_of
 from sceneloom.formats.sfs.records import Faults, Place
-from sceneloom.scene import Activation, CuboidAnnotation, CuboidPath, Projection
+from sceneloom.scene.annotations.cuboids import Activation, CuboidAnnotation, CuboidPath, Projection
 
 
 def read_cuboid(found: AnnotationRecord) -> CuboidAnnotation | None:

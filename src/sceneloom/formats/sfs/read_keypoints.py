@@ -19,7 +19,7 @@ from sceneloom.formats.sfs.annotation_parts import (
 from sceneloom.formats.sfs.annotation_record import AnnotationRecord
 from sceneloom.formats.sfs.poses import times_of
 from sceneloom.formats.sfs.records import Faults, FieldError, Place
-from sceneloom.scene import PointPath, PointProjection, PointsAnnotation
+from sceneloom.scene.annotations.keypoints import PointPath, PointProjection, PointsAnnotation
 
 
 def read_keypoints(found: AnnotationRecord) -> PointsAnnotation | None:

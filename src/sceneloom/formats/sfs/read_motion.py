@@ -9,16 +9,10 @@ from sceneloom.formats.sfs.poses import mended_path_of, mount_of
 from sceneloom.formats.sfs.read_clouds import Record, rest_of
 from sceneloom.formats.sfs.records import Faults, FieldError, Place
 from sceneloom.formats.sfs.source import Source
-from sceneloom.scene import (
-    GnssSensor,
-    ImuSensor,
-    OdometrySensor,
-    PlainSensor,
-    PosePath,
-    Sensor,
-    Trajectory,
-    VectorSamples,
-)
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
+from sceneloom.scene.plain import PlainSensor
+from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.scene import Sensor
 
 
 def read_odometry(source: Source, values: Record, place: Place, faults: Faults) -> OdometrySensor | None:

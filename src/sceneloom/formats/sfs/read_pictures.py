@@ -17,12 +17,12 @@ from sceneloom.formats.sfs.mp4 import is_mp4, video_codec
 from sceneloom.formats.sfs.records import Place
 from sceneloom.formats.sfs.remote import RemoteContent
 from sceneloom.formats.sfs.source import Source
-from sceneloom.scene import Picture, VideoContent
+from sceneloom.scene.cameras import Picture, VideoContent
 from sceneloom.scene.types import NO_FIELDS
 
 if TYPE_CHECKING:
-    from sceneloom.formats.video import VideoReader
     from sceneloom.formats.video.index import VideoIndex
+    from sceneloom.formats.video.reader import VideoReader
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,7 +169,7 @@ class _Player:
         return reader.rgb(index)
 
     def _opened(self) -> "VideoReader":
-        from sceneloom.formats.video import VideoReader
+        from sceneloom.formats.video.reader import VideoReader
         from sceneloom.formats.video.table_index import read_table_index
 
         self._container.check_open(self._place)

@@ -11,7 +11,8 @@ from sceneloom.formats.sfs.read_motion import read_gnss, read_imu, read_odometry
 from sceneloom.formats.sfs.records import Faults, Place
 from sceneloom.formats.sfs.root import root_fault
 from sceneloom.formats.sfs.source import Source
-from sceneloom.scene import NoticeKind, Sensor
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.scene import Sensor
 
 _SENSOR_READERS: Mapping[str, Callable[[Source, dict[str, Any], Place, Faults], Sensor | None]] = (
     MappingProxyType(

@@ -42,17 +42,12 @@ from sceneloom.formats.sfs.source import ReadingOptions, Source
 from sceneloom.formats.sfs.times import FileClock
 from sceneloom.formats.sfs.video_rescue import damaged_videos, rescue_videos
 from sceneloom.formats.urls import is_url
-from sceneloom.scene import (
-    Annotation,
-    AttributePath,
-    CuboidAnnotation,
-    Identifier,
-    Notice,
-    NoticeKind,
-    Scene,
-    Sensor,
-)
-from sceneloom.scene.types import key_of
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.types import Identifier, key_of
 
 DEFAULT_EULER = {"euler_unit": "degrees", "euler_order": "xyz"}
 """How the angles of cuboids are read where nothing says it. Source: `CuboidPath.from_matrix` of Scale's library."""

@@ -10,7 +10,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
 from sceneloom.formats.byte_stream import ByteStream
-from sceneloom.formats.remote import Range, RangedFile, RemoteIdentity, coalesced
+from sceneloom.formats.remote.ranged import Range, RangedFile, RemoteIdentity, coalesced
 from sceneloom.formats.sfs.items import RawBytes
 from sceneloom.formats.sfs.unfetched import Unfetched, arrays_in, replaced, unfetched
 

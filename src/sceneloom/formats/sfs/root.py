@@ -16,7 +16,7 @@ from sceneloom.formats.sfs.times import (
     TimeRangeError,
     scaled,
 )
-from sceneloom.scene import Notice
+from sceneloom.scene.notices import Notice
 
 VERSIONS = ("1.0", "5.1")
 """Beginnings of the versions that we read."""

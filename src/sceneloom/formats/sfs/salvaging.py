@@ -20,16 +20,11 @@ from sceneloom.formats.sfs.video_rescue import as_keys, video_problem
 from sceneloom.formats.sfs.write_annotations import annotation_record
 from sceneloom.formats.sfs.writing import write_scene
 from sceneloom.formats.urls import is_url
-from sceneloom.scene import (
-    CameraSensor,
-    LazyFrames,
-    LidarSensor,
-    Notice,
-    NoticeKind,
-    RadarSensor,
-    Scene,
-    Sensor,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import key_of
 
 _COUNTED = ("frames", "images")

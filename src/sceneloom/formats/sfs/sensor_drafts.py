@@ -8,17 +8,11 @@ from sceneloom.formats.sfs.drafts import Losses, SensorDraft, with_further
 from sceneloom.formats.sfs.lenses import intrinsics_record, merged_intrinsics, written_lens
 from sceneloom.formats.sfs.picture_notes import camera_record
 from sceneloom.formats.sfs.write_records import gnss_fields, imu_fields, points_fields
-from sceneloom.scene import (
-    CameraSensor,
-    GnssSensor,
-    ImuSensor,
-    LidarSensor,
-    OdometrySensor,
-    PlainSensor,
-    PointsSensor,
-    RadarSensor,
-    Sensor,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
+from sceneloom.scene.plain import PlainSensor
+from sceneloom.scene.scene import Sensor
 
 _MERGED = frozenset({"intrinsics", "video", "points", "poses"})
 """Further fields that go into parts of the sensor's record."""

@@ -11,7 +11,8 @@ from sceneloom.formats.sfs.file_parts import FileParts
 from sceneloom.formats.sfs.records import Fault, Faults, Place, RecordReader
 from sceneloom.formats.sfs.times import FileClock
 from sceneloom.geometry.euler import ORDERS, AngleUnit
-from sceneloom.scene import Identifier, Notice, NoticeKind, PointsFrame
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.types import Identifier, PointsFrame
 
 OPENCV, BROWN = "opencv", "brown"
 TANGENTIALS = (OPENCV, BROWN)

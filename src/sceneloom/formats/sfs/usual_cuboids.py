@@ -17,8 +17,9 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.formats.sfs.annotation_parts import attribute_values
 from sceneloom.formats.sfs.times import FileClock, TimeRangeError
-from sceneloom.scene import AttributePath, CuboidAnnotation, CuboidPath, Identifier
-from sceneloom.scene.annotations.cuboids import cut_cuboid_paths
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath, cut_cuboid_paths
+from sceneloom.scene.types import Identifier
 
 _COLUMNS = 9
 

@@ -12,7 +12,7 @@ from sceneloom.formats.sfs.container import Container
 from sceneloom.formats.sfs.items import ItemFault, step
 from sceneloom.formats.sfs.mp4 import UNKNOWN_CODEC, declared_length, is_mp4
 from sceneloom.formats.sfs.removal import Keys, keep_in_step
-from sceneloom.scene import CameraSensor
+from sceneloom.scene.cameras import CameraSensor
 
 if TYPE_CHECKING:
     from av.video.stream import VideoStream

@@ -10,27 +10,22 @@ from sceneloom.errors import OptionError
 from sceneloom.formats.sfs.drafts import with_further
 from sceneloom.formats.sfs.encoding import StandingTime
 from sceneloom.formats.sfs.lenses import intrinsics_record, merged_intrinsics
-from sceneloom.scene import (
-    Activation,
-    Annotation,
-    AttributePath,
-    Box2DAnnotation,
-    CameraCalibration,
-    CuboidAnnotation,
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment
+from sceneloom.scene.annotations.cuboids import Activation, CuboidAnnotation, Projection
+from sceneloom.scene.annotations.keypoints import PointPath, PointProjection, PointsAnnotation
+from sceneloom.scene.annotations.labelled_points import LabeledPointsAnnotation
+from sceneloom.scene.annotations.plain import PlainAnnotation
+from sceneloom.scene.annotations.relations import (
     EventAnnotation,
     GroupAnnotation,
-    LabeledPointsAnnotation,
     LinkAnnotation,
-    LocalizationAdjustment,
     ObjectAnnotation,
-    PlainAnnotation,
-    PointPath,
-    PointProjection,
-    PointsAnnotation,
-    PosePath,
-    Projection,
-    ShapeAnnotation,
 )
+from sceneloom.scene.annotations.shapes import ShapeAnnotation
+from sceneloom.scene.poses import PosePath
 
 Record = dict[str, Any]
 

@@ -12,7 +12,8 @@ from sceneloom.formats.sfs.clock_keeper import ClockKeeper, check_stamps, stamp_
 from sceneloom.formats.sfs.drafts import Losses, SensorDraft, with_further
 from sceneloom.formats.sfs.profiles import Profile
 from sceneloom.formats.sfs.spool import Blob, Spool
-from sceneloom.scene import LidarFrame, LidarPoints, PointsFrame, RadarFrame
+from sceneloom.scene.clouds import LidarFrame, LidarPoints, RadarFrame
+from sceneloom.scene.types import PointsFrame
 
 FARTHEST = 10_000.0
 """float32 resolves about 1 mm there: positions in the world beyond it need a nearer origin [m]."""

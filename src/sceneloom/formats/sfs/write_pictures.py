@@ -16,7 +16,7 @@ from sceneloom.formats.sfs.drafts import Losses, SensorDraft, with_further
 from sceneloom.formats.sfs.mp4 import declared_length, is_mp4
 from sceneloom.formats.sfs.picture_notes import PictureNotesWriter, exposure_ns
 from sceneloom.formats.sfs.spool import Blob, Spool
-from sceneloom.scene import CameraSensor, Picture, VideoContent
+from sceneloom.scene.cameras import CameraSensor, Picture, VideoContent
 
 JPEG_QUALITY = 95
 _JPEG_START = b"\xff\xd8\xff"
@@ -105,7 +105,7 @@ class PictureWriter:
     def _remuxed(
         self, draft: SensorDraft, sensor: CameraSensor, video: VideoContent, draft_file: Path
     ) -> Blob | None:
-        from sceneloom.formats.video import remux_to_mp4
+        from sceneloom.formats.video.remux import remux_to_mp4
 
         times_ns = sensor.pictures.timestamps_ns
         increasing = bool((np.diff(times_ns) > 0).all())

@@ -6,15 +6,10 @@ from typing import Any
 from sceneloom.formats.sfs.drafts import with_further
 from sceneloom.formats.sfs.poses import mount_rows
 from sceneloom.redaction import without_folders
-from sceneloom.scene import (
-    GnssSensor,
-    ImuSensor,
-    Notice,
-    OdometrySensor,
-    PointsSensor,
-    Trajectory,
-)
-from sceneloom.scene.poses import same_way
+from sceneloom.scene.clouds import PointsSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
+from sceneloom.scene.notices import Notice
+from sceneloom.scene.poses import Trajectory, same_way
 
 _GNSS_ARRAYS = ("timestamps_ns", "positions_lla", "accuracies", "vertical_accuracies", "file_seconds")
 _TRAJECTORY_ARRAYS = ("timestamps_ns", "positions", "quaternions_xyzw", "file_seconds")

@@ -26,24 +26,16 @@ from sceneloom.formats.sfs.write_clouds import CloudWriter
 from sceneloom.formats.sfs.write_pictures import CameraDraft, PictureWriter, note_losses
 from sceneloom.formats.sfs.write_records import notice_record, trajectory_record
 from sceneloom.formats.table import FORMATS
-from sceneloom.scene import (
-    Annotation,
-    CameraCalibration,
-    CameraSensor,
-    DepthCameraSensor,
-    Identifier,
-    LidarFrame,
-    LidarSensor,
-    NoticeKind,
-    OdometrySensor,
-    Picture,
-    PosePath,
-    RadarFrame,
-    RadarSensor,
-    Scene,
-    Sensor,
-)
-from sceneloom.scene.types import key_of
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.corrections import CameraCalibration
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.motion import OdometrySensor
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.types import Identifier, key_of
 
 Frame = LidarFrame | RadarFrame | Picture
 

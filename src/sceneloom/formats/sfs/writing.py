@@ -9,21 +9,17 @@ from sceneloom.arrays import Int64Array
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.sfs.times import READABLE_TICKS_NS, TICKS_NS, UINT32_MAX
 from sceneloom.formats.sfs.writer import SceneWriter
-from sceneloom.scene import (
-    Annotation,
-    Box2DAnnotation,
-    CameraCalibration,
-    CameraSensor,
-    CuboidAnnotation,
-    EventAnnotation,
-    LidarSensor,
-    LocalizationAdjustment,
-    OdometrySensor,
-    PointsAnnotation,
-    RadarSensor,
-    Scene,
-    ShapeAnnotation,
-)
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.annotations.keypoints import PointsAnnotation
+from sceneloom.scene.annotations.relations import EventAnnotation
+from sceneloom.scene.annotations.shapes import ShapeAnnotation
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.motion import OdometrySensor
+from sceneloom.scene.scene import Scene
 
 _LATEST_START_NS = {"sfs": None, "scale": 90_000_000_000}
 

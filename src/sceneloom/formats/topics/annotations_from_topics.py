@@ -12,7 +12,8 @@ from sceneloom.formats.topics.notes import attributes_from
 from sceneloom.formats.topics.places import Places
 from sceneloom.formats.topics.records import Boxes2DRecord, Boxes3DRecord, Kind
 from sceneloom.formats.topics.survey import Survey
-from sceneloom.scene import Annotation, NoticeKind
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.notices import NoticeKind
 
 
 def read_annotations(survey: Survey, places: Places, cameras: Mapping[str, Any]) -> list[Annotation]:

@@ -12,15 +12,11 @@ from sceneloom.formats.topics.places import Places
 from sceneloom.formats.topics.records import Box2D, Box3D, Boxes2DRecord, Boxes3DRecord
 from sceneloom.formats.topics.survey import Survey
 from sceneloom.geometry.rotations import multiply_quaternions, normalise_quaternion, rotate_vectors
-from sceneloom.scene import (
-    AttributePath,
-    Box2DAnnotation,
-    BoxPath,
-    CuboidAnnotation,
-    CuboidPath,
-    NoticeKind,
-)
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation, BoxPath
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath
+from sceneloom.scene.notices import NoticeKind
 
 Key = tuple[str, str]
 """Topic and id of an object."""

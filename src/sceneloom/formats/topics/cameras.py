@@ -20,15 +20,10 @@ from sceneloom.formats.topics.records import ImageRecord, Kind, LensRecord, Pict
 from sceneloom.formats.topics.stamps import in_order
 from sceneloom.formats.topics.survey import Survey
 from sceneloom.formats.topics.videos import CODECS, MessageVideo, VideoPictures
-from sceneloom.scene import (
-    CameraSensor,
-    DepthCameraSensor,
-    DepthFrame,
-    LazyFrames,
-    NoticeKind,
-    Picture,
-    VideoContent,
-)
+from sceneloom.scene.cameras import CameraSensor, Picture, VideoContent
+from sceneloom.scene.depth import DepthCameraSensor, DepthFrame
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.notices import NoticeKind
 
 _MARKS = {b"\xff\xd8\xff": "jpeg", b"\x89PN": "png"}
 

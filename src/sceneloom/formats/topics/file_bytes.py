@@ -9,7 +9,7 @@ from typing import Any, BinaryIO, Protocol
 from sceneloom.errors import DataError
 from sceneloom.formats.files import file_faults, open_file
 from sceneloom.formats.identity import FileIdentity
-from sceneloom.formats.remote import Range, RangedFile, RemoteIdentity
+from sceneloom.formats.remote.ranged import Range, RangedFile, RemoteIdentity
 from sceneloom.formats.urls import path_or_url
 from sceneloom.redaction import redacted
 

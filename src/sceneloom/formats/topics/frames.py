@@ -11,7 +11,7 @@ from sceneloom.formats.quaternion_lengths import lengths_of
 from sceneloom.formats.topics.records import TransformRecord
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, normalise_quaternion, rotate_vectors
-from sceneloom.scene import PosePath
+from sceneloom.scene.poses import PosePath
 
 _STANDS_M, _STANDS_TURN = 1e-9, 1e-12
 """A frame whose transforms all agree within this does not move."""

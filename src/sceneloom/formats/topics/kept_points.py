@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sceneloom.formats.topics.records import CloudRecord
-from sceneloom.scene import LidarPoints
+from sceneloom.scene.clouds import LidarPoints
 
 if TYPE_CHECKING:
     from sceneloom.formats.topics.sweeps import CloudReader

@@ -14,7 +14,7 @@ from sceneloom.cameras.table import MODELS
 from sceneloom.errors import CalibrationError, DataError, UnknownFormatError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.topics.records import LensRecord
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 UNKNOWN = "unknown"
 """Model of cameras without a calibration: pictures can be looked at, and nothing can be projected."""

@@ -16,7 +16,9 @@ from sceneloom.formats.topics.stamps import in_order
 from sceneloom.formats.topics.survey import Survey
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
-from sceneloom.scene import GnssSensor, ImuSensor, NoticeKind, Trajectory, VectorSamples
+from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import Trajectory
 
 _TURN_FIRST = np.array([3, 4, 5, 0, 1, 2])
 """Messages have covariances of place, then turn; trajectories of turn, then place."""

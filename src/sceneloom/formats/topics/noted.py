@@ -18,23 +18,15 @@ from sceneloom.formats.topics.survey import Survey
 from sceneloom.formats.topics.sweeps_from_topics import CloudDraft
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import normalise_quaternion
-from sceneloom.scene import (
-    CameraSensor,
-    Coordinates,
-    DepthCameraSensor,
-    ImuSensor,
-    LazyFrames,
-    LidarFrame,
-    LidarSensor,
-    OdometrySensor,
-    PointsFrame,
-    PosePath,
-    RadarFrame,
-    RadarSensor,
-    Sensor,
-    Trajectory,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.motion import ImuSensor, OdometrySensor
 from sceneloom.scene.pose_source import placed_along
+from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.scene import Sensor
+from sceneloom.scene.types import Coordinates, PointsFrame
 
 Note = Mapping[str, Any]
 

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.errors import DataError
-from sceneloom.scene import AttributePath
+from sceneloom.scene.annotations.attributes import AttributePath
 from sceneloom.scene.types import NO_FIELDS
 
 VERSION = 1

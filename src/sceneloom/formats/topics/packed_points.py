@@ -8,8 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds import Cloud
-from sceneloom.formats.clouds.cloud import MOST_POINTS, unique_names
+from sceneloom.formats.clouds.cloud import MOST_POINTS, Cloud, unique_names
 from sceneloom.formats.topics.records import CloudRecord, PackedField
 
 _PADDING = "_"

@@ -8,8 +8,9 @@ from sceneloom.arrays import Int64Array
 from sceneloom.formats.topics.frames import FrameTree
 from sceneloom.formats.topics.roles import Roles
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import PointsFrame, PosePath
 from sceneloom.scene.pose_source import poses_along
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.types import PointsFrame
 
 
 @dataclass(frozen=True, slots=True, eq=False)

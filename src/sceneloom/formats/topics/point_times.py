@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sceneloom.arrays import AnyArray
-from sceneloom.formats.clouds import PointTimes
-from sceneloom.formats.clouds.points import UNITS_NS
+from sceneloom.formats.clouds.points import UNITS_NS, PointTimes
 
 _LONGEST_SWEEP_NS = 1_500_000_000
 """No lidar turns more slowly."""

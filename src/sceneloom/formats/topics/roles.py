@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from sceneloom.errors import OptionError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.topics.frames import FrameTree
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 EGO_NAMES = ("base_link", "ego", "ego_vehicle", "base_footprint", "vehicle", "base", "body")
 """What the frame of a vehicle is called, the likeliest first. Source: REP 105 for the first."""

@@ -25,7 +25,9 @@ from sceneloom.formats.topics.records import (
 from sceneloom.formats.topics.roles import choose_roles
 from sceneloom.formats.topics.survey import Survey, survey
 from sceneloom.formats.topics.sweeps_from_topics import CloudDraft, draft_cloud
-from sceneloom.scene import NoticeKind, Scene, Sensor, Trajectory
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.scene import Scene, Sensor
 
 PICTURE_KINDS = (Kind.IMAGE, Kind.PICTURE, Kind.VIDEO)
 FROM_FRAMES = "tf"

@@ -15,15 +15,13 @@ from sceneloom.formats.topics.streams import Said, Stream
 from sceneloom.formats.topics.written_boxes import box_2d_stream, cuboid_stream, keys_of
 from sceneloom.formats.topics.written_ways import trajectory_streams, way_of
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    Annotation,
-    Box2DAnnotation,
-    CuboidAnnotation,
-    PlainSensor,
-    Scene,
-)
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
 from sceneloom.scene.contents import KINDS
+from sceneloom.scene.plain import PlainSensor
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import check_one_ego
 from sceneloom.scene.span import frame_times
 

@@ -16,23 +16,16 @@ from sceneloom.formats.topics.written_pictures import ShotWriter
 from sceneloom.formats.topics.written_points import CloudWriter
 from sceneloom.formats.topics.written_ways import path_stream
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    CameraSensor,
-    Coordinates,
-    DepthCameraSensor,
-    GnssSensor,
-    ImuSensor,
-    LidarSensor,
-    OdometrySensor,
-    PointsFrame,
-    PointsSensor,
-    PosePath,
-    RadarSensor,
-    Sensor,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
 from sceneloom.scene.pose_source import placed_along
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Sensor
 from sceneloom.scene.shooting import mounts_of_shots
 from sceneloom.scene.span import frame_times
+from sceneloom.scene.types import Coordinates, PointsFrame
 
 _SAME_M, _SAME_TURN = 1e-9, 1e-9
 """Poses that differ from those along the ego's way by no more than rounding are not said once more."""

@@ -9,7 +9,7 @@ from sceneloom.arrays import BoolArray, Int64Array
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.topics.log import Topic
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 STAMPS = ("header", "receive")
 """Which times can be asked for."""

@@ -13,7 +13,7 @@ from sceneloom.formats.topics.log import Topic, TopicLog
 from sceneloom.formats.topics.notes import Notes, read_notes
 from sceneloom.formats.topics.records import LARGE, AnyRecord, Kind, TransformRecord
 from sceneloom.formats.topics.stamps import TopicTimes, settle_times
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 R = TypeVar("R")
 

@@ -9,8 +9,15 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Int64Array, read_only
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds import Cloud, IntensityScale, PointMapping, PointTimes, points_of
-from sceneloom.formats.clouds.points import SweepClock, detect_scale
+from sceneloom.formats.clouds.cloud import Cloud
+from sceneloom.formats.clouds.points import (
+    IntensityScale,
+    PointMapping,
+    PointTimes,
+    SweepClock,
+    detect_scale,
+    points_of,
+)
 from sceneloom.formats.clouds.roles import find_roles
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.topics.kept_points import KeptPoints, can_be_kept
@@ -19,8 +26,8 @@ from sceneloom.formats.topics.packed_points import checked_rows, unpack
 from sceneloom.formats.topics.point_times import find_point_times
 from sceneloom.formats.topics.records import CloudRecord
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import LidarFrame, LidarPoints, NoticeKind, RadarFrame, RadarPoints
-from sceneloom.scene.clouds import white_where_unseen
+from sceneloom.scene.clouds import LidarFrame, LidarPoints, RadarFrame, RadarPoints, white_where_unseen
+from sceneloom.scene.notices import NoticeKind
 
 SPEED_COLUMNS = ("velocity", "doppler", "radial_speed", "range_rate", "v_doppler_mps", "speed_radial")
 """Names of the speed along the line of sight."""

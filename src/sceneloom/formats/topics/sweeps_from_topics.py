@@ -20,7 +20,8 @@ from sceneloom.formats.topics.sweeps import (
     speed_column,
     understood,
 )
-from sceneloom.scene import LazyFrames, LidarSensor, PointsSensor, RadarSensor
+from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
+from sceneloom.scene.frames import LazyFrames
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,7 +18,7 @@ from sceneloom.formats.video.index import VideoIndex, read_index
 from sceneloom.formats.video.packet_copy import PacketTimes, copy_packets, iter_picture_packets
 from sceneloom.formats.video.remux import can_be_cut
 from sceneloom.formats.video.source import OpenVideo, decoder_faults
-from sceneloom.scene import VideoContent
+from sceneloom.scene.cameras import VideoContent
 
 _FILTERS = {"h264": "h264_mp4toannexb", "hevc": "hevc_mp4toannexb"}
 """FFmpeg's filters that put packets into Annex B form, with the parameters before each key picture."""

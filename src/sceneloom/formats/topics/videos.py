@@ -14,10 +14,10 @@ from sceneloom.errors import DataError
 from sceneloom.formats.topics.file_views import FileView
 from sceneloom.formats.topics.log import Topic, TopicLog
 from sceneloom.formats.topics.records import PictureRecord
-from sceneloom.scene import Picture, VideoContent
+from sceneloom.scene.cameras import Picture, VideoContent
 
 if TYPE_CHECKING:
-    from sceneloom.formats.video import VideoReader
+    from sceneloom.formats.video.reader import VideoReader
 
 CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc"}
 """Codecs that are read from messages, by the words of messages, and as FFmpeg calls them."""
@@ -98,7 +98,7 @@ class MessageVideo:
             file.close()
 
     def _opened(self) -> "VideoReader":
-        from sceneloom.formats.video import VideoReader
+        from sceneloom.formats.video.reader import VideoReader
 
         reader = self._reader
         if reader is None:

@@ -8,8 +8,10 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.formats.topics.records import Box2D, Box3D, Boxes2DRecord, Boxes3DRecord
 from sceneloom.formats.topics.streams import Said, Stream
-from sceneloom.scene import Annotation, Box2DAnnotation, CuboidAnnotation
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
 
 Drawn = CuboidAnnotation | Box2DAnnotation
 

@@ -15,7 +15,8 @@ from sceneloom.formats.topics.lenses import lens_record
 from sceneloom.formats.topics.pixels import MILLIMETRE
 from sceneloom.formats.topics.records import ImageRecord, PictureRecord
 from sceneloom.formats.topics.streams import Said
-from sceneloom.scene import CameraSensor, DepthCameraSensor
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.depth import DepthCameraSensor
 
 PICTURES = ("copy", "jpeg", "png", "raw")
 """How pictures are written: files and videos as they are and the rest as JPEG; or all in one form."""

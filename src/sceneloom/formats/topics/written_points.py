@@ -17,8 +17,7 @@ from sceneloom.formats.topics.sweeps import (
     SPEED_COLUMNS,
     TIME_COLUMNS,
 )
-from sceneloom.scene import LidarSensor, PointsSensor, RadarSensor
-from sceneloom.scene.clouds import grey_where_unseen
+from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor, grey_where_unseen
 
 Columns = dict[tuple[str, ...], AnyArray]
 """Columns on their way into a message, (N,), or (N, k) by their k names."""

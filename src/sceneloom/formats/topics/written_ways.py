@@ -9,7 +9,8 @@ from sceneloom.formats.topics.dialect import Dialect, Losses
 from sceneloom.formats.topics.names import unique_parts
 from sceneloom.formats.topics.records import PoseRecord
 from sceneloom.formats.topics.streams import Said, Stream
-from sceneloom.scene import PosePath, Scene, Trajectory
+from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.scene import Scene
 
 _PLACE_FIRST = np.array([3, 4, 5, 0, 1, 2])
 """Trajectories have covariances of turn, then place; messages of place, then turn."""

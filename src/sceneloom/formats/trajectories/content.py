@@ -9,7 +9,9 @@ from sceneloom.formats.holdings import Holds
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Loss
 from sceneloom.formats.trajectories.holdings import HOLDS, METRES
-from sceneloom.scene import GnssSensor, Notice, Trajectory
+from sceneloom.scene.motion import GnssSensor
+from sceneloom.scene.notices import Notice
+from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.types import NO_FIELDS
 
 

@@ -19,7 +19,9 @@ from sceneloom.formats.trajectories.first_lines import first_names
 from sceneloom.formats.trajectories.holdings import FIXES, PLACES
 from sceneloom.formats.trajectories.rows import further_losses, ordered
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
-from sceneloom.scene import GnssSensor, NoticeKind, Trajectory
+from sceneloom.scene.motion import GnssSensor
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import Trajectory
 
 _PLACE = ("latitude", "longitude", "altitude")
 

@@ -28,7 +28,7 @@ from sceneloom.formats.rig.stamps import StampError, parse_stamp
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
 from sceneloom.formats.trajectories.holdings import NAMED
 from sceneloom.formats.trajectories.rows import further_losses, ordered
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 ROOT_NAME = "output"
 """How poses right at the root are called."""

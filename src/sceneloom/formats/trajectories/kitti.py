@@ -28,7 +28,7 @@ from sceneloom.geometry.rotations import (
     matrix_from_quaternion,
     quaternion_from_matrix,
 )
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 
 def times_beside(path: Path) -> Path:

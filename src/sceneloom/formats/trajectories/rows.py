@@ -12,7 +12,8 @@ from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.poses import GREATEST_NORM_ERROR, Poses
 from sceneloom.formats.recording.written_times import seconds_text
 from sceneloom.formats.trajectories.content import TrajectoryFile
-from sceneloom.scene import NoticeKind, Trajectory
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import Trajectory
 
 FARTHEST = 1e12
 """Positions beyond it [m] are of no way on or around the earth, and their squares leave no digits."""

@@ -13,7 +13,10 @@ from sceneloom.formats.trajectories.content import Reading, TrajectoryFile
 from sceneloom.formats.trajectories.gnss import of_fixes
 from sceneloom.motion.gnss_receivers import usable_fixes
 from sceneloom.motion.trajectories import GNSS, RESERVED
-from sceneloom.scene import Corrections, GnssSensor, Notice, NoticeKind, Scene, Trajectory
+from sceneloom.scene.motion import GnssSensor
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.scene import Corrections, Scene
 from sceneloom.scene.types import Progress
 
 FIXES = "fixes"

@@ -20,7 +20,7 @@ from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, Traj
 from sceneloom.formats.trajectories.first_lines import beginning
 from sceneloom.formats.trajectories.scenes import is_scene_name, read_scene_trajectory
 from sceneloom.formats.urls import is_url
-from sceneloom.scene import PosePath, Trajectory
+from sceneloom.scene.poses import PosePath, Trajectory
 from sceneloom.scene.types import Progress
 
 TRAJECTORY_FORMS: Mapping[str, TrajectoryForm] = MappingProxyType(

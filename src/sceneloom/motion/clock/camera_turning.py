@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.cameras import unproject
+from sceneloom.cameras.models import unproject
 from sceneloom.errors import DataError
 from sceneloom.geometry.rotations import quaternion_from_matrix, rotation_vector_from_quaternion
 from sceneloom.motion.clock.bearings import LEAST_BEARINGS, turn_between
 from sceneloom.motion.clock.corners import Pyramid, find_corners, followed
 from sceneloom.motion.clock.turning import Turning, finite_rows
-from sceneloom.scene import CameraSensor, Picture
+from sceneloom.scene.cameras import CameraSensor, Picture
 from sceneloom.scene.shutter import Shutter
 from sceneloom.scene.types import Progress
 

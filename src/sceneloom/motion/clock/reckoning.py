@@ -10,7 +10,7 @@ from sceneloom.geometry.rotations import matrix_from_quaternion, rotate_vectors
 from sceneloom.motion.clock.turning import LEAST_KNOTS, Turning, TurningCurve, rate_noise
 from sceneloom.motion.clock.ways import WaySamples, on_ground
 from sceneloom.motion.imu_samples import usable_samples
-from sceneloom.scene import VectorSamples
+from sceneloom.scene.motion import VectorSamples
 
 _AROUND = 6.0
 """A reckoning reaches so far beyond a window on both sides, so that offsets can be tried [s]."""

@@ -10,7 +10,8 @@ from sceneloom.motion.clock.streams import MotionTold, Stream
 from sceneloom.motion.clock.turning import Turning
 from sceneloom.motion.clock.turning_clock import REACH_NS, compare_turnings
 from sceneloom.motion.clock.way_clock import LEVER_SIGMA, compare_ways
-from sceneloom.scene import Trajectory, VectorSamples
+from sceneloom.scene.motion import VectorSamples
+from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.types import Progress
 
 _KNOWN_LEVER_SIGMA = 0.05

@@ -12,18 +12,13 @@ from sceneloom.motion.clock.reckoning import ReckonedWay, Unit
 from sceneloom.motion.clock.turning import Turning
 from sceneloom.motion.clock.ways import Fixes, TrajectoryWay, Way
 from sceneloom.motion.imu_samples import ACCELEROMETER, GYROSCOPE
-from sceneloom.scene import (
-    CameraSensor,
-    GnssSensor,
-    Identifier,
-    ImuSensor,
-    LidarSensor,
-    PointsFrame,
-    Scene,
-    Trajectory,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor
+from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import frame_times
-from sceneloom.scene.types import Progress
+from sceneloom.scene.types import Identifier, PointsFrame, Progress
 
 
 class StreamKind(StrEnum):
@@ -147,7 +142,7 @@ def _trajectory_told(trajectory: Trajectory) -> MotionTold:
 
 
 def _of_lidar(stream: Stream, progress: Progress | None) -> MotionTold:
-    from sceneloom.motion.odometry import lidar_odometry
+    from sceneloom.motion.odometry.run import lidar_odometry
 
     lidar: LidarSensor = stream.source
     if lidar.points_frame is PointsFrame.WORLD:

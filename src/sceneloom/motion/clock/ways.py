@@ -10,7 +10,8 @@ from sceneloom.geometry.geodesy import enu_from_geodetic
 from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.motion.clock.turning import LEAST_KNOTS, Turning, TurningCurve, numbered_pieces, piece_slices
 from sceneloom.motion.gnss_receivers import usable_fixes
-from sceneloom.scene import GnssSensor, Trajectory
+from sceneloom.scene.motion import GnssSensor
+from sceneloom.scene.poses import Trajectory
 
 
 @dataclass(frozen=True, slots=True, eq=False)

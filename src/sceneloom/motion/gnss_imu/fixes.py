@@ -8,7 +8,9 @@ from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.geometry.geodesy import ecef_from_geodetic, enu_from_geodetic
 from sceneloom.motion.gnss_imu.settings import SmootherSettings
 from sceneloom.motion.gnss_receivers import gnss_receivers, usable_fixes
-from sceneloom.scene import GnssSensor, Notice, NoticeKind, Scene
+from sceneloom.scene.motion import GnssSensor
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.scene import Scene
 
 _FARTHEST = 100_000.0
 """Fixes farther than this from the one in the middle of all [m] are no places of one drive."""

@@ -6,7 +6,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.motion.gnss_imu.carried_fixes import Fixes
 from sceneloom.motion.gnss_imu.chain import RelativePoses
-from sceneloom.scene import Trajectory
+from sceneloom.scene.poses import Trajectory
 
 _LEAST_TURN, _LEAST_WAY = 3e-4, 5e-3
 """No step is believed to be better [rad] and [m]: what a fit onto the map repeats to."""

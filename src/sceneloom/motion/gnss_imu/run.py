@@ -17,7 +17,9 @@ from sceneloom.motion.gnss_imu.wander import Wander, wandering
 from sceneloom.motion.gnss_imu.way import Way, pose_covariances, way_between, way_times
 from sceneloom.motion.gnss_receivers import gnss_receivers
 from sceneloom.motion.standing import find_standing
-from sceneloom.scene import Notice, NoticeKind, Scene, Trajectory
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.scene import Scene
 
 NAME = "gnss"
 """The trajectory's name."""

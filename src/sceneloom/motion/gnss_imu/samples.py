@@ -7,7 +7,8 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.motion.gnss_imu.settings import SmootherSettings
 from sceneloom.motion.imu_samples import ACCELEROMETER, GYROSCOPE, gaps_between, usable_samples
-from sceneloom.scene import ImuSensor, Scene, VectorSamples
+from sceneloom.scene.motion import ImuSensor, VectorSamples
+from sceneloom.scene.scene import Scene
 
 _NOISE_SECONDS, _NOISE_SAMPLES = 2.0, 21
 """Time over which the noise is averaged, and how many samples that takes at least."""

@@ -17,7 +17,7 @@ from sceneloom.motion.gnss_imu.settings import SmootherSettings
 from sceneloom.motion.gnss_imu.start import coasted, oriented, standing_states
 from sceneloom.motion.gnss_imu.stops import stops
 from sceneloom.motion.gnss_imu.vehicle import misfit, vehicle_speeds
-from sceneloom.scene import Trajectory
+from sceneloom.scene.poses import Trajectory
 
 _ROUNDS = 4
 """So often the noise is told anew from the residuals."""

@@ -6,7 +6,7 @@ from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, quaternion_from_matrix, slerp
 from sceneloom.motion.odometry.lidar_odometry import PoseEstimate
-from sceneloom.scene import Trajectory
+from sceneloom.scene.poses import Trajectory
 
 
 def trajectory_of(name: str, estimates: list[PoseEstimate]) -> Trajectory:

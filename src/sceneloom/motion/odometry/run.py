@@ -11,7 +11,9 @@ from sceneloom.motion.odometry.knots import trajectory_of
 from sceneloom.motion.odometry.lidar_odometry import LidarOdometry, Outcome, PoseEstimate
 from sceneloom.motion.odometry.motion_state import MotionState
 from sceneloom.motion.odometry.scene_sweeps import SceneSweeps
-from sceneloom.scene import Notice, NoticeKind, Scene, Trajectory
+from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.scene import Scene
 
 NAME = "lidar"
 """The trajectory's name."""

@@ -9,9 +9,12 @@ from sceneloom.arrays import FloatArray, Int64Array
 from sceneloom.errors import DataError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.point_time_notices import PointTimesTally
-from sceneloom.scene import LidarFrame, LidarSensor, Notice, NoticeKind, PointsFrame, Scene
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
+from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.point_times import RawTimes, timed_frame
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import sweep_period_ns
+from sceneloom.scene.types import PointsFrame
 
 _SAME_PERIOD = 0.75
 """Sweeps that begin within this part of a period of one another belong together."""

@@ -11,8 +11,9 @@ from sceneloom.pictures.annotations.placed import active_events, labelled_places
 from sceneloom.pictures.canvas import Canvas, PilImage, seconds_text
 from sceneloom.pictures.cloud_above import SIZE_PX, MapLayout, draw_cloud_above
 from sceneloom.pictures.ego import EgoPlace
-from sceneloom.scene import PointsSensor, Scene
+from sceneloom.scene.clouds import PointsSensor
 from sceneloom.scene.sample import Sample
+from sceneloom.scene.scene import Scene
 
 _MARK_PX = 2.2
 

@@ -11,17 +11,12 @@ from sceneloom.pictures.annotations.figures import same_id
 from sceneloom.pictures.annotations.in_picture import draw_annotations_in_picture
 from sceneloom.pictures.annotations.timeline import draw_timeline
 from sceneloom.pictures.canvas import PilImage
-from sceneloom.scene import (
-    Annotation,
-    CameraCalibration,
-    GroupAnnotation,
-    Identifier,
-    LinkAnnotation,
-    LocalizationAdjustment,
-    ObjectAnnotation,
-    Scene,
-)
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment
+from sceneloom.scene.annotations.relations import GroupAnnotation, LinkAnnotation, ObjectAnnotation
 from sceneloom.scene.sample import Sample
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
 
 Drawing = tuple[str, Callable[[], PilImage]]
 _Draw = Callable[[Scene, Sample | None, str], PilImage]

@@ -3,8 +3,8 @@
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.cameras import project_unbounded, unproject
 from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.models import project_unbounded, unproject
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import rotate_vectors
 from sceneloom.pictures.annotations.marking import draw_marks, photograph
@@ -12,16 +12,13 @@ from sceneloom.pictures.canvas import FAINT_INK, Canvas, PilImage
 from sceneloom.pictures.cloud_above import SIZE_PX, MapLayout, draw_cloud_above
 from sceneloom.pictures.ego import EgoPlace
 from sceneloom.pictures.views import framed
-from sceneloom.scene import (
-    CameraCalibration,
-    CameraSensor,
-    LidarSensor,
-    LocalizationAdjustment,
-    OdometrySensor,
-    PosePath,
-    Scene,
-)
+from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.motion import OdometrySensor
+from sceneloom.scene.poses import PosePath
 from sceneloom.scene.sample import Sample
+from sceneloom.scene.scene import Scene
 
 _GRID = (16, 9)
 _DISTANCE = 20.0

@@ -11,18 +11,15 @@ import numpy as np
 from sceneloom.arrays import Float64Array
 from sceneloom.geometry.boxes import EDGES, box_corners
 from sceneloom.pictures.canvas import Colour, leave_out
-from sceneloom.scene import (
-    Annotation,
-    Box2DAnnotation,
-    CuboidAnnotation,
-    Identifier,
-    PointsAnnotation,
-    Scene,
-    ShapeAnnotation,
-    ShapeType,
-)
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.annotations.keypoints import PointsAnnotation
+from sceneloom.scene.annotations.shapes import ShapeAnnotation, ShapeType
 from sceneloom.scene.at import active_at, attribute_at, box_2d_at, cuboid_poses, points_at, shape_at
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
 
 PALETTE: tuple[Colour, ...] = (
     (255, 122, 69), (82, 196, 255), (138, 226, 52), (255, 206, 84), (214, 137, 255), (64, 224, 190),

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.cameras import project_unbounded
 from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.models import project_unbounded
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pictures.annotations.figures import Figure, figures_in_picture, figures_in_world
 from sceneloom.pictures.annotations.marking import Name, draw_figure, draw_marks, photograph, write_names
@@ -14,8 +14,9 @@ from sceneloom.pictures.annotations.placed import active_events, labelled_places
 from sceneloom.pictures.canvas import PilImage, count_text, seconds_text
 from sceneloom.pictures.clouds import sample_polyline
 from sceneloom.pictures.views import framed
-from sceneloom.scene import Identifier, Scene
 from sceneloom.scene.sample import Sample
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
 
 _PIECES = 48
 """A straight line of the world is bent by a lens: it is drawn in so many pieces."""

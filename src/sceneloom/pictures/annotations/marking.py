@@ -6,8 +6,8 @@ from sceneloom.arrays import Float64Array
 from sceneloom.pictures.annotations.figures import Figure
 from sceneloom.pictures.canvas import BACKGROUND, Canvas, Colour
 from sceneloom.pictures.views import picture_canvas, subdued
-from sceneloom.scene import Identifier
 from sceneloom.scene.sample import Sample
+from sceneloom.scene.types import Identifier
 
 _TINT = 0.28
 _SMALL = 0.8

@@ -7,19 +7,17 @@ import numpy as np
 from sceneloom.arrays import Float64Array
 from sceneloom.pictures.annotations.figures import Figure, colour_of, figures_in_world, members_of, name_of
 from sceneloom.pictures.canvas import Colour
-from sceneloom.scene import (
+from sceneloom.scene.annotations.labelled_points import LabeledPointsAnnotation
+from sceneloom.scene.annotations.relations import (
     EventAnnotation,
     GroupAnnotation,
-    Identifier,
-    LabeledPointsAnnotation,
-    LidarSensor,
     LinkAnnotation,
     ObjectAnnotation,
-    PointsSensor,
-    Scene,
 )
+from sceneloom.scene.clouds import LidarSensor, PointsSensor
 from sceneloom.scene.sample import Sample
-from sceneloom.scene.types import key_of
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier, key_of
 
 _MARGIN = 0.6
 """How far a frame around the members of a group keeps from them [m]."""

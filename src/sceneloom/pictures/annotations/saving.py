@@ -15,8 +15,8 @@ from sceneloom.pictures.annotations.by_type import Drawing, drawings_by_type
 from sceneloom.pictures.annotations.in_picture import draw_annotations_in_picture
 from sceneloom.pictures.annotations.timeline import draw_timeline
 from sceneloom.pictures.sheets import save_picture
-from sceneloom.scene import Corrections, Scene
 from sceneloom.scene.sample import Sample
+from sceneloom.scene.scene import Corrections, Scene
 from sceneloom.scene.span import frame_times, time_span
 
 

@@ -20,18 +20,15 @@ from sceneloom.pictures.canvas import (
 )
 from sceneloom.pictures.depth_scale import COARSE_DIGITS, round_up
 from sceneloom.pictures.scale_bar import draw_caption, draw_strip, strip_height
-from sceneloom.scene import (
-    Annotation,
-    AttributePath,
-    Box2DAnnotation,
-    CameraCalibration,
-    CuboidAnnotation,
-    EventAnnotation,
-    LocalizationAdjustment,
-    PointsAnnotation,
-    Scene,
-    ShapeAnnotation,
-)
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.annotations.keypoints import PointsAnnotation
+from sceneloom.scene.annotations.relations import EventAnnotation
+from sceneloom.scene.annotations.shapes import ShapeAnnotation
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import time_span
 
 WIDTH_PX = 1280

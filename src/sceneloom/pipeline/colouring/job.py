@@ -11,14 +11,15 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import BoolArray
-from sceneloom.colouring import VisibilitySettings
 from sceneloom.colouring.exposure import ExposureGains, ExposureLinks
 from sceneloom.colouring.lidar_way import LidarWay
 from sceneloom.colouring.moving import MovingPoints, lags_for
 from sceneloom.colouring.moving_boxes import MovingBoxes
+from sceneloom.colouring.visibility import VisibilitySettings
 from sceneloom.errors import PoseError
 from sceneloom.formats.label_folders import LabelFolder
-from sceneloom.fusion import FusionConfiguration, FusionSystem
+from sceneloom.fusion.configuration import FusionConfiguration
+from sceneloom.fusion.system import FusionSystem
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_motion import placeable_lidars
 from sceneloom.pictures.canvas import counting_left_out
@@ -30,11 +31,13 @@ from sceneloom.pipeline.fusing.report import CameraTally, FusionTally, told_once
 from sceneloom.pipeline.needed_lidar import check_has_lidar
 from sceneloom.pipeline.play import Skips, build_system, play, telling
 from sceneloom.pipeline.woven.scene import Woven, weave
-from sceneloom.scene import Identifier, LidarFrame, Notice, NoticeKind, Scene
+from sceneloom.scene.clouds import LidarFrame
+from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import lidar_place
 from sceneloom.scene.span import scene_period_ns
-from sceneloom.scene.types import Progress
+from sceneloom.scene.types import Identifier, Progress
 
 MOST_COMPARED = 300
 """Sweeps by which exposures are told at most, spread over the drive."""

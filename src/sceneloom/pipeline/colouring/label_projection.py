@@ -11,12 +11,13 @@ from sceneloom.arrays import UInt16Array
 from sceneloom.colouring.labels import LabelCanvas
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds import NO_LABEL
+from sceneloom.formats.clouds.written import NO_LABEL
 from sceneloom.formats.label_folders import NAMES_FILE
 from sceneloom.formats.label_images import write_label_png
 from sceneloom.pipeline.colouring.sweeps import SweepColouring
-from sceneloom.scene import Identifier, LabeledPointsAnnotation, Scene
-from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.annotations.labelled_points import LabeledPointsAnnotation
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier, Key, key_of
 
 _CANVASES = 2
 """Pictures of a camera that are drawn at once: sweeps of several lidars may meet them by turns."""

@@ -8,10 +8,12 @@ from typing import BinaryIO
 import numpy as np
 
 from sceneloom.arrays import AnyArray
-from sceneloom.formats.clouds import WrittenPoints
-from sceneloom.formats.sfs import SceneWriter
+from sceneloom.formats.clouds.written import WrittenPoints
+from sceneloom.formats.sfs.writer import SceneWriter
 from sceneloom.pipeline.colouring.sinks import label_annotation, rows_of_labels
-from sceneloom.scene import Identifier, LabeledPoints, PointsSensor
+from sceneloom.scene.annotations.labelled_points import LabeledPoints
+from sceneloom.scene.clouds import PointsSensor
+from sceneloom.scene.types import Identifier
 
 MAP_ID = "map"
 

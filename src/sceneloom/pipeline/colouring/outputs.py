@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sceneloom.colouring.world_map import WorldMap
-from sceneloom.formats.clouds import open_cloud_writer
+from sceneloom.formats.clouds.writing import open_cloud_writer
 from sceneloom.formats.output import filling
-from sceneloom.formats.sfs import SceneWriter
+from sceneloom.formats.sfs.writer import SceneWriter
 from sceneloom.pictures.drive_cloud import MOST_SWEEPS, DriveCloud
 from sceneloom.pipeline.colouring.label_projection import LabelProjection
 from sceneloom.pipeline.colouring.map_scene import MapScene

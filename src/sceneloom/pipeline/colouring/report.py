@@ -6,7 +6,8 @@ import msgspec
 
 from sceneloom.colouring.exposure import ExposureGains
 from sceneloom.pipeline.fusing.report import CameraReport
-from sceneloom.scene import Identifier, Notice
+from sceneloom.scene.notices import Notice
+from sceneloom.scene.types import Identifier
 
 
 class ExposureReport(msgspec.Struct, frozen=True, kw_only=True):

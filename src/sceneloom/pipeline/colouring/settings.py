@@ -5,7 +5,7 @@ from math import isfinite
 from pathlib import Path
 
 from sceneloom.errors import OptionError
-from sceneloom.formats.clouds import WRITTEN_SUFFIXES, check_cloud_suffix
+from sceneloom.formats.clouds.writing import WRITTEN_SUFFIXES, check_cloud_suffix
 from sceneloom.formats.output import check_output
 
 BLENDS = ("nearest", "best", "weighted")

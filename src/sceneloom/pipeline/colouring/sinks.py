@@ -10,18 +10,15 @@ import numpy as np
 from sceneloom.arrays import AnyArray, BoolArray
 from sceneloom.colouring.world_map import WorldMap
 from sceneloom.editing.chosen_points import chosen_points
-from sceneloom.formats.clouds import NO_LABEL, CloudWriter, WrittenPoints, open_cloud_writer
+from sceneloom.formats.clouds.writing import open_cloud_writer
+from sceneloom.formats.clouds.written import NO_LABEL, CloudWriter, WrittenPoints
 from sceneloom.pictures.drive_cloud import DriveCloud
 from sceneloom.pipeline.colouring.sweeps import ColouredSweep
 from sceneloom.pipeline.fusing.sinks import SceneSink
-from sceneloom.scene import (
-    Identifier,
-    LabeledPoints,
-    LabeledPointsAnnotation,
-    LidarPoints,
-    PosePath,
-)
-from sceneloom.scene.clouds import grey_where_unseen
+from sceneloom.scene.annotations.labelled_points import LabeledPoints, LabeledPointsAnnotation
+from sceneloom.scene.clouds import LidarPoints, grey_where_unseen
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.types import Identifier
 
 
 class ColourSink(Protocol):

@@ -6,15 +6,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array, UInt8Array, UInt16Array
-from sceneloom.colouring import BlendSettings, blend_colours, estimate_normals
+from sceneloom.colouring.blending import blend_colours
 from sceneloom.colouring.exposure import ExposureGains
 from sceneloom.colouring.labels import paint_labels
+from sceneloom.colouring.normals import estimate_normals
 from sceneloom.colouring.provenance import PointSources
 from sceneloom.colouring.results import FusedFrame, FusedView
-from sceneloom.colouring.weights import view_weights
+from sceneloom.colouring.weights import BlendSettings, view_weights
 from sceneloom.colouring.world_map import empty_points
 from sceneloom.formats.label_folders import LabelFolder
-from sceneloom.scene import CameraSensor, Identifier, Scene
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
 
 NO_PICTURE = -1
 

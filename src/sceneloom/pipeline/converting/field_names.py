@@ -3,8 +3,8 @@
 import re
 from collections.abc import Mapping
 
-from sceneloom.scene import Scene
 from sceneloom.scene.contents import IMU_STREAMS, KINDS, MODEL_FIELDS
+from sceneloom.scene.scene import Scene
 
 _STAMPS = ("timestamp_ns", "timestamps_ns", "start_ns", "duration_ns", "durations_ns", "poses", "attributes")
 _TOGETHER: Mapping[str, tuple[str, ...]] = {

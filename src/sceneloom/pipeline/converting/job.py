@@ -13,7 +13,7 @@ from sceneloom.errors import LossError, OptionError
 from sceneloom.formats.holdings import Holds
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import check_output
-from sceneloom.formats.remote import uploading
+from sceneloom.formats.remote.uploads import uploading
 from sceneloom.formats.table import (
     PART,
     Format,
@@ -26,7 +26,7 @@ from sceneloom.formats.table import (
     writes,
     written_formats,
 )
-from sceneloom.formats.trajectories import TRAJECTORY_FORMS, form_for_output
+from sceneloom.formats.trajectories.table import TRAJECTORY_FORMS, form_for_output
 from sceneloom.formats.urls import is_url
 from sceneloom.pipeline.converting.fates import field_fates
 from sceneloom.pipeline.converting.field_names import kinds_by_id
@@ -40,10 +40,13 @@ from sceneloom.pipeline.converting.trajectories import (
     is_trajectory_file,
 )
 from sceneloom.redaction import redacted
-from sceneloom.scene import CameraSensor, DepthFrame, Identifier, LidarSensor, RadarSensor, Scene
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.counting import Counting
+from sceneloom.scene.depth import DepthFrame
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import frame_times
-from sceneloom.scene.types import Progress
+from sceneloom.scene.types import Identifier, Progress
 from sceneloom.scene.watched import AnyFrame, watched
 from sceneloom.stages import stage
 

@@ -10,7 +10,7 @@ from sceneloom.formats.loss import Fate, LossReport
 from sceneloom.formats.output import replacing
 from sceneloom.pipeline.converting.fates import FieldFate, lost
 from sceneloom.redaction import without_folders
-from sceneloom.scene import Notice
+from sceneloom.scene.notices import Notice
 
 
 class ConversionReport(msgspec.Struct, frozen=True, kw_only=True):

@@ -8,9 +8,9 @@ from typing import Any
 from sceneloom.errors import UnknownFormatError, check_option_names
 from sceneloom.formats.loss import Loss, LossReport
 from sceneloom.formats.table import format_and_place, format_named, format_names, reads
-from sceneloom.formats.trajectories import (
+from sceneloom.formats.trajectories.content import TrajectoryFile
+from sceneloom.formats.trajectories.table import (
     TRAJECTORY_FORMS,
-    TrajectoryFile,
     find_form,
     read_trajectory_file,
     split_name,
@@ -18,8 +18,8 @@ from sceneloom.formats.trajectories import (
 )
 from sceneloom.formats.urls import is_url
 from sceneloom.pipeline.converting.field_names import kinds_by_id
-from sceneloom.scene import Scene
 from sceneloom.scene.counting import contents_of
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Progress
 
 _WRITING = ("optical", "origin_lla")

@@ -10,8 +10,8 @@ from sceneloom.pipeline.deskewing.plan import plan_deskew
 from sceneloom.pipeline.deskewing.report import DeskewReport, DeskewTally
 from sceneloom.pipeline.fusing.report import told_once
 from sceneloom.pipeline.play import Skips, telling
-from sceneloom.scene import Identifier, Scene
-from sceneloom.scene.types import Progress
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier, Progress
 
 
 def deskew(

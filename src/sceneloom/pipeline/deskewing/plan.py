@@ -18,20 +18,14 @@ from sceneloom.motion.sensor_paths import sensor_path
 from sceneloom.motion.trajectories import IMU
 from sceneloom.pipeline.needed_lidar import check_has_lidar
 from sceneloom.pipeline.play import Skips
-from sceneloom.scene import (
-    Coordinates,
-    Identifier,
-    LazyFrames,
-    LidarFrame,
-    LidarSensor,
-    PointsFrame,
-    Scene,
-)
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.part import cut_scene
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import points_source, sensor_source
 from sceneloom.scene.span import scene_period_ns, sweep_period_ns
-from sceneloom.scene.types import Progress, key_of
+from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, Progress, key_of
 
 OURS, ENTRY = "sceneloom", "deskew"
 """Where a scene's metadata say how it was deskewed."""

@@ -8,8 +8,8 @@ import numpy as np
 from sceneloom.formats.loss import LossReport
 from sceneloom.motion.one_moment import DeskewedFrame
 from sceneloom.motion.point_time_notices import PointTimesTally
-from sceneloom.scene import Identifier, Notice
-from sceneloom.scene.types import Progress
+from sceneloom.scene.notices import Notice
+from sceneloom.scene.types import Identifier, Progress
 
 
 class DeskewReport(msgspec.Struct, frozen=True, kw_only=True):

@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Int64Array
-from sceneloom.detections import DetectionPair, FusedBoxes
 from sceneloom.detections.projection import fuse_by_projection
-from sceneloom.detections.results import NO_BOX
+from sceneloom.detections.results import NO_BOX, DetectionPair, FusedBoxes
 from sceneloom.detections.settings import ProjectionSettings
-from sceneloom.scene import Boxes2D, Boxes3D
+from sceneloom.scene.detections import Boxes2D, Boxes3D
 
 Classes = frozenset[str] | None
 """Those that a detector looks for; None for all that there are."""

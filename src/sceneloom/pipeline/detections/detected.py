@@ -9,18 +9,20 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.cameras.camera import Camera
-from sceneloom.detections import DetectionPair
 from sceneloom.detections.detector_files import detector_names
 from sceneloom.detections.residuals import BoxResiduals
+from sceneloom.detections.results import DetectionPair
 from sceneloom.detections.settings import ProjectionSettings
-from sceneloom.formats.kitti import KittiSequence
 from sceneloom.formats.kitti.oxts import PERIOD_NS
-from sceneloom.formats.kitti.tracking_folder import CAMERA_ID, LIDAR_ID
+from sceneloom.formats.kitti.tracking_folder import CAMERA_ID, LIDAR_ID, KittiSequence
 from sceneloom.geometry.interpolation import OUT_OF_REACH
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detections.sweep_points import SweepPoints
-from sceneloom.scene import Boxes2D, Boxes3D, Identifier, Notice, NoticeKind, PosePath
+from sceneloom.scene.detections import Boxes2D, Boxes3D
+from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.types import Identifier
 
 Timed = TypeVar("Timed", Boxes2D, Boxes3D)
 

@@ -12,19 +12,17 @@ from sceneloom.formats.ledger import Ledger
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_motion import find_ego_motion
 from sceneloom.pipeline.detections.detected import DetectedCamera, DetectedDrive, poses_at
-from sceneloom.pipeline.detections.lists import ListContext, read_boxes_2d, read_boxes_3d
+from sceneloom.pipeline.detections.lists.context import ListContext
+from sceneloom.pipeline.detections.lists.table import read_boxes_2d, read_boxes_3d
 from sceneloom.pipeline.detections.sweep_points import SweepPoints
-from sceneloom.scene import (
-    Boxes2D,
-    Boxes3D,
-    CameraSensor,
-    Identifier,
-    LidarSensor,
-    Scene,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.detections import Boxes2D, Boxes3D
 from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import needs_ego, sensor_source
 from sceneloom.scene.span import scene_period_ns, sweep_period_ns
+from sceneloom.scene.types import Identifier
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,11 +13,12 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.errors import DataError, OptionError, SceneloomError
 from sceneloom.formats.files import file_faults, open_file
-from sceneloom.formats.kitti import KittiTracking, write_labels
+from sceneloom.formats.kitti.labels import write_labels
 from sceneloom.formats.kitti.oxts import PERIOD_NS
+from sceneloom.formats.kitti.tracking_folder import KittiTracking
 from sceneloom.formats.output import filling, replacing_together
 from sceneloom.formats.rig.csv_files import read_lines
-from sceneloom.fusion import FusionConfiguration
+from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.fusion.detection_fusion import FusedDetectionFrame
 from sceneloom.fusion.messages.fused import FusedDetections
 from sceneloom.fusion.messages.json_form import format_json, parse_json
@@ -32,11 +33,13 @@ from sceneloom.pipeline.detections.detected import (
 from sceneloom.pipeline.detections.fused import detections_record, fused_boxes_of, iter_fused_detections
 from sceneloom.pipeline.detections.kitti_objects import kitti_objects
 from sceneloom.pipeline.detections.report import DetectionFusionReport, DetectionTally, FusedDriveReport
-from sceneloom.scene import Boxes3D, Identifier, Notice, PosePath
+from sceneloom.scene.detections import Boxes3D
+from sceneloom.scene.notices import Notice
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath
 from sceneloom.scene.span import usual_period_ns
-from sceneloom.scene.types import Progress
-from sceneloom.tracking import Observation, View
+from sceneloom.scene.types import Identifier, Progress
+from sceneloom.tracking.observation import Observation, View
 
 SIDE_SUFFIX = ".frames.jsonl"
 """How the file is called that says of each line of results where lidar and camera were."""

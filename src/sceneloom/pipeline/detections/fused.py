@@ -9,21 +9,22 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array, read_only
 from sceneloom.cameras.camera import Camera
-from sceneloom.detections import DetectionAlgorithm, DetectionPair
 from sceneloom.detections.detector_files import DEFAULT
 from sceneloom.detections.projection import fuse_by_projection
-from sceneloom.detections.results import NO_BOX, FusedBoxes
+from sceneloom.detections.results import NO_BOX, DetectionAlgorithm, DetectionPair, FusedBoxes
 from sceneloom.detections.settings import ProjectionSettings
-from sceneloom.fusion import FusionConfiguration, FusionSystem
 from sceneloom.fusion.algorithms import FusionType, algorithm, chosen_algorithm
+from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.fusion.detection_fusion import FusedDetectionFrame, SeenBoxes
 from sceneloom.fusion.messages.fused import FusedDetections
 from sceneloom.fusion.messages.timestamps import Timestamp
 from sceneloom.fusion.outgoing import declared_columns
+from sceneloom.fusion.system import FusionSystem
 from sceneloom.pipeline.detections.coverage import fusion_for
 from sceneloom.pipeline.detections.detected import DetectedDrive, projection_settings
 from sceneloom.pipeline.detections.sweep_points import SweepPoints
-from sceneloom.scene import Boxes3D, Identifier
+from sceneloom.scene.detections import Boxes3D
+from sceneloom.scene.types import Identifier
 
 
 def iter_fused_detections(

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sceneloom.formats.kitti import KittiLabels
 from sceneloom.formats.kitti.camera_boxes import CENTRE_TO_CORNER, observation_angles, rectified_boxes
-from sceneloom.formats.kitti.labels import NO_TRACK
+from sceneloom.formats.kitti.labels import NO_TRACK, KittiLabels
 from sceneloom.fusion.detection_fusion import FusedDetectionFrame
 from sceneloom.geometry.rigid import RigidTransform
 

@@ -8,7 +8,7 @@ import msgspec
 
 from sceneloom.detections.results import NO_BOX
 from sceneloom.fusion.detection_fusion import FusedDetectionFrame
-from sceneloom.scene import Notice
+from sceneloom.scene.notices import Notice
 
 
 class FusedDriveReport(msgspec.Struct, frozen=True, kw_only=True):

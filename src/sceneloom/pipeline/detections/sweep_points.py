@@ -8,9 +8,11 @@ import numpy as np
 from sceneloom.arrays import Float32Array
 from sceneloom.errors import PoseError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Identifier, LidarSensor, PointsFrame, Scene
+from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import sweep_period_ns
+from sceneloom.scene.types import Identifier, PointsFrame
 
 
 @dataclass(frozen=True, slots=True, eq=False)

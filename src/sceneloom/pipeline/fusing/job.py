@@ -11,8 +11,8 @@ import msgspec
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import PoseError
 from sceneloom.formats.loss import LossReport
-from sceneloom.fusion import FusionConfiguration
 from sceneloom.fusion.algorithms import AlgorithmChoice, FusionType, chosen_algorithm
+from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.motion.ego_motion import placeable_lidars
 from sceneloom.pictures.canvas import counting_left_out
 from sceneloom.pipeline.fusing.outputs import FusionOutputs, Sinks, checked_outputs, open_sinks
@@ -20,7 +20,7 @@ from sceneloom.pipeline.fusing.report import CameraTally, FusionReport, FusionTa
 from sceneloom.pipeline.needed_lidar import check_has_lidar
 from sceneloom.pipeline.play import Skips, build_system, play, telling
 from sceneloom.pipeline.woven.scene import Woven, weave
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Progress
 from sceneloom.stages import stage, timed
 

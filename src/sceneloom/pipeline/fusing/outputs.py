@@ -9,13 +9,15 @@ import numpy as np
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import check_output, filling
-from sceneloom.formats.sfs import SceneWriter
+from sceneloom.formats.sfs.writer import SceneWriter
 from sceneloom.pictures.drive_cloud import MOST_SWEEPS, DriveCloud
 from sceneloom.pipeline.fusing.sinks import DepthSink, PictureSink, SceneSink, Sink, lidar_folders, names_of
 from sceneloom.pipeline.play import Skips
 from sceneloom.pipeline.woven.provenance import provenance
 from sceneloom.pipeline.woven.scene import Woven, output_scene
-from sceneloom.scene import CameraSensor, LazyFrames, Picture, Scene
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import scene_period_ns, time_span
 
 PICTURES_PER_DRIVE = 8

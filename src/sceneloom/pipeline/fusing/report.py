@@ -9,8 +9,9 @@ import numpy as np
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.formats.loss import LossReport
 from sceneloom.motion.point_time_notices import PointTimesTally
-from sceneloom.scene import Identifier, Notice, NoticeKind
+from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.point_times import PointTimes
+from sceneloom.scene.types import Identifier
 
 
 class CameraReport(msgspec.Struct, frozen=True, kw_only=True):

@@ -10,16 +10,21 @@ import numpy as np
 
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.errors import DataError
-from sceneloom.formats import LossReport
 from sceneloom.formats.depth_images import write_depth_npz, write_depth_png
 from sceneloom.formats.file_names import file_stems
-from sceneloom.formats.sfs import SceneWriter
+from sceneloom.formats.loss import LossReport
 from sceneloom.formats.sfs.times import TICKS_NS
+from sceneloom.formats.sfs.writer import SceneWriter
 from sceneloom.motion.sensor_paths import sensor_path
-from sceneloom.pictures import DriveCloud, save_pictures
+from sceneloom.pictures.drive_cloud import DriveCloud
+from sceneloom.pictures.sheets import save_pictures
 from sceneloom.pipeline.play import Skips
-from sceneloom.scene import CameraSensor, Identifier, LidarFrame, LidarSensor, PosePath, Scene
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
 
 
 class Sink(Protocol):

@@ -9,14 +9,18 @@ from sceneloom.calibrate.frames import MOST, calibration_frames, chosen_camera, 
 from sceneloom.calibrate.lidar_to_ego import lidar_to_ego
 from sceneloom.calibrate.lidar_to_lidar import lidar_to_lidar
 from sceneloom.calibrate.mounting_estimate import MountingEstimate, step_between
-from sceneloom.calibrate.refinement import DEFAULT, Refinement, RefinementVerdict, refine
-from sceneloom.calibrate.target import Board, board_views, start_from_target
+from sceneloom.calibrate.refinement.refine import DEFAULT, refine
+from sceneloom.calibrate.refinement.results import Refinement, RefinementVerdict
+from sceneloom.calibrate.target.board import Board
+from sceneloom.calibrate.target.target_start import start_from_target
+from sceneloom.calibrate.target.views import board_views
 from sceneloom.formats.output import check_output
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pictures.calibration import save_change_pictures
 from sceneloom.pipeline.repairing.outputs import Repair, form_for, write_calibration
-from sceneloom.scene import Identifier, LidarSensor, Scene
-from sceneloom.scene.types import Progress
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier, Progress
 
 
 class RepairReport(msgspec.Struct, frozen=True, kw_only=True):

@@ -19,7 +19,12 @@ from sceneloom.fusion.calibration.axes import DeclaredAxes
 from sceneloom.fusion.calibration.declared import calibration_data
 from sceneloom.fusion.messages.json_form import format_json
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import CameraCalibration, CameraSensor, Identifier, LidarSensor, PosePath, Scene
+from sceneloom.scene.annotations.corrections import CameraCalibration
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
 
 CALIBRATION_FILE = "calibration.json"
 _CAMERA_AXES, _LIDAR_AXES = "+z,+x,-y", "+x,-y,+z"

@@ -9,23 +9,19 @@ from typing import Any
 
 import msgspec
 
-from sceneloom.editing.hiding import (
-    HiddenRegions,
-    Hiding,
-    PictureBox,
-    find_hidings,
-    hide_in_pictures,
-    regions_of,
-)
+from sceneloom.editing.hiding.boxes import Hiding, PictureBox, find_hidings
+from sceneloom.editing.hiding.hide import hide_in_pictures, regions_of
+from sceneloom.editing.hiding.regions import HiddenRegions
 from sceneloom.errors import OptionError
 from sceneloom.formats.files import open_file
 from sceneloom.formats.loss import Fate, Loss, LossReport
 from sceneloom.formats.table import check_scene_output
-from sceneloom.formats.video import VideoWriter
+from sceneloom.formats.video.writer import VideoWriter
 from sceneloom.pipeline.edited import EditReport, edit_files
 from sceneloom.pipeline.sharing.hidden_pictures import with_hidden_files
-from sceneloom.scene import CameraSensor, Identifier, Scene, Sensor, VideoContent
-from sceneloom.scene.types import Key, Progress, key_of
+from sceneloom.scene.cameras import CameraSensor, VideoContent
+from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.types import Identifier, Key, Progress, key_of
 
 _DEFAULT_FPS = 25.0
 

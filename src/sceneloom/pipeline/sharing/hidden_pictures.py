@@ -8,7 +8,9 @@ from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.encoded_pictures import encode_png
 from sceneloom.formats.picture_metadata import PNG_START, without_metadata
-from sceneloom.scene import CameraSensor, LazyFrames, Picture, Scene
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Key, key_of
 
 PixelsByPicture = Mapping[int, Int64Array]

@@ -12,10 +12,12 @@ import msgspec
 import numpy as np
 
 from sceneloom.errors import OptionError
-from sceneloom.formats import write_scene
-from sceneloom.formats.kitti import KittiSequence, KittiTracking, sequence_scene, write_labels
+from sceneloom.formats.kitti.labels import write_labels
+from sceneloom.formats.kitti.sequence_scene import sequence_scene
+from sceneloom.formats.kitti.tracking_folder import KittiSequence, KittiTracking
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import check_output, filling, replacing
+from sceneloom.formats.table import write_scene
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pictures.canvas import counting_left_out
 from sceneloom.pipeline.detections.detected import DetectedDrive, calibration_notices, kitti_drive
@@ -27,10 +29,12 @@ from sceneloom.pipeline.tracking.lines import track_lines
 from sceneloom.pipeline.tracking.pictures import save_tracking_pictures
 from sceneloom.pipeline.tracking.report import TrackedReport, TrackReport
 from sceneloom.pipeline.tracking.tracked import TrackedDrive
-from sceneloom.scene import Notice, Scene
+from sceneloom.scene.notices import Notice
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Progress
 from sceneloom.stages import stage
-from sceneloom.tracking import Observation, PictureBox
+from sceneloom.tracking.observation import Observation
+from sceneloom.tracking.settings import PictureBox
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,17 +7,20 @@ from functools import partial
 from typing import Any
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.detections import DetectionPair
 from sceneloom.detections.projection import fuse_by_projection
-from sceneloom.detections.results import DetectionAlgorithm
+from sceneloom.detections.results import DetectionAlgorithm, DetectionPair
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.fusion.algorithms import AlgorithmChoice, FusionType, algorithm, chosen_algorithm
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detections.detected import DetectedDrive, Moment, moments, projection_settings
 from sceneloom.pipeline.tracking.tracked import TrackedDrive, joined_moments, moments_of
-from sceneloom.scene import Boxes2D, TrackedObjects
+from sceneloom.scene.detections import Boxes2D
+from sceneloom.scene.tracks import TrackedObjects
 from sceneloom.scene.types import Progress
-from sceneloom.tracking import Observation, Tracker, TrackerSettings, track_drive
+from sceneloom.tracking.drive import track_drive
+from sceneloom.tracking.observation import Observation
+from sceneloom.tracking.settings import TrackerSettings
+from sceneloom.tracking.tracker import Tracker
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

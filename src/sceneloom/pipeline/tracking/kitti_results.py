@@ -4,13 +4,15 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.cameras.camera import Camera
-from sceneloom.formats.kitti import KittiLabels
 from sceneloom.formats.kitti.camera_boxes import CENTRE_TO_CORNER, observation_angles, rectified_boxes
+from sceneloom.formats.kitti.labels import KittiLabels
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detections.detected import poses_at
 from sceneloom.pipeline.tracking.tracked import TrackedDrive
-from sceneloom.scene import Boxes3D, Identifier, PointsFrame, TrackedObjects
-from sceneloom.tracking import PictureBox
+from sceneloom.scene.detections import Boxes3D
+from sceneloom.scene.tracks import TrackedObjects
+from sceneloom.scene.types import Identifier, PointsFrame
+from sceneloom.tracking.settings import PictureBox
 from sceneloom.visibility.outlines import FINE, box_extents
 
 _NEAR = 0.1

@@ -4,11 +4,12 @@ from dataclasses import replace
 from types import MappingProxyType
 
 from sceneloom.pipeline.detections.detected import DetectedDrive
-from sceneloom.scene import PosePath, Scene, Tracks, Trajectory
 from sceneloom.scene.ego import EgoMotion
-from sceneloom.scene.poses import same_way
+from sceneloom.scene.poses import PosePath, Trajectory, same_way
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import needs_ego
-from sceneloom.tracking.labels import Labelled, label_tracks
+from sceneloom.scene.tracks import Tracks
+from sceneloom.tracking.labels.making import Labelled, label_tracks
 
 FOLLOWED = "tracking"
 """Name of a way of the ego that the scene does not have itself, but tracking went by."""

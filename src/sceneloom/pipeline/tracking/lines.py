@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sceneloom.scene import Support, TrackedObjects
+from sceneloom.scene.tracks import Support, TrackedObjects
 
 _BLOCKS = {"center_cov": slice(0, 3), "size_cov": slice(3, 6), "velocity_cov": slice(7, 10)}
 """Which rows and columns of the covariance of a state each 3x3 block has."""

@@ -13,7 +13,8 @@ from sceneloom.pictures.objects import draw_objects_above, draw_objects_in_pictu
 from sceneloom.pictures.sheets import save_picture
 from sceneloom.pipeline.detections.detected import DetectedDrive, poses_at
 from sceneloom.pipeline.detections.sweep_points import SweepPoints
-from sceneloom.scene import Scene, TrackedObjects
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.tracks import TrackedObjects
 
 _REACH = 40.0
 """From the middle of the map to its upper edge [m]."""

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import msgspec
 
 from sceneloom.formats.loss import LossReport
-from sceneloom.scene import Notice
+from sceneloom.scene.notices import Notice
 
 
 class TrackedReport(msgspec.Struct, frozen=True, kw_only=True):

@@ -8,7 +8,8 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array
 from sceneloom.pipeline.detections.detected import DetectedDrive
-from sceneloom.scene import Identifier, Track, TrackedObjects, Tracks
+from sceneloom.scene.tracks import Track, TrackedObjects, Tracks
+from sceneloom.scene.types import Identifier
 from sceneloom.tracking.drive import gathered
 
 COLUMNS = tuple(

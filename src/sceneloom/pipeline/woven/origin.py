@@ -9,23 +9,15 @@ import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array
 from sceneloom.pipeline.woven.shifted_annotations import annotation_can_move, moved_annotation
-from sceneloom.scene import (
-    CameraSensor,
-    Coordinates,
-    DepthCameraSensor,
-    LazyFrames,
-    LidarFrame,
-    LidarSensor,
-    OdometrySensor,
-    PlainSensor,
-    PointsFrame,
-    PointsSensor,
-    RadarFrame,
-    RadarSensor,
-    Scene,
-    Sensor,
-    Trajectory,
-)
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor, RadarFrame, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.motion import OdometrySensor
+from sceneloom.scene.plain import PlainSensor
+from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.types import Coordinates, PointsFrame
 
 Posed = TypeVar("Posed", LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor)
 Cloud = TypeVar("Cloud", LidarFrame, RadarFrame)

@@ -9,7 +9,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import DataError
 from sceneloom.pipeline.woven.scene import Woven
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 
 def provenance(woven: Woven) -> Mapping[str, Any]:

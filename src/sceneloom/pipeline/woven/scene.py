@@ -6,32 +6,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.editing import annotations_to_world
+from sceneloom.editing.frames import annotations_to_world
 from sceneloom.editing.odometry import with_odometry
 from sceneloom.errors import DataError, OptionError
 from sceneloom.motion.ego_motion import find_ego_motion, is_computed, with_way_found
 from sceneloom.motion.sensor_paths import camera_path
 from sceneloom.pipeline.woven.origin import can_move, moved_scene
-from sceneloom.scene import (
-    CameraSensor,
-    Coordinates,
-    DepthCameraSensor,
-    Identifier,
-    LazyFrames,
-    LidarFrame,
-    LidarSensor,
-    PointsFrame,
-    RadarSensor,
-    Scene,
-    Sensor,
-)
 from sceneloom.scene.assumed_lenses import check_lenses
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarSensor
+from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.part import chosen_interval, cut_scene
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.sensor_sources import must_be_placed, needs_ego, sensor_source
 from sceneloom.scene.span import frame_times
-from sceneloom.scene.types import Progress
+from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, Progress
 from sceneloom.stages import stage
 
 

@@ -6,18 +6,12 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 from sceneloom.arrays import Float64Array, read_only
-from sceneloom.scene import (
-    Activation,
-    Annotation,
-    CuboidAnnotation,
-    LocalizationAdjustment,
-    PlainAnnotation,
-    PointPath,
-    PointProjection,
-    PointsAnnotation,
-    Projection,
-    ShapeAnnotation,
-)
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.corrections import LocalizationAdjustment
+from sceneloom.scene.annotations.cuboids import Activation, CuboidAnnotation, Projection
+from sceneloom.scene.annotations.keypoints import PointPath, PointProjection, PointsAnnotation
+from sceneloom.scene.annotations.plain import PlainAnnotation
+from sceneloom.scene.annotations.shapes import ShapeAnnotation
 
 WithCuboids = TypeVar("WithCuboids", Activation, Projection)
 

@@ -7,7 +7,8 @@ import msgspec
 from sceneloom.calibrate.health.check import check_calibration
 from sceneloom.calibrate.health.verdicts import Item, Verdict
 from sceneloom.errors import SceneloomError
-from sceneloom.scene import Identifier, Scene
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
 
 FRAMES = 6
 """Pictures of each camera that are looked at; `sceneloom calibrate --check` takes more."""

@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, FloatArray
-from sceneloom.scene import Identifier
 from sceneloom.scene.clouds import LidarPoints
+from sceneloom.scene.types import Identifier
 
 RANGE_EDGES = (0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 75.0, 100.0, 150.0, 200.0)
 """Borders of the ranges that points are counted by [m]; farther ones are counted by themselves."""

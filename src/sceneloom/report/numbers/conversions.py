@@ -4,8 +4,8 @@ import msgspec
 
 from sceneloom.formats.listing import list_formats, list_holdings
 from sceneloom.formats.loss import Fate
-from sceneloom.scene import Scene
 from sceneloom.scene.counting import contents_of
+from sceneloom.scene.scene import Scene
 
 
 class Conversion(msgspec.Struct, frozen=True, kw_only=True):

@@ -2,7 +2,7 @@
 
 import msgspec
 
-from sceneloom.checks import ValidationReport
+from sceneloom.checks.report import ValidationReport
 from sceneloom.formats.loss import Loss
 from sceneloom.report.numbers.calibration import CalibrationCheck
 from sceneloom.report.numbers.conversions import Conversion
@@ -14,7 +14,7 @@ from sceneloom.report.numbers.surroundings import Coverage
 from sceneloom.report.numbers.timing import Timing
 from sceneloom.report.numbers.verdict import Verdict
 from sceneloom.report.numbers.ways import Ways
-from sceneloom.scene import Notice
+from sceneloom.scene.notices import Notice
 from sceneloom.scene.summary import SceneSummary
 
 

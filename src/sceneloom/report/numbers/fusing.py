@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.colouring.results import FusedFrame, FusedView
-from sceneloom.fusion import FusionConfiguration
+from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.pictures.drive_cloud import DriveCloud
 from sceneloom.pictures.sheets import iter_pictures
 from sceneloom.pipeline.fusing.report import CameraReport, CameraTally, FusionTally
@@ -15,8 +15,10 @@ from sceneloom.pipeline.play import Skips, build_system, play
 from sceneloom.pipeline.woven.scene import Woven, weave
 from sceneloom.report.album import Album
 from sceneloom.report.numbers.sampling import with_some_sweeps
-from sceneloom.scene import Identifier, PosePath, Scene
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import scene_period_ns
+from sceneloom.scene.types import Identifier
 
 SWEEPS = 8
 """Sweeps of each lidar that are fused, at most."""

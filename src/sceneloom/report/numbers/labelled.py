@@ -1,9 +1,10 @@
 """Pictures of what is said about a drive, at its middle."""
 
 from sceneloom.errors import OptionError
-from sceneloom.pictures.annotations import draw_annotations_above, draw_annotations_in_picture
+from sceneloom.pictures.annotations.above import draw_annotations_above
+from sceneloom.pictures.annotations.in_picture import draw_annotations_in_picture
 from sceneloom.report.album import Album
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 ANNOTATIONS = "annotations"
 """The section that the pictures stand in."""

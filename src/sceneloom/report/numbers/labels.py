@@ -9,11 +9,13 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.report.numbers.sampling import chosen_frames, spread_rows
-from sceneloom.scene import CuboidAnnotation, Scene
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
 from sceneloom.scene.sample import Sample
 from sceneloom.scene.sample_boxes import BoxTable
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import time_span
-from sceneloom.visibility import count_points, sight
+from sceneloom.visibility.points import count_points
+from sceneloom.visibility.sights import sight
 
 MOMENTS = 12
 """Moments at which boxes are looked at, at most."""

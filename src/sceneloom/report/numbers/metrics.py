@@ -5,12 +5,12 @@ from pathlib import Path
 import msgspec
 
 from sceneloom.errors import DataError, SceneloomError
-from sceneloom.evaluate import TrajectoryReport, evaluate_trajectory
-from sceneloom.evaluate.tracking import compare_tracks
-from sceneloom.evaluate.tracking.comparison import TrackingReport
+from sceneloom.evaluate.report import TrajectoryReport
+from sceneloom.evaluate.tracking.comparison import TrackingReport, compare_tracks
+from sceneloom.evaluate.trajectory import evaluate_trajectory
 from sceneloom.motion.ego_motion import find_ego_motion
-from sceneloom.scene import Scene, Trajectory
-from sceneloom.scene.poses import same_way
+from sceneloom.scene.poses import Trajectory, same_way
+from sceneloom.scene.scene import Scene
 
 TRUTH = "groundTruth"
 """The name of trajectories that are taken for the truth."""

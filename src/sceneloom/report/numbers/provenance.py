@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 
 from sceneloom.formats.files import open_file
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 from sceneloom.version import __version__
 
 MOST_HASHED = 1_000_000_000

@@ -7,8 +7,10 @@ from typing import TypeVar
 import numpy as np
 
 from sceneloom.arrays import Int64Array
-from sceneloom.scene import CameraSensor, LazyFrames, LidarSensor, Scene
-from sceneloom.scene.scene import Sensor
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.span import sweep_period_ns
 
 Frame = TypeVar("Frame")

@@ -13,9 +13,12 @@ from sceneloom.errors import CalibrationError, DataError, SceneloomError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.report.numbers.clouds import CloudCoverage, CloudTally
 from sceneloom.report.numbers.sampling import spread_rows
-from sceneloom.scene import CameraSensor, Identifier, LidarSensor, RadarSensor, Scene
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.sample_places import choose_ego, place_of_points, places_of, poses_at
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
 
 SWEEPS = 12
 """Sweeps of each lidar and radar that are looked at, at most."""

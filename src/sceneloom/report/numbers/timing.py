@@ -6,10 +6,13 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Int64Array
-from sceneloom.scene import CameraSensor, Identifier, ImuSensor, LidarSensor, Scene
-from sceneloom.scene.scene import Sensor
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.motion import ImuSensor
+from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.span import frame_times
 from sceneloom.scene.summary import GAP_FACTOR, Gap, gaps_of
+from sceneloom.scene.types import Identifier
 
 MOST_GAPS = 20
 """Gaps of a stream that are told one by one: the longest."""

@@ -6,7 +6,7 @@ from itertools import groupby
 
 import msgspec
 
-from sceneloom.checks import ValidationReport
+from sceneloom.checks.report import ValidationReport
 from sceneloom.report.numbers.calibration import CalibrationCheck
 from sceneloom.report.numbers.fusing import Fusion
 from sceneloom.report.numbers.labels import Labels
@@ -14,7 +14,7 @@ from sceneloom.report.numbers.metrics import Metrics
 from sceneloom.report.numbers.surroundings import Coverage
 from sceneloom.report.numbers.timing import StreamTiming, Timing
 from sceneloom.report.numbers.ways import Ways
-from sceneloom.scene import Severity
+from sceneloom.scene.findings import Severity
 from sceneloom.scene.summary import SceneSummary
 
 MISSING_SHARE = 0.01

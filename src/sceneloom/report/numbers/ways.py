@@ -5,15 +5,15 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import ArrayError, OptionError, PoseError
-from sceneloom.evaluate import evaluate_trajectory
+from sceneloom.evaluate.trajectory import evaluate_trajectory
 from sceneloom.geometry.geodesy import enu_from_geodetic
 from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.motion.gnss_receivers import usable_fixes, usable_places
-from sceneloom.scene import GnssSensor, Identifier, Scene, Trajectory
 from sceneloom.scene.ego import stated_origin
-from sceneloom.scene.poses import PosePath
-from sceneloom.scene.scene import Sensor
-from sceneloom.scene.types import Coordinates
+from sceneloom.scene.motion import GnssSensor
+from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.types import Coordinates, Identifier
 
 MOST_CORNERS = 400
 """So many places of a way are told, evenly in time, for those who draw it."""

@@ -1,6 +1,6 @@
 """Numbers as a person reads them."""
 
-from sceneloom.scene import Notice
+from sceneloom.scene.notices import Notice
 
 NOTHING = "–"
 

@@ -14,23 +14,18 @@ import numpy as np
 
 from sceneloom.editing.record import skipped, with_notices, with_ours
 from sceneloom.errors import CalibrationError, PoseError
-from sceneloom.scene import (
-    Annotation,
-    Box2DAnnotation,
-    CuboidAnnotation,
-    LinkAnnotation,
-    Notice,
-    ObjectAnnotation,
-    RadarSensor,
-    Scene,
-    Support,
-    Track,
-    Tracks,
-)
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.annotations.relations import LinkAnnotation, ObjectAnnotation
 from sceneloom.scene.annotations_frame import annotations_frame, not_in_world
+from sceneloom.scene.clouds import RadarSensor
 from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.notices import Notice
 from sceneloom.scene.sample_places import choose_ego
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.tracks import Support, Track, Tracks
 from sceneloom.scene.types import Coordinates
 from sceneloom.tracking.labels.paths import LabelPath, boxed, boxed_part, label_path
 from sceneloom.tracking.labels.pictured import boxes_in_pictures
@@ -40,7 +35,9 @@ from sceneloom.tracking.labels.riding import riders
 from sceneloom.tracking.labels.settings import LabelSettings
 from sceneloom.tracking.labels.told import attributes_of
 from sceneloom.version import __version__
-from sceneloom.visibility import PointCounts, count_points, project_cuboids, with_activations, with_counts
+from sceneloom.visibility.counted import with_activations, with_counts
+from sceneloom.visibility.points import PointCounts, count_points
+from sceneloom.visibility.projected import project_cuboids
 
 DEFAULTS = LabelSettings()
 LABELS = "labels"

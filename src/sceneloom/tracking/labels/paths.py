@@ -7,8 +7,9 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.kernels.fewest_keyframes import fewest_keyframes
-from sceneloom.scene import CuboidPath, Support, Track
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.cuboids import CuboidPath
+from sceneloom.scene.tracks import Support, Track
 from sceneloom.tracking.labels.settings import LabelSettings
 
 BOXED = (Support.BOTH, Support.SWEEP, Support.PICTURE)

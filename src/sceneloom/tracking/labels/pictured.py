@@ -5,9 +5,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.scene import Box2DAnnotation, BoxPath, CameraSensor, Identifier, Scene, Track
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation, BoxPath
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import usual_period_ns
-from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.tracks import Track
+from sceneloom.scene.types import Identifier, Key, key_of
 
 _DECIMALS = 2
 """Of pixels that are written."""

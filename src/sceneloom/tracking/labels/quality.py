@@ -8,7 +8,7 @@ from math import pi
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.scene import Support, Track
+from sceneloom.scene.tracks import Support, Track
 from sceneloom.tracking.labels.paths import boxed
 
 

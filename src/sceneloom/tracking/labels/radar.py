@@ -12,12 +12,16 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.geometry.rotations import rotate_vectors
-from sceneloom.scene import AttributePath, Identifier, RadarFrame, RadarSensor, Scene, Track
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.clouds import RadarFrame, RadarSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.sample_places import WORLD
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import points_source, sensor_source
 from sceneloom.scene.span import scene_period_ns
+from sceneloom.scene.tracks import Track
+from sceneloom.scene.types import Identifier
 from sceneloom.tracking.labels.quality import Flag, FlagKind, flag
 
 RETURNS, RADIAL_VELOCITY = "radar_returns", "radial_velocity"

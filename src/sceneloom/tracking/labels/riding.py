@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from sceneloom.detections.classes import kind_name
-from sceneloom.scene import Track
+from sceneloom.scene.tracks import Track
 
 _RIDDEN = frozenset(
     {"bicycle", "bike", "motorcycle", "motorbike", "scooter", "moped", "cyclist", "motorcyclist"}

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.scene import AttributePath, Support, Track
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.tracks import Support, Track
 
 EXISTENCE, SUPPORT, SPEED, POSITION_SIGMA = "existence", "support", "speed", "position_sigma"
 """Names of the attributes that hold over time: probability, a word of `Support`, [m/s], [m]."""

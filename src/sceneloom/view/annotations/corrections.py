@@ -4,7 +4,8 @@ import numpy as np
 
 from sceneloom.errors import CalibrationError
 from sceneloom.geometry.rotations import rotate_vectors
-from sceneloom.scene import Annotation, CameraCalibration, LocalizationAdjustment
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment
 from sceneloom.view.clouds import WORLD
 from sceneloom.view.colours import colour_of_name, one_packed
 from sceneloom.view.feeds import Tell

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
-from sceneloom.scene import CuboidAnnotation
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
 from sceneloom.scene.at import CuboidPoses, cuboid_poses
 from sceneloom.view.annotations.rows import Group, by_moment, chosen_by_moment, name_of
 from sceneloom.view.sdk import sdk

@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.scene import PointProjection, Projection, ShapeAnnotation, ShapeType
+from sceneloom.scene.annotations.cuboids import Projection
+from sceneloom.scene.annotations.keypoints import PointProjection
+from sceneloom.scene.annotations.shapes import ShapeAnnotation, ShapeType
 from sceneloom.scene.at import box_2d_at, shape_at
 from sceneloom.view.annotations.rows import Group, by_moment, chosen_by_moment, name_of
 from sceneloom.view.sdk import sdk

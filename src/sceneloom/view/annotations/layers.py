@@ -6,24 +6,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.scene import (
-    Annotation,
-    Box2DAnnotation,
-    CuboidAnnotation,
-    CuboidPath,
-    Identifier,
-    LinkAnnotation,
-    PointPath,
-    PointsAnnotation,
-    Projection,
-    Scene,
-    ShapeAnnotation,
-    VertexPath,
-)
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath, Projection
+from sceneloom.scene.annotations.keypoints import PointPath, PointsAnnotation
+from sceneloom.scene.annotations.relations import LinkAnnotation
+from sceneloom.scene.annotations.shapes import ShapeAnnotation, VertexPath
 from sceneloom.scene.annotations_frame import annotations_frame
 from sceneloom.scene.at import active_at
-from sceneloom.scene.types import Coordinates, key_of
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Coordinates, Identifier, key_of
 from sceneloom.view.annotations.cuboids import CuboidLayer, show_standing, stands
 from sceneloom.view.annotations.in_pictures import (
     BoxLayer,

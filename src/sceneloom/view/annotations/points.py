@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt16Array
-from sceneloom.scene import Annotation, Identifier, LabeledPointsAnnotation, PointsAnnotation
-from sceneloom.scene.annotations.keypoints import places_of
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.keypoints import PointsAnnotation, places_of
+from sceneloom.scene.annotations.labelled_points import LabeledPointsAnnotation
 from sceneloom.scene.at import Bracket
-from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.types import Identifier, Key, key_of
 from sceneloom.view.annotations.rows import Group, label_of, name_of
 from sceneloom.view.colours import colour_of_name
 from sceneloom.view.sdk import sdk

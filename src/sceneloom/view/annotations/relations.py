@@ -6,19 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.scene import (
-    Annotation,
-    CuboidAnnotation,
-    GroupAnnotation,
-    Identifier,
-    LinkAnnotation,
-    ObjectAnnotation,
-    PointsAnnotation,
-    ShapeAnnotation,
-)
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.annotations.keypoints import PointsAnnotation
+from sceneloom.scene.annotations.relations import GroupAnnotation, LinkAnnotation, ObjectAnnotation
+from sceneloom.scene.annotations.shapes import ShapeAnnotation
 from sceneloom.scene.at import cuboid_poses, points_at, shape_at
-from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.types import Identifier, Key, key_of
 from sceneloom.view.annotations.rows import Group, label_of, name_of
 from sceneloom.view.colours import colour_of_name, one_packed
 from sceneloom.view.feeds import Tell

@@ -8,8 +8,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray, Int64Array
-from sceneloom.scene import Activation, Annotation, AttributePath, Identifier
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.cuboids import Activation
 from sceneloom.scene.at import attribute_at
+from sceneloom.scene.types import Identifier
 from sceneloom.view.sdk import sdk
 from sceneloom.view.stream import Stream
 

@@ -5,7 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.scene import Annotation, AttributePath, EventAnnotation, Scene
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.relations import EventAnnotation
+from sceneloom.scene.scene import Scene
 from sceneloom.view.annotations.rows import attribute_name, attribute_text, attributes_at, label_of, name_of
 from sceneloom.view.colours import colour_of_name
 from sceneloom.view.sdk import sdk

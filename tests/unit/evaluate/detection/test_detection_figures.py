@@ -5,16 +5,11 @@ import pytest
 from scipy import stats
 
 from sceneloom.errors import ArrayError, OptionError
-from sceneloom.evaluate.detection import (
-    DIFFICULTIES,
-    DetectionRules,
-    at_difficulty,
-    evaluate_detection,
-    judge_calibration,
-    judge_covariances,
-    pair_detections,
-    score_curve,
-)
+from sceneloom.evaluate.detection.calibration import judge_calibration
+from sceneloom.evaluate.detection.covariances import judge_covariances
+from sceneloom.evaluate.detection.curve import score_curve
+from sceneloom.evaluate.detection.evaluation import evaluate_detection
+from sceneloom.evaluate.detection.rules import DIFFICULTIES, DetectionRules, at_difficulty, pair_detections
 from sceneloom.evaluate.objects import ObjectTable
 from sceneloom.evaluate.overlaps import Similarity
 

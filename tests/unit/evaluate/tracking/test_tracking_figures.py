@@ -6,7 +6,8 @@ import pytest
 from sceneloom.errors import ArrayError, OptionError
 from sceneloom.evaluate.objects import ObjectTable
 from sceneloom.evaluate.overlaps import Similarity
-from sceneloom.evaluate.tracking import TrackingRules, evaluate_tracking, score_sequence
+from sceneloom.evaluate.tracking.evaluation import evaluate_tracking, score_sequence
+from sceneloom.evaluate.tracking.protocol import TrackingRules
 
 IN_SPACE = TrackingRules(similarity=Similarity.SPACE)
 

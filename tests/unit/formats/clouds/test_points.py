@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds import Cloud, IntensityScale, PointMapping, PointTimes, points_of
-from sceneloom.formats.clouds.points import SweepClock, detect_scale
+from sceneloom.formats.clouds.cloud import Cloud
+from sceneloom.formats.clouds.points import (
+    IntensityScale,
+    PointMapping,
+    PointTimes,
+    SweepClock,
+    detect_scale,
+    points_of,
+)
 
 XYZ = {axis: np.array([1.0, 2.0, 3.0], np.float32) for axis in "xyz"}
 CLOCK = SweepClock(stamp_ns=1_532_402_927_647_951_001, start_ns=1_532_402_927_597_951_001, zero_ns=7)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.formats.kitti import open_tracking_folder, sequence_scene
+from sceneloom.formats.kitti.sequence_scene import sequence_scene
+from sceneloom.formats.kitti.tracking_folder import open_tracking_folder
 
 
 def test_the_camera_is_where_the_calibration_and_the_way_put_it(tracking_folder, tmp_path):

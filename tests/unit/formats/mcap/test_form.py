@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from sceneloom.errors import UnknownFormatError, UnknownOptionError
-from sceneloom.formats.mcap import FORMAT
+from sceneloom.formats.mcap.form import FORMAT
 from sceneloom.formats.table import find_format
 
 WITHOUT = """

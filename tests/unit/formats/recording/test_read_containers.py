@@ -7,7 +7,7 @@ import pytest
 import sceneloom
 from sceneloom.checks import validate
 from sceneloom.errors import DataError
-from sceneloom.formats.recording import FORMAT
+from sceneloom.formats.recording.form import FORMAT
 
 COUNT = 24
 CODECS = {

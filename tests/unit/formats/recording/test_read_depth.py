@@ -10,8 +10,8 @@ from sceneloom import diff
 from sceneloom.checks import validate
 from sceneloom.editing import crop_scene, merge_scenes, thin_scene, to_ego, to_world, undistort_scene
 from sceneloom.errors import DataError
-from sceneloom.formats.recording import FORMAT
-from sceneloom.formats.sfs import write_scene as write_sfs
+from sceneloom.formats.recording.form import FORMAT
+from sceneloom.formats.sfs.writing import write_scene as write_sfs
 from sceneloom.pipeline.woven.origin import moved_scene
 from sceneloom.scene import DepthCameraSensor
 from sceneloom.scene.summary import summarise
@@ -136,7 +136,7 @@ def test_depths_in_a_video_of_colours_are_refused(recording, pinhole):
 
 
 def test_a_video_of_colours_has_no_steps_and_one_of_steps_has_colours(depth_recording):
-    from sceneloom.formats.video import open_video
+    from sceneloom.formats.video.reader import open_video
 
     with open_video(depth_recording.path / "data.mkv") as video:
         assert not video.has_steps

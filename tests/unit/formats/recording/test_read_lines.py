@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError
-from sceneloom.formats.recording import FORMAT
+from sceneloom.formats.recording.form import FORMAT
 from sceneloom.scene import GnssSensor, ImuSensor, NoticeKind, Scene
 
 TURN = {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}

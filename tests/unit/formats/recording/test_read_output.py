@@ -7,7 +7,7 @@ import pytest
 
 from sceneloom.checks import validate
 from sceneloom.errors import DataError, UnknownFormatError
-from sceneloom.formats.recording import FORMAT
+from sceneloom.formats.recording.form import FORMAT
 from sceneloom.formats.table import find_format
 
 # a line as the vendor's software puts it out, the numbers shortened

@@ -8,7 +8,7 @@ import pytest
 
 import sceneloom
 from sceneloom.errors import CalibrationError, DataError, OptionError
-from sceneloom.formats.recording import FORMAT
+from sceneloom.formats.recording.form import FORMAT
 from sceneloom.formats.recording.picture_files import choose_pictures
 from sceneloom.scene import CameraSensor, NoticeKind, Scene
 

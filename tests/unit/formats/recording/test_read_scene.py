@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats import open_scene
-from sceneloom.formats.recording import FORMAT
+from sceneloom.formats.recording.form import FORMAT
 from sceneloom.scene import Coordinates, PointsFrame, SensorType
 
 IMU_LINE = '{"sensor":{"type":"gyroscope","values":[0,0,0]},"time":0}'

@@ -14,7 +14,8 @@ import pytest
 
 from sceneloom.checks import validate
 from sceneloom.errors import DataError
-from sceneloom.formats.recording import FORMAT, zipped
+from sceneloom.formats.recording import zipped
+from sceneloom.formats.recording.form import FORMAT
 from sceneloom.formats.table import find_format, open_scene
 
 LINES = [

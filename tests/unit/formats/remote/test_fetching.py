@@ -8,7 +8,9 @@ import pytest
 import sceneloom
 from sceneloom.batch.inputs import find_inputs
 from sceneloom.errors import DataError, OptionError, UnknownFormatError
-from sceneloom.formats.remote import MARKER, fetch, stores
+from sceneloom.formats.remote import stores
+from sceneloom.formats.remote.fetching import fetch
+from sceneloom.formats.remote.uploads import MARKER
 
 CLOUD = (
     "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"

@@ -15,7 +15,8 @@ import pytest
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
-from sceneloom.formats.remote import fetch, mirror, mirrored_path, stores
+from sceneloom.formats.remote import mirror, mirrored_path, stores
+from sceneloom.formats.remote.fetching import fetch
 from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, Scene
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 

@@ -7,7 +7,7 @@ import pytest
 
 import sceneloom
 from sceneloom.errors import DataError
-from sceneloom.formats.sfs import SceneWriter
+from sceneloom.formats.sfs.writer import SceneWriter
 from sceneloom.scene import LidarFrame, LidarPoints, LidarSensor
 
 

@@ -12,8 +12,9 @@ import sceneloom
 from sceneloom.batch.working import may_pass
 from sceneloom.cli.main import sceneloom as program
 from sceneloom.errors import DataError
-from sceneloom.formats.remote import Patience, RemoteIdentity, ranged
-from sceneloom.formats.remote.patience import patiently
+from sceneloom.formats.remote import ranged
+from sceneloom.formats.remote.patience import Patience, patiently
+from sceneloom.formats.remote.ranged import RemoteIdentity
 
 CONTENT = bytes(np.random.default_rng(3).integers(0, 256, 900_000, np.uint8))
 SECRET = "https-me:hidden"

@@ -10,7 +10,8 @@ from click.testing import CliRunner
 import sceneloom
 from sceneloom.cli.main import sceneloom as program
 from sceneloom.errors import MissingExtraError, OutputError
-from sceneloom.formats.remote import MARKER, check_remote_output, stores, upload, uploading
+from sceneloom.formats.remote import stores
+from sceneloom.formats.remote.uploads import MARKER, check_remote_output, upload, uploading
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 
 import sceneloom
 from sceneloom.errors import DataError, OptionError, OutputError
-from sceneloom.formats.rig import FORMAT
+from sceneloom.formats.rig.form import FORMAT
 from sceneloom.scene import PointsFrame
 
 from .conftest import START_NS

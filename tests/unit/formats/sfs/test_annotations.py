@@ -5,7 +5,9 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.sfs import FORMAT, SceneWriter, write_scene
+from sceneloom.formats.sfs.form import FORMAT
+from sceneloom.formats.sfs.writer import SceneWriter
+from sceneloom.formats.sfs.writing import write_scene
 from sceneloom.scene import (
     AttributePath,
     Box2DAnnotation,

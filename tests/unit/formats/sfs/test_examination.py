@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError
-from sceneloom.formats.sfs import FORMAT
 from sceneloom.formats.sfs.examination import examine
+from sceneloom.formats.sfs.form import FORMAT
 from sceneloom.formats.sfs.source import ReadingOptions
 
 POSE = [0, 0, 0, 0, 0, 0, 1]

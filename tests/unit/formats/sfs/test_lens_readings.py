@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import CalibrationError, OptionError
-from sceneloom.formats.sfs import FORMAT, write_scene
+from sceneloom.formats.sfs.form import FORMAT
+from sceneloom.formats.sfs.writing import write_scene
 from sceneloom.pipeline.woven.scene import weave
 from sceneloom.scene.assumed_lenses import assumed_models, check_lenses
 

@@ -9,9 +9,12 @@ from PIL import Image
 
 from sceneloom.cameras import Camera, project_unbounded, unproject
 from sceneloom.errors import DataError
-from sceneloom.formats.sfs import FORMAT, SceneWriter, write_scene
+from sceneloom.formats.sfs.form import FORMAT
 from sceneloom.formats.sfs.mp4 import video_codec
-from sceneloom.formats.video import encode_to_mp4, open_video
+from sceneloom.formats.sfs.writer import SceneWriter
+from sceneloom.formats.sfs.writing import write_scene
+from sceneloom.formats.video.reader import open_video
+from sceneloom.formats.video.remux import encode_to_mp4
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraSensor, LazyFrames, Picture, PosePath, Scene, VideoContent
 
@@ -164,7 +167,7 @@ def test_an_mp4_is_copied_byte_for_byte(target, decode_sfs, mp4):
 
 
 def test_another_container_is_remuxed_without_decoding(target, mp4):
-    from sceneloom.formats.video import copy_to_matroska
+    from sceneloom.formats.video.remux import copy_to_matroska
 
     matroska = io.BytesIO()
     copy_to_matroska(mp4, matroska)
@@ -186,7 +189,7 @@ def test_a_part_of_a_video_is_encoded_anew_and_said_to_be(target, mp4):
 
 
 def test_a_video_with_too_few_pictures_is_refused(target, mp4):
-    from sceneloom.formats.video import copy_to_matroska
+    from sceneloom.formats.video.remux import copy_to_matroska
 
     matroska = io.BytesIO()
     copy_to_matroska(mp4, matroska)

@@ -12,12 +12,12 @@ from click.testing import CliRunner
 import sceneloom
 from sceneloom.cli.main import sceneloom as program
 from sceneloom.errors import DataError, MissingExtraError
-from sceneloom.formats.remote import GAP, coalesced
+from sceneloom.formats.remote.ranged import GAP, coalesced
 from sceneloom.formats.sfs import remote as module
 from sceneloom.formats.sfs.container import Container
 from sceneloom.formats.sfs.remote import RemoteFile
 from sceneloom.formats.urls import is_url, path_or_url
-from sceneloom.formats.video import encode_to_mp4
+from sceneloom.formats.video.remux import encode_to_mp4
 
 
 def big_scene(encode_sfs, *, frames=30, points=20_000):

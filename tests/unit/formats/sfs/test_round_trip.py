@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from sceneloom.formats.sfs import FORMAT, write_scene
+from sceneloom.formats.sfs.form import FORMAT
 from sceneloom.formats.sfs.times import INT64_MIN
+from sceneloom.formats.sfs.writing import write_scene
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import GnssSensor, OdometrySensor, Scene, Trajectory
 

@@ -8,8 +8,8 @@ import pytest
 
 import sceneloom
 from sceneloom.errors import DataError
-from sceneloom.formats.sfs import FORMAT
 from sceneloom.formats.sfs.examination import examine
+from sceneloom.formats.sfs.form import FORMAT
 from sceneloom.formats.sfs.removal import copied, parse_path
 
 POSE = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]

@@ -4,7 +4,7 @@ import av
 import numpy as np
 import pytest
 
-from sceneloom.formats.video import copy_to_matroska
+from sceneloom.formats.video.remux import copy_to_matroska
 
 COUNT = 20
 

@@ -14,7 +14,7 @@ import pytest
 from av.video.reformatter import Interpolation, VideoReformatter
 
 from sceneloom.errors import DataError
-from sceneloom.formats.video import open_video
+from sceneloom.formats.video.reader import open_video
 
 X264 = {"g": "12", "bf": "3", "preset": "veryfast"}
 KINDS = {

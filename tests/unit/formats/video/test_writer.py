@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import ArrayError, OptionError, OutputError
-from sceneloom.formats.video import VideoWriter
+from sceneloom.formats.video.writer import VideoWriter
 
 
 def write(target, pictures, times=None, *, fps=10.0, **options):
@@ -74,7 +74,7 @@ def smooth_picture(seed, width=320, height=240):
 
 
 def test_colours_come_back_unshifted(tmp_path):
-    from sceneloom.formats.video import open_video
+    from sceneloom.formats.video.reader import open_video
 
     pictures = [smooth_picture(seed) for seed in range(3)]
     write(tmp_path / "data.mkv", pictures)

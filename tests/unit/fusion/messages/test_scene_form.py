@@ -11,22 +11,25 @@ from sceneloom.colouring import FusedFrame, view_points
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.recording.lidar_files import XYZIRT
 from sceneloom.fusion.messages import Box2d, Boxes3d, ImageData, PointCloudData, RawData, Timestamp
-from sceneloom.fusion.messages.scene_form import (
+from sceneloom.fusion.messages.scene_form.boxes import (
     boxes_2d_of,
     boxes_2d_record,
     boxes_3d_of,
     boxes_3d_record,
-    depth_frame_of,
-    image_data_of,
+)
+from sceneloom.fusion.messages.scene_form.clouds import (
     lidar_frame_of,
     lidar_frame_of_raw,
     lidar_frame_of_result,
+    point_cloud_of,
+)
+from sceneloom.fusion.messages.scene_form.pictures import (
+    image_data_of,
     picture_of,
     picture_of_raw,
     picture_of_result,
-    point_cloud_of,
-    sensor_fusion_of,
 )
+from sceneloom.fusion.messages.scene_form.results import depth_frame_of, sensor_fusion_of
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Boxes2D, Boxes3D, LidarFrame, LidarPoints, Picture, PointsFrame, ScoreForm
 

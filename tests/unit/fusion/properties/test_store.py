@@ -7,8 +7,8 @@ import pytest
 
 from sceneloom.errors import OptionError
 from sceneloom.fusion.outcome import Cause
-from sceneloom.fusion.properties import PREDEFINED, PropertyStore
-from sceneloom.fusion.properties.store import MOST_PROPERTIES
+from sceneloom.fusion.properties.predefined import PREDEFINED
+from sceneloom.fusion.properties.store import MOST_PROPERTIES, PropertyStore
 
 TABLE_2 = {
     "fusion_type": 0,

@@ -8,9 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras import Camera, unproject
 from sceneloom.errors import DataError
-from sceneloom.motion.clock import Turning, compare_turnings
 from sceneloom.motion.clock.bearings import turn_between
 from sceneloom.motion.clock.camera_turning import camera_turning
+from sceneloom.motion.clock.turning import Turning
+from sceneloom.motion.clock.turning_clock import compare_turnings
 from sceneloom.scene import CameraSensor, LazyFrames, Picture
 
 LENS = Camera("fisheye", 160, 120, 90.0, 90.0, 79.5, 59.5, (0.02, -0.005, 0.001, 0.0))

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sceneloom.motion.clock import ClockVerdict, Turning, compare_turnings
-from sceneloom.motion.clock.turning import TurningCurve
+from sceneloom.motion.clock.estimate import ClockVerdict
+from sceneloom.motion.clock.turning import Turning, TurningCurve
+from sceneloom.motion.clock.turning_clock import compare_turnings
 
 NOISE = 0.002
 """Of a consumer's gyroscope, a sample [rad/s]."""

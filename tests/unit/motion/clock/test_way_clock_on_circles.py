@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.motion.clock import ClockVerdict
+from sceneloom.motion.clock.estimate import ClockVerdict
 from sceneloom.motion.clock.reckoning import ReckonedWay, Unit
 from sceneloom.motion.clock.way_clock import compare_ways
 from sceneloom.motion.clock.ways import Fixes

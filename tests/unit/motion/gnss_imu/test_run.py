@@ -17,7 +17,8 @@ from sceneloom.geometry.rotations import (
     rotation_vector_from_quaternion,
 )
 from sceneloom.motion.ego_motion import find_ego_motion, with_way_found
-from sceneloom.motion.gnss_imu import GnssImuRun, SmootherSettings, gnss_imu_motion
+from sceneloom.motion.gnss_imu.run import GnssImuRun, gnss_imu_motion
+from sceneloom.motion.gnss_imu.settings import SmootherSettings
 from sceneloom.scene import (
     GnssSensor,
     ImuSensor,

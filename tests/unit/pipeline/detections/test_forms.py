@@ -8,9 +8,10 @@ import pytest
 from sceneloom.errors import DataError, UnknownFormatError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.fusion.messages.json_form import format_json
-from sceneloom.fusion.messages.scene_form import boxes_2d_record, boxes_3d_record
+from sceneloom.fusion.messages.scene_form.boxes import boxes_2d_record, boxes_3d_record
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pipeline.detections.lists import ListContext, form_of, read_boxes_2d, read_boxes_3d
+from sceneloom.pipeline.detections.lists.context import ListContext
+from sceneloom.pipeline.detections.lists.table import form_of, read_boxes_2d, read_boxes_3d
 from sceneloom.scene import Boxes2D, Boxes3D, PosePath, ScoreForm
 from sceneloom.scene.pose_source import PoseSource
 

@@ -11,8 +11,9 @@ import pytest
 
 from sceneloom.errors import how_to_install
 from sceneloom.kernels import cache
-from sceneloom.pipeline.installation import Status, examine_installation, packages, report
+from sceneloom.pipeline.installation import packages, report
 from sceneloom.pipeline.installation.packages import find_packages
+from sceneloom.pipeline.installation.report import Status, examine_installation
 
 
 def findings(group):

@@ -18,7 +18,9 @@ from sceneloom.scene import (
 )
 from sceneloom.scene.at import cuboid_at
 from sceneloom.simulate import CameraSpec, LidarSpec, RadarSpec, TrafficSpec, simulate_street
-from sceneloom.tracking.labels import FlagKind, LabelSettings, label_tracks
+from sceneloom.tracking.labels.making import label_tracks
+from sceneloom.tracking.labels.quality import FlagKind
+from sceneloom.tracking.labels.settings import LabelSettings
 
 FRAMES = 10
 TOLERANCES = LabelSettings(tolerance_m=0.04, tolerance_deg=0.8)

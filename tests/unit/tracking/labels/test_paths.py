@@ -8,8 +8,8 @@ import pytest
 from sceneloom.scene import CuboidAnnotation, CuboidPath, Support
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.at import cuboid_at
-from sceneloom.tracking.labels import LabelSettings
 from sceneloom.tracking.labels.paths import boxed_part, label_path, usual_heading, weighted_medians
+from sceneloom.tracking.labels.settings import LabelSettings
 
 DEGREES = CuboidAngles()
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from sceneloom.errors import DataError
 from sceneloom.formats.kitti.scenes.numbered import PICTURES, SWEEPS, TEXTS, has_numbered
 from sceneloom.formats.ledger import Ledger
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 PICTURE_FOLDERS = {2: "image_2", 3: "image_3"}
 """Folders of the cameras' pictures, by number."""

@@ -32,18 +32,12 @@ from sceneloom.formats.kitti.scenes.sensors import camera_id, kitti_metadata, li
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.pictures import picture_size
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    Annotation,
-    CameraSensor,
-    LazyFrames,
-    NoticeKind,
-    Picture,
-    PosePath,
-    PoseSamples,
-    Scene,
-    Sensor,
-    Trajectory,
-)
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import PosePath, PoseSamples, Trajectory
+from sceneloom.scene.scene import Scene, Sensor
 
 FRAME_NS = 1_000_000_000
 """From frame to frame: so far that none is taken for its neighbour's moment."""

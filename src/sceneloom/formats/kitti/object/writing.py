@@ -16,7 +16,11 @@ from sceneloom.formats.kitti.written.timeline import NONE, Timeline, check_files
 from sceneloom.formats.loss import Fate, Loss, LossReport
 from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Box2DAnnotation, CameraSensor, CuboidAnnotation, LidarSensor, Picture, Scene
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.scene import Scene
 
 HELD = frozenset({LidarSensor, CameraSensor, CuboidAnnotation, Box2DAnnotation})
 """Kinds of sensors and annotations that frames have a place for."""

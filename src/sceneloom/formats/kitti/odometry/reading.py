@@ -31,7 +31,9 @@ from sceneloom.formats.rig.pictures import picture_size
 from sceneloom.formats.rig.times import line_stamps
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import quaternion_from_matrix
-from sceneloom.scene import NoticeKind, Scene, Sensor, Trajectory
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.scene import Scene, Sensor
 
 TRUTH, ESTIMATE = "groundTruth", "pose"
 """The ways of `poses/NN.txt`, and of a `poses.txt` in the sequence's folder, which SemanticKITTI has."""

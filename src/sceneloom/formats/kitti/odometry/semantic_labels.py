@@ -14,7 +14,9 @@ from sceneloom.formats.kitti.scenes.numbered import NumberedFiles
 from sceneloom.formats.kitti.scenes.sensors import LIDAR_ID
 from sceneloom.formats.kitti.scenes.sweeps import POINT_BYTES
 from sceneloom.formats.ledger import Ledger
-from sceneloom.scene import Annotation, LabeledPoints, LabeledPointsAnnotation, NoticeKind
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.labelled_points import LabeledPoints, LabeledPointsAnnotation
+from sceneloom.scene.notices import NoticeKind
 
 CLASS_NAMES: Mapping[int, str] = MappingProxyType(
     {

@@ -19,14 +19,11 @@ from sceneloom.formats.loss import Fate, Loss, LossReport
 from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.formats.recording.written_times import seconds_text
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    CameraSensor,
-    LabeledPointsAnnotation,
-    LidarFrame,
-    LidarSensor,
-    OdometrySensor,
-    Scene,
-)
+from sceneloom.scene.annotations.labelled_points import LabeledPointsAnnotation
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
+from sceneloom.scene.motion import OdometrySensor
+from sceneloom.scene.scene import Scene
 
 SLOTS = (2, 3, 0, 1)
 """Numbers of cameras, those of the coloured ones first."""

@@ -9,7 +9,9 @@ import numpy as np
 from sceneloom.arrays import UInt32Array
 from sceneloom.formats.kitti.odometry.semantic_labels import CLASS_BITS, CLASS_NAMES, UNLABELED
 from sceneloom.formats.loss import Fate, Loss
-from sceneloom.scene import LabeledPointsAnnotation, LidarSensor, Scene
+from sceneloom.scene.annotations.labelled_points import LabeledPointsAnnotation
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import key_of
 
 _NUMBERS: Mapping[str, int] = {name: number for number, name in CLASS_NAMES.items()}

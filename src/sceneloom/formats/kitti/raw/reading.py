@@ -31,7 +31,11 @@ from sceneloom.formats.kitti.scenes.sweeps import TurnTimes
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.pictures import picture_size
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Annotation, ImuSensor, NoticeKind, Scene, Sensor, Trajectory
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.motion import ImuSensor
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.scene import Scene, Sensor
 
 
 @dataclass(frozen=True, slots=True, eq=False)

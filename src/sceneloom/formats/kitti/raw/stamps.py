@@ -12,7 +12,7 @@ from sceneloom.formats.kitti.number_lines import read_lines
 from sceneloom.formats.kitti.scenes.numbered import NumberedFiles, frames_within
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.stamps import StampError, parse_stamp
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 
 @dataclass(frozen=True, slots=True, eq=False)

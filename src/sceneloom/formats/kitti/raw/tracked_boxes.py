@@ -14,8 +14,12 @@ from sceneloom.formats.ledger import Ledger
 from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation, rotation_from_cuboid_angles
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import matrix_from_quaternion
-from sceneloom.scene import Annotation, AttributePath, CuboidAnnotation, CuboidPath, NoticeKind, PosePath
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath
+from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath
 
 ORDER = "zyx"
 """Of a pose's three angles, Rz(rz) Ry(ry) Rx(rx); KITTI's own files have none but rz."""

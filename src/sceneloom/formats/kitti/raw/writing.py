@@ -25,15 +25,11 @@ from sceneloom.formats.loss import Loss, LossReport
 from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.formats.recording.written_mounts import mounting
 from sceneloom.geometry.rotations import angle_between
-from sceneloom.scene import (
-    CameraSensor,
-    CuboidAnnotation,
-    GnssSensor,
-    ImuSensor,
-    LidarSensor,
-    OdometrySensor,
-    Scene,
-)
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
+from sceneloom.scene.scene import Scene
 
 SLOTS = (2, 3, 0, 1)
 """Numbers of cameras, those of the coloured ones first."""

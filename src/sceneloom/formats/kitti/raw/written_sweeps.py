@@ -11,7 +11,7 @@ from sceneloom.formats.kitti.scenes.sweeps import times_in_turn
 from sceneloom.formats.kitti.written.choice import Choice
 from sceneloom.formats.kitti.written.files import SweepFiles
 from sceneloom.formats.loss import Fate, Loss
-from sceneloom.scene import LidarFrame
+from sceneloom.scene.clouds import LidarFrame
 
 _WELL_TOLD = 0.05
 """Times that directions tell worse than this share of a turn are not those of such a scanner, and are not told."""

@@ -12,9 +12,11 @@ from sceneloom.formats.loss import Fate, Loss
 from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import matrix_from_quaternion
-from sceneloom.scene import CuboidAnnotation, Identifier, Scene
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
 from sceneloom.scene.at import activated, active_at, attribute_at, cuboid_poses
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
 
 _LABELLED = 2.0
 """The state of a pose that somebody labelled. Source: the development kit's tracklets.h."""

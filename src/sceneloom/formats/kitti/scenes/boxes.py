@@ -16,17 +16,12 @@ from sceneloom.formats.kitti.camera_boxes import CENTRE_TO_CORNER
 from sceneloom.formats.kitti.labels import NO_TRACK, KittiLabels
 from sceneloom.geometry.euler import cuboid_angles_from_rotation
 from sceneloom.geometry.rotations import matrix_from_quaternion
-from sceneloom.scene import (
-    Annotation,
-    AttributePath,
-    Box2DAnnotation,
-    BoxPath,
-    CuboidAnnotation,
-    CuboidPath,
-    Identifier,
-    PoseSamples,
-    Projection,
-)
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation, BoxPath
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath, Projection
+from sceneloom.scene.poses import PoseSamples
+from sceneloom.scene.types import Identifier
 
 ANGLES = {"euler_unit": "degrees", "euler_order": "xyz"}
 """How the angles of the boxes are meant: what `metadata["sceneloom"]` says of them."""

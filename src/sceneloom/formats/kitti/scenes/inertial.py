@@ -8,7 +8,10 @@ from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.formats.kitti.oxts import FIELDS, way_of
 from sceneloom.formats.ledger import Ledger
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import GnssSensor, ImuSensor, NoticeKind, Sensor, Trajectory, VectorSamples
+from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
+from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.scene import Sensor
 
 GNSS_ID, IMU_ID, WAY = "gnss", "imu", "oxts"
 """What the unit's sensors and its way are called."""

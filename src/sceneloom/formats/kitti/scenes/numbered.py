@@ -11,7 +11,7 @@ from sceneloom.errors import DataError
 from sceneloom.formats.files import file_faults
 from sceneloom.formats.kitti.number_lines import LATEST
 from sceneloom.formats.ledger import Ledger
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 PICTURES = (".png", ".jpg", ".jpeg")
 SWEEPS = (".bin",)

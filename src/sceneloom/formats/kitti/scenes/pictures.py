@@ -8,7 +8,7 @@ from types import MappingProxyType
 from sceneloom.arrays import Int64Array
 from sceneloom.formats.kitti.calibration import KittiCalibration
 from sceneloom.formats.rig.pictures import PictureFile, is_jpeg, picture_size
-from sceneloom.scene import Picture
+from sceneloom.scene.cameras import Picture
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,8 +14,12 @@ from sceneloom.formats.kitti.scenes.sweeps import SweepFiles, TurnTimes, scale_o
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.pictures import PictureReader
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import CameraSensor, LazyFrames, LidarSensor, NoticeKind, Picture, PosePath, Trajectory
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.pose_source import poses_along
+from sceneloom.scene.poses import PosePath, Trajectory
 
 LIDAR_ID = "velodyne"
 STANDING = "standing"

@@ -10,14 +10,14 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float32Array, Int64Array, read_only
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds import IntensityScale
 from sceneloom.formats.clouds.bin import read_bin
 from sceneloom.formats.clouds.layout import KITTI
-from sceneloom.formats.clouds.points import detect_scale
+from sceneloom.formats.clouds.points import IntensityScale, detect_scale
 from sceneloom.formats.clouds.text_rows import parse_rows
 from sceneloom.formats.files import read_bytes
 from sceneloom.formats.ledger import Ledger
-from sceneloom.scene import LidarFrame, LidarPoints, NoticeKind
+from sceneloom.scene.clouds import LidarFrame, LidarPoints
+from sceneloom.scene.notices import NoticeKind
 
 REFLECTANCE = IntensityScale(1.0)
 """KITTI's reflectance goes from 0 to 1. Source: the readme of the raw data's development kit."""

@@ -6,7 +6,7 @@ from pathlib import Path
 from sceneloom.errors import DataError
 from sceneloom.formats.kitti.chosen_sequence import choose_sequence
 from sceneloom.formats.ledger import Ledger
-from sceneloom.scene import NoticeKind
+from sceneloom.scene.notices import NoticeKind
 
 PICTURE_FOLDERS = {2: "image_02", 3: "image_03"}
 """Folders of the cameras' pictures, by number: a folder for each sequence in them."""

@@ -33,8 +33,12 @@ from sceneloom.formats.kitti.tracking_folder import CAMERA, frame_times, picture
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.pictures import picture_size as size_of_picture
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Annotation, ImuSensor, NoticeKind, PosePath, Scene, Sensor, Trajectory
+from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.motion import ImuSensor
+from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.scene import Scene, Sensor
 
 
 def open_tracking(path: Path, *, sequence: str | None = None, lenient: bool = False) -> Scene:

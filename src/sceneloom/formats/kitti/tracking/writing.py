@@ -16,16 +16,12 @@ from sceneloom.formats.kitti.written.timeline import timeline_of
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.formats.recording.written_times import seconds_text
-from sceneloom.scene import (
-    Box2DAnnotation,
-    CameraSensor,
-    CuboidAnnotation,
-    GnssSensor,
-    ImuSensor,
-    LidarSensor,
-    OdometrySensor,
-    Scene,
-)
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
+from sceneloom.scene.scene import Scene
 
 HELD = frozenset(
     {LidarSensor, CameraSensor, ImuSensor, GnssSensor, OdometrySensor, CuboidAnnotation, Box2DAnnotation}

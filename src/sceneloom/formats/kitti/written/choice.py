@@ -14,19 +14,17 @@ from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.recording.written_mounts import each_mounted, mounting
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import angle_between
-from sceneloom.scene import (
-    CameraSensor,
-    Coordinates,
-    CuboidAnnotation,
-    LidarSensor,
-    OdometrySensor,
-    PosePath,
-    Scene,
-)
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
 from sceneloom.scene.annotations_frame import annotations_frame
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.contents import KINDS
+from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import check_one_ego
+from sceneloom.scene.types import Coordinates
 
 PARALLEL_WITHIN = 1e-6
 """How far a camera may be turned against the first one and be of the same rectified frame [rad]."""

@@ -13,8 +13,10 @@ from sceneloom.errors import CalibrationError, PoseError
 from sceneloom.formats.kitti.written.choice import Choice
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.rig.pictures import PictureFile
-from sceneloom.scene import CameraSensor, LidarFrame, LidarSensor, Picture, PointsFrame
+from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.types import PointsFrame
 
 _COMPRESSION = 1
 """PNG's quickest: pictures of drives hardly shrink further, and it takes a third of the time."""

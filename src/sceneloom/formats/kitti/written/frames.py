@@ -7,7 +7,7 @@ from sceneloom.formats.kitti.written.choice import Choice
 from sceneloom.formats.kitti.written.files import SweepFiles, check_lens, picture_losses, write_picture
 from sceneloom.formats.kitti.written.timeline import NONE, Timeline
 from sceneloom.formats.loss import Loss
-from sceneloom.scene import LidarFrame
+from sceneloom.scene.clouds import LidarFrame
 
 Name = Callable[[int], str]
 

@@ -17,17 +17,13 @@ from sceneloom.formats.loss import Fate, Loss
 from sceneloom.geometry.boxes import box_corners
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import matrix_from_quaternion, multiply_quaternions
-from sceneloom.scene import (
-    AttributePath,
-    Box2DAnnotation,
-    CameraSensor,
-    CuboidAnnotation,
-    Identifier,
-    Projection,
-)
 from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations.attributes import AttributePath
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation, Projection
 from sceneloom.scene.at import activated, active_at, attribute_at, box_2d_at, cuboid_poses
-from sceneloom.scene.types import key_of
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.types import Identifier, key_of
 
 _NEAR = 0.1
 """What has no corner further in front of the camera than this has no outline in its pictures [m]."""

@@ -11,8 +11,10 @@ from sceneloom.formats.loss import Fate, Loss
 from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from sceneloom.geometry.rotations import matrix_from_quaternion
-from sceneloom.scene import GnssSensor, ImuSensor, PosePath, Scene
 from sceneloom.scene.ego import stated_origin
+from sceneloom.scene.motion import GnssSensor, ImuSensor
+from sceneloom.scene.poses import PosePath
+from sceneloom.scene.scene import Scene
 
 UNTOLD = {"navstat": -1.0, "numsats": -1.0, "posmode": -1.0, "velmode": -1.0, "orimode": -1.0}
 """What stands for states that nothing tells; of all other columns it is 0."""

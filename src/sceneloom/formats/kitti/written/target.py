@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from sceneloom.scene import Scene
+from sceneloom.scene.scene import Scene
 
 
 def kept_of(scene: Scene) -> Mapping[str, Any]:

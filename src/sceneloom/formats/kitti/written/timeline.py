@@ -9,7 +9,10 @@ from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.kitti.written.choice import Choice
 from sceneloom.formats.loss import Fate, Loss
-from sceneloom.scene import Box2DAnnotation, CuboidAnnotation, GnssSensor, LidarSensor
+from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
+from sceneloom.scene.annotations.cuboids import CuboidAnnotation
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.motion import GnssSensor
 
 NONE = -1
 _OWN_FRAME = 0.75

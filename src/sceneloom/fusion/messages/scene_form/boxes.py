@@ -8,7 +8,8 @@ from sceneloom.fusion.messages.basic_types import INTEGER_RANGES, BasicType
 from sceneloom.fusion.messages.boxes import Boxes2d, Boxes3d
 from sceneloom.fusion.messages.timestamps import Timestamp
 from sceneloom.kernels.sent_boxes import upright_boxes
-from sceneloom.scene import Boxes2D, Boxes3D, Identifier, PointsFrame, ScoreForm
+from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
+from sceneloom.scene.types import Identifier, PointsFrame
 
 
 def boxes_3d_of(record: Boxes3d, *, sensor_id: Identifier | None = None) -> Boxes3D:

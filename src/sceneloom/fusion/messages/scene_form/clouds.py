@@ -13,7 +13,7 @@ from sceneloom.fusion.messages.fused import SensorFusionData
 from sceneloom.fusion.messages.sensor_data import PointCloudData, RawData
 from sceneloom.fusion.messages.tables import RAW
 from sceneloom.fusion.messages.timestamps import NANOSECONDS, Timestamp
-from sceneloom.scene import LidarFrame, LidarPoints
+from sceneloom.scene.clouds import LidarFrame, LidarPoints
 
 REFLECTIVITY_NAMES = ("reflectivity", "intensity")
 """Fields that say how bright a return is; the first one is written."""

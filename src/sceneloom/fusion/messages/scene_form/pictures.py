@@ -16,7 +16,7 @@ from sceneloom.fusion.messages.fused import SensorFusionData
 from sceneloom.fusion.messages.sensor_data import ImageData, RawData
 from sceneloom.fusion.messages.tables import IMAGE, RAW, SENSOR_FUSION
 from sceneloom.fusion.messages.timestamps import Timestamp
-from sceneloom.scene import Picture
+from sceneloom.scene.cameras import Picture
 
 _RAW_NAMES = {1: "mono8", 3: "rgb8", 4: "rgba8"}
 """What pixels of the encoding raw are taken for, by their number of values."""

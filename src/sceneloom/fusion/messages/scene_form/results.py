@@ -6,8 +6,8 @@ from types import MappingProxyType
 import numpy as np
 
 from sceneloom.arrays import Float32Array
-from sceneloom.cameras import unproject
 from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.models import unproject
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.errors import OptionError
 from sceneloom.fusion.messages.fused import DEPTH_KINDS, SensorFusionData
@@ -16,7 +16,8 @@ from sceneloom.fusion.messages.sensor_data import ImageData
 from sceneloom.fusion.messages.tables import SENSOR_FUSION
 from sceneloom.fusion.messages.timestamps import Timestamp
 from sceneloom.kernels.depth_images import draw_depths
-from sceneloom.scene import DepthFrame, LidarPoints
+from sceneloom.scene.clouds import LidarPoints
+from sceneloom.scene.depth import DepthFrame
 
 
 def sensor_fusion_of(

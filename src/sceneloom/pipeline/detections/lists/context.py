@@ -10,8 +10,9 @@ from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Boxes2D, Boxes3D, Identifier
+from sceneloom.scene.detections import Boxes2D, Boxes3D
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.types import Identifier
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,9 +15,10 @@ from sceneloom.fusion.bare_boxes import joined
 from sceneloom.fusion.messages.boxes import Box2d, Box3d, Boxes2d, Boxes3d
 from sceneloom.fusion.messages.json_form import from_json
 from sceneloom.fusion.messages.records import RECORD_KINDS
-from sceneloom.fusion.messages.scene_form import boxes_2d_of, boxes_3d_of
+from sceneloom.fusion.messages.scene_form.boxes import boxes_2d_of, boxes_3d_of
 from sceneloom.pipeline.detections.lists.context import ListContext, ListForm, sorted_by_time
-from sceneloom.scene import Boxes2D, Boxes3D, NoticeKind
+from sceneloom.scene.detections import Boxes2D, Boxes3D
+from sceneloom.scene.notices import NoticeKind
 
 
 def _recognises(head: str) -> bool:

@@ -7,7 +7,6 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import DataError
-from sceneloom.formats.kitti import read_labels
 from sceneloom.formats.kitti.camera_boxes import CENTRE_TO_CORNER, lidar_boxes
 from sceneloom.formats.kitti.detection_lists import (
     COLUMNS_2D,
@@ -17,11 +16,12 @@ from sceneloom.formats.kitti.detection_lists import (
     read_boxes_2d_list,
     read_boxes_3d_list,
 )
-from sceneloom.formats.kitti.labels import DONT_CARE, KittiLabels
+from sceneloom.formats.kitti.labels import DONT_CARE, KittiLabels, read_labels
 from sceneloom.formats.ledger import Ledger
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detections.lists.context import ListContext, ListForm
-from sceneloom.scene import Boxes2D, Boxes3D, NoticeKind, ScoreForm
+from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
+from sceneloom.scene.notices import NoticeKind
 
 
 def _has_commas(head: str) -> bool:

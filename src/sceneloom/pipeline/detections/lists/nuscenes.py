@@ -14,8 +14,10 @@ from sceneloom.formats.ledger import Ledger
 from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.pipeline.detections.detected import poses_at
 from sceneloom.pipeline.detections.lists.context import ListContext, ListForm, sorted_by_time
-from sceneloom.scene import Boxes3D, Identifier, NoticeKind, PointsFrame, ScoreForm
+from sceneloom.scene.detections import Boxes3D, ScoreForm
+from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.types import Identifier, PointsFrame
 
 _WORD = '"results"'
 _NAMES = ("sample.json",)

@@ -9,7 +9,7 @@ from sceneloom.formats.files import file_faults, open_file
 from sceneloom.formats.ledger import Ledger
 from sceneloom.pipeline.detections.lists import json_lines, kitti_text, nuscenes
 from sceneloom.pipeline.detections.lists.context import ListContext, ListForm
-from sceneloom.scene import Boxes2D, Boxes3D
+from sceneloom.scene.detections import Boxes2D, Boxes3D
 
 FORMS: tuple[ListForm, ...] = (json_lines.FORM, nuscenes.FORM, kitti_text.LISTS, kitti_text.RESULTS)
 """All forms; at most one of them recognises a file."""

@@ -5,7 +5,7 @@ from itertools import groupby
 from sceneloom.report.numbers.drive import DriveReport
 from sceneloom.report.page.content import Block, Section
 from sceneloom.report.page.texts import joined, several, times
-from sceneloom.scene import Finding
+from sceneloom.scene.findings import Finding
 
 
 def findings_section(report: DriveReport) -> Section:

@@ -1,6 +1,6 @@
 """How far what was found is from the truth."""
 
-from sceneloom.evaluate import TrajectoryReport
+from sceneloom.evaluate.report import TrajectoryReport
 from sceneloom.evaluate.tracking.comparison import TrackingReport
 from sceneloom.report.numbers.drive import DriveReport
 from sceneloom.report.page.content import Block, Column, Section, Table

@@ -5,7 +5,6 @@ from typing import Any
 from sceneloom.errors import DataError
 from sceneloom.fusion.messages.array_bytes import array_of, bytes_of
 from sceneloom.fusion.messages.rows import ARRAY_DTYPES, TIME, Row
-from sceneloom.fusion.messages.tables import Table
 from sceneloom.fusion.messages.timestamps import Timestamp
 from sceneloom.fusion.messages.value_types import ValueForm
 from sceneloom.fusion.messages.wire import fusion_pb2
@@ -28,12 +27,6 @@ def timestamp_from_protobuf(message: fusion_pb2.Timestamp, owner: str, place: st
         raise DataError(owner, f"{place}.{error.place}", error.problem) from error
 
 
-def write_fields(message: Any, record: Any, table: Table) -> None:
-    """Write a record, row by row of its table, into an empty message."""
-    for row in table.rows:
-        write_field(message, row, getattr(record, row.attribute))
-
-
 def write_field(message: Any, row: Row, value: Any) -> None:
     """Write the value of one row; None is left out."""
     if value is None:
@@ -48,11 +41,6 @@ def write_field(message: Any, row: Row, value: Any) -> None:
         getattr(message, row.name).extend(value)
     else:
         setattr(message, row.name, value)
-
-
-def read_fields(message: Any, table: Table) -> dict[str, Any]:
-    """Read the values of a message, by attribute; None where an optional field was left out."""
-    return {row.attribute: read_field(message, row, table.owner) for row in table.rows}
 
 
 def read_field(message: Any, row: Row, owner: str) -> Any:

@@ -18,13 +18,8 @@ from sceneloom.fusion.messages.rows import ARRAY_DTYPES, STREAM, Row
 try:
     from google.protobuf.message import DecodeError, Message
 
-    from sceneloom.fusion.messages.protobuf_fields import (
-        read_field,
-        read_fields,
-        write_field,
-        write_fields,
-    )
-    from sceneloom.fusion.messages.protobuf_lists import read_list, write_list
+    from sceneloom.fusion.messages.protobuf_fields import read_field, write_field
+    from sceneloom.fusion.messages.protobuf_lists import read_list
     from sceneloom.fusion.messages.wire import fusion_pb2
     from sceneloom.fusion.messages.wire_lists import list_bytes, read_usual_list
 except ImportError as missing:
@@ -71,9 +66,11 @@ def fill_message(message: Message, record: Record) -> None:
     """
     kind = kind_of(record)
     message.SetInParent()
-    write_fields(message, record, kind.table)
     if kind.layout is not None:
-        write_list(record, kind.layout, getattr(message, kind.layout.group))
+        message.MergeFromString(encode(record))
+        return
+    for row in kind.table.rows:
+        write_field(message, row, getattr(record, row.attribute))
 
 
 def from_protobuf(message: Message) -> Any:
@@ -86,7 +83,7 @@ def from_protobuf(message: Message) -> Any:
     kind = _KIND_OF_MESSAGE.get(message.DESCRIPTOR.name)
     if kind is None or not isinstance(message, getattr(fusion_pb2, kind.message_name)):
         kind = kind_of(type(message))
-    values = read_fields(message, kind.table)
+    values = {row.attribute: read_field(message, row, kind.table.owner) for row in kind.table.rows}
     if kind.layout is not None:
         values |= read_list(getattr(message, kind.layout.group), kind.layout, values)
     return kind.record_type(**values)

@@ -8,47 +8,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.fusion.messages.basic_types import shown
-from sceneloom.fusion.messages.protobuf_fields import timestamp_to_protobuf
 from sceneloom.fusion.messages.records import ListLayout
-
-
-def write_list(record: Any, layout: ListLayout, messages: Any) -> None:
-    """Write the records of a list, field by field, into an empty repeated field."""
-    count = len(record)
-    scalars, vectors = _field_lists(record, layout)
-    timestamp = timestamp_to_protobuf(record.timestamp)
-    seqs = [(name, getattr(record, shared)) for name, shared in layout.shared.items() if name != "timestamp"]
-    for k in range(count):
-        message = messages.add(timestamp=timestamp)
-        for name, seq in seqs:
-            setattr(message, name, seq)
-        for name, values in scalars:
-            setattr(message, name, values[k])
-        for name, rows in vectors:
-            getattr(message, name).extend(rows[k])
-    for name, attribute in layout.ids.items():
-        for message, number in zip(messages, getattr(record, attribute), strict=True):
-            if number is not None:
-                setattr(message, name, number)
-
-
-def _field_lists(
-    record: Any, layout: ListLayout
-) -> tuple[list[tuple[str, list[Any]]], list[tuple[str, list[Any]]]]:
-    """The fields of all records of a list: those with one value, and those with several."""
-    scalars: list[tuple[str, list[Any]]] = [("class", list(record.class_names))]
-    vectors: list[tuple[str, list[Any]]] = []
-    for column in layout.columns:
-        values = getattr(record, column.attribute)
-        if values is None:
-            continue
-        if len(column.names) > 1:
-            scalars += zip(column.names, values.T.tolist(), strict=True)
-        elif column.shape:
-            vectors.append((column.names[0], values.reshape(len(values), math.prod(column.shape)).tolist()))
-        else:
-            scalars.append((column.names[0], values.tolist()))
-    return scalars, vectors
 
 
 def read_list(repeated: Any, layout: ListLayout, common: Mapping[str, Any]) -> dict[str, Any]:

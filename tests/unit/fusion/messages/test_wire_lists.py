@@ -9,6 +9,7 @@ from sceneloom.fusion.messages.fused import FusedDetections
 from sceneloom.fusion.messages.protobuf_form import (
     decode_send_request,
     encode,
+    from_protobuf,
     from_send_request,
     parse_message,
     to_protobuf,
@@ -128,7 +129,9 @@ def read_as_usual(record):
 def test_lists_are_written_byte_by_byte_as_the_library_writes_them(make):
     for seed in range(60):
         record = make(seed)
-        assert encode(record) == to_protobuf(record).SerializeToString(deterministic=True)
+        message = to_protobuf(record)
+        assert encode(record) == message.SerializeToString(deterministic=True)
+        assert outcome(from_protobuf, message) == outcome(lambda: record)  # noqa: B023 - called at once
 
 
 @pytest.mark.parametrize("make", [boxes_3d, boxes_2d])

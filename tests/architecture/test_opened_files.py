@@ -21,7 +21,7 @@ ALLOWED = {
     ("sceneloom.formats.remote.mirrored_path", "open"): "of files that were fetched into a folder of our own",
     ("sceneloom.formats.remote.mirrored_path", "read_bytes"): "the listing in a folder of our own",
     (
-        "sceneloom.formats.remote.late_file",
+        "sceneloom.formats.remote.mirrored_path",
         "io.FileIO",
     ): "of files that were fetched into a folder of our own",
     ("sceneloom.formats.remote.stores", "source.open"): "what was written is sent",

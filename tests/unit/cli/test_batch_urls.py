@@ -98,7 +98,7 @@ class Web:
 def web(tmp_path, monkeypatch):
     monkeypatch.setattr("sceneloom.formats.remote.patience.time.sleep", lambda _: None)
     quick = patience.Patience(tries=2, deadline=5.0, answer=0.3)
-    for module in ("patience", "ranged", "mirror", "late_file"):
+    for module in ("patience", "ranged"):
         monkeypatch.setattr(f"sceneloom.formats.remote.{module}.PATIENCE", quick, raising=False)
     sceneloom.write(sound_scene(), tmp_path / "drive.sfs")
     found = Web((tmp_path / "drive.sfs").read_bytes())

@@ -14,9 +14,9 @@ import msgspec
 
 from sceneloom.errors import DataError
 from sceneloom.formats.remote.faults import CutShortError, faults
-from sceneloom.formats.remote.patience import PATIENCE, patiently
-from sceneloom.formats.remote.ranged import SIDE_BY_SIDE
-from sceneloom.formats.remote.stores import Handle, Store, open_store
+from sceneloom.formats.remote.patience import patiently
+from sceneloom.formats.remote.ranged import SIDE_BY_SIDE, RangedFile, RemoteIdentity
+from sceneloom.formats.remote.stores import Store, open_store
 from sceneloom.redaction import redacted
 
 LEFT_FREE = 1 << 30
@@ -37,14 +37,11 @@ HEAD = 64 << 10
 PIECE = 256 << 10
 """Length of the pieces that a file comes in where it is not fetched whole [bytes]."""
 
-_PIECES = 128
-"""So many pieces are remembered."""
+_REMEMBERED = 32 << 20
+"""So much of pieces and beginnings is remembered: all formats look at the same files [bytes]."""
 
 _MUCH = 0.25
 """Of a file of which this share was read in pieces all is fetched: who goes on would wait for each of the others."""
-
-_HEADS = 256
-"""So many of them are remembered: all formats look at the same files."""
 
 _STAY = 4 * SIDE_BY_SIDE
 """So many files stay that were used last, however large they are: others may be about to open them."""
@@ -117,10 +114,9 @@ class Mirror:
         self._crew: ThreadPoolExecutor | None = None
         self._coming: dict[str, Future[None]] = {}
         self._last: dict[str, int] = {}
-        self._heads: dict[str, bytes] = {}
-        self._pieces: OrderedDict[tuple[str, int], bytes] = OrderedDict()
+        self._parts: OrderedDict[tuple[str, int, int], bytes] = OrderedDict()
         self._read: Counter[str] = Counter()
-        self._handles: dict[str, list[Handle]] = {}
+        self._ranged: dict[str, RangedFile] = {}
         self._since_counted = listing.largest
         self._closed = False
 
@@ -152,19 +148,8 @@ class Mirror:
         Raises:
             DataError: they cannot be read.
         """
-        known = self._heads.get(file.name)
-        if known is None:
-            with faults(self.listing.url, redacted(file.name)):
-                known = patiently(lambda: self._first_bytes(file))
-            with self._lock:
-                self._heads[file.name] = known
-                while len(self._heads) > _HEADS:
-                    self._heads.pop(next(iter(self._heads)))
-        return known
-
-    def _first_bytes(self, file: ListedFile) -> bytes:
-        with closing(self._there(file).handle(file.size)) as handle:
-            return handle.read(0, min(HEAD, file.size), seconds=PATIENCE.answer)
+        with closing(self._ranges_of(file)) as ranged:
+            return self._part(file, ranged, 0, HEAD, checked=False)
 
     def read_much(self, file: ListedFile) -> bool:
         """Whether so many pieces of a file were fetched that all of it had better be."""
@@ -176,39 +161,35 @@ class Mirror:
         Raises:
             DataError: it cannot be read, or the file was changed after the folder was opened.
         """
-        key = file.name, number
         with self._lock:
-            known = self._pieces.get(key)
-        if known is not None:
-            return known
-        with faults(self.listing.url, redacted(file.name)):
-            content = patiently(lambda: self._bytes(file, number * PIECE))
-            self._check(file, self._there(file))
-        with self._lock:
-            self._read[file.name] += len(content)
-            self._pieces[key] = content
-            while len(self._pieces) > _PIECES:
-                self._pieces.popitem(last=False)
+            ranged = self._ranged.setdefault(file.name, self._ranges_of(file))
+        content = self._part(file, ranged, number * PIECE, (number + 1) * PIECE, checked=True)
+        if self._closed:
+            ranged.close()
         return content
 
-    def _bytes(self, file: ListedFile, start: int) -> bytes:
-        """Ask for a piece once, by a connection that stays for the next one."""
+    def _ranges_of(self, file: ListedFile) -> RangedFile:
+        """The file by ranges; its store is that of the folder, and the address stands in messages alone."""
+        url = f"{self.listing.url.partition('?')[0].rstrip('/')}/{file.name}"
+        with faults(url, ""):
+            return RangedFile(RemoteIdentity(url, file.size, file.version), self._there(file))
+
+    def _part(self, file: ListedFile, ranged: RangedFile, start: int, stop: int, *, checked: bool) -> bytes:
+        """Fetch some bytes of a file; those of a moment ago are remembered."""
+        key = file.name, start, stop
         with self._lock:
-            free = self._handles.setdefault(file.name, [])
-            handle = free.pop() if free else None
-        if handle is None:
-            handle = self._there(file).handle(file.size)
-        try:
-            content = handle.read(start, min(start + PIECE, file.size), seconds=PATIENCE.answer)
-        except BaseException:
-            handle.close()
-            raise
+            known = self._parts.get(key)
+        if known is not None:
+            return known
+        content = ranged.ask(start, min(stop, file.size))
+        if checked:
+            with faults(self.listing.url, redacted(file.name)):
+                self._check(file, self._there(file))
         with self._lock:
-            stays = not self._closed
-            if stays:
-                free.append(handle)
-        if not stays:
-            handle.close()
+            self._read[file.name] += len(content) if checked else 0
+            self._parts[key] = content
+            while sum(map(len, self._parts.values())) > _REMEMBERED:
+                self._parts.popitem(last=False)
         return content
 
     def gather(self, files: Iterable[ListedFile]) -> None:
@@ -230,9 +211,9 @@ class Mirror:
         with self._lock:
             self._closed = True
             crew, self._crew = self._crew, None
-            handles, self._handles = self._handles, {}
-        for handle in (handle for free in handles.values() for handle in free):
-            handle.close()
+            opened, self._ranged = self._ranged, {}
+        for ranged in opened.values():
+            ranged.close()
         if crew is not None:
             crew.shutdown(cancel_futures=True)
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Self, cast
 import msgspec
 
 from sceneloom.formats.byte_stream import ByteStream
-from sceneloom.formats.remote.late_file import LateFile
 from sceneloom.formats.remote.mirror import HEAD, PIECE, ListedFile, Listing, Mirror
 
 WORKPLACE = "sceneloom-"
@@ -58,7 +57,7 @@ class MirroredPath(_Path):
         mirror, file = _find(str(self))
         if mode != "rb" or mirror is None or file is None or file.size <= HEAD or mirror.is_near(file):
             return super().open(mode, buffering, *more, **named)
-        late = LateFile(mirror, file, str(self))
+        late = _LateFile(self)
         return late if buffering == 0 else io.BufferedReader(late)
 
     def in_pieces(self) -> "Pieces | None":
@@ -132,6 +131,43 @@ class Pieces:
         if mirror is None or file is None:
             raise FileNotFoundError(f"{self.path}: the drive is closed")
         return mirror, file
+
+
+class _LateFile(ByteStream):
+    """An open file that is not on disk yet: it is fetched when more than its first bytes are read."""
+
+    def __init__(self, path: MirroredPath) -> None:
+        super().__init__(Pieces(path))
+        self.name = str(path)
+        self._path = path
+        self._on_disk: io.FileIO | None = None
+
+    def fileno(self) -> int:
+        """Have all of it on disk: who asks will map it, or hand it to the system."""
+        return self._fetched().fileno()
+
+    def readinto(self, buffer: Any) -> int:
+        if self._on_disk is None and self.place + len(buffer) <= HEAD:
+            return super().readinto(buffer)
+        count = self._fetched().readinto(buffer)
+        self.place += count
+        return count
+
+    def readall(self) -> bytes:
+        content = self._fetched().readall()
+        self.place += len(content)
+        return content
+
+    def close(self) -> None:
+        if self._on_disk is not None:
+            self._on_disk.close()
+        super().close()
+
+    def _fetched(self) -> io.FileIO:
+        if self._on_disk is None:
+            self._on_disk = io.FileIO(self._path)
+        self._on_disk.seek(self.place)
+        return self._on_disk
 
 
 def plant(listing: Listing) -> MirroredPath:

@@ -87,10 +87,11 @@ class RemoteIdentity:
 class RangedFile:
     """An open file behind a URL; several threads may read it."""
 
-    def __init__(self, identity: RemoteIdentity) -> None:
-        """Nothing is fetched yet."""
+    def __init__(self, identity: RemoteIdentity, store: Store | None = None) -> None:
+        """Nothing is fetched yet; `store` is where the file is, if that is known."""
         self.identity = identity
-        self._store: Store | None = None
+        self._store = store
+        self._closed = False
         self._free: list[Handle] = []
         self._lock = Lock()
         self._recent: OrderedDict[Range, bytes] = OrderedDict()
@@ -159,6 +160,7 @@ class RangedFile:
     def close(self) -> None:
         """Let go of the connections."""
         with self._lock:
+            self._closed = True
             free, self._free = self._free, []
         for handle in free:
             handle.close()
@@ -178,7 +180,11 @@ class RangedFile:
             handle.close()
             raise
         with self._lock:
-            self._free.append(handle)
+            closed = self._closed
+            if not closed:
+                self._free.append(handle)
+        if closed:
+            handle.close()
         return content
 
     def _handle(self) -> Handle:

@@ -132,7 +132,11 @@ class Store:
 
 
 class Handle:
-    """A connection to one file, which one thread at a time reads from."""
+    """A connection to one file, which one thread at a time reads from.
+
+    Not by `cat_ranges`: where a server gives all of a file for a part of it, that loads all. For two ranges of 1,000
+    bytes of 300 MB it held 1.2 GB; this refuses after 3 MB.
+    """
 
     def __init__(self, store: Store, file: Any) -> None:
         self._store, self._file = store, file

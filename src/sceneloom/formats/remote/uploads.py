@@ -68,10 +68,6 @@ def check_remote_output(url: str, *, overwrite: bool) -> None:
     """
     output_name(url)
     shown = redacted(url)
-    if urlsplit(url).scheme.lower().split("::")[-1] in {"http", "https"}:
-        raise OutputError(
-            f"{shown}: files are only read from web servers; name a store, such as s3://, gs://, az://"
-        )
     with _told(), faults(url, "", doing="written"):
         there = patiently(lambda: _is_there(open_store(url)))
     if there and not overwrite:

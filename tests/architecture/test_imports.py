@@ -46,7 +46,7 @@ WRAPPERS = {
     "pyarrow": {"formats", "catalog"},
     "duckdb": {"catalog"},
     "fsspec": {"formats"},
-    "scipy": {"checks", "motion", "tracking", "calibrate", "detections", "evaluate"},
+    "scipy": {"cameras", "checks", "motion", "tracking", "calibrate", "detections", "evaluate"},
     "matplotlib": {"report", "evaluate"},
     "jinja2": {"report"},
     "dask": {"batch"},

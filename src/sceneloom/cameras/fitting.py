@@ -9,7 +9,6 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, read_only
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.least_squares import minimised
 from sceneloom.cameras.models import (
     check_camera,
     project_beyond_domain,
@@ -26,6 +25,8 @@ _PERSPECTIVE_COSINE = math.cos(PERSPECTIVE_REACH)
 _PLACES = ("fx", "fy", "cx", "cy")
 _FITTED_GRID, _MEASURED_GRID = (33, 25), (97, 73)
 _NEAR_AXIS = 1e-4
+_ENOUGH = 1e-6
+"""The share of the sum of squares below which a step gains nothing."""
 _PRICE = 200.0
 """A fit that gives up half a percent of the picture, where a polynomial folds, must be twice as good in the rest."""
 _EQUALLY_GOOD_PX = 1e-9
@@ -73,8 +74,8 @@ class Fit:
 def fit(camera: Camera, model: str, *, fixed: Collection[str] = ()) -> Fit:
     """Find the lens of a model that puts what the picture shows nearest to where the exact lens puts it.
 
-    The sum of squared distances over a grid of the picture's pixels is made least, by Levenberg's and Marquardt's
-    method, from the focal length that the lens has on its axis; coefficients are set free group by group.
+    The sum of squared distances over a grid of the picture's pixels is minimised by the Levenberg-Marquardt method,
+    from the focal length that the lens has on its axis; coefficients are set free group by group.
 
     Args:
         camera: the exact lens.
@@ -264,16 +265,29 @@ class _Search:
         return [one for k, one in enumerate(free) if k == 0 or (one != free[k - 1]).any()]
 
     def _fitted(self, numbers: Float64Array, free: BoolArray) -> Float64Array:
+        from scipy.optimize import least_squares
+
         def residuals(values: Float64Array) -> Float64Array:
             trial = numbers.copy()
             trial[free] = values
-            return (self.project(trial) - self.pixels).ravel()
+            off: Float64Array = (self.project(trial) - self.pixels).ravel()
+            return off
 
         if not free.any():
             return numbers
+        least = least_squares(
+            residuals,
+            numbers[free],
+            jac="3-point",
+            # MINPACK asks for as many residuals as values
+            method="lm" if self.pixels.size >= free.sum() else "trf",
+            x_scale="jac",
+            ftol=_ENOUGH,
+            xtol=_ENOUGH**2,
+        )
         found = numbers.copy()
-        scale = np.maximum(np.abs(numbers[free]), np.where(np.arange(len(numbers)) < 4, 1.0, 1e-2)[free])
-        found[free] = minimised(residuals, numbers[free], scale)
+        if np.isfinite(least.x).all():
+            found[free] = least.x
         return found
 
 

@@ -1,9 +1,12 @@
-"""Which box of a sweep and which of a picture are one object."""
+"""Which box of a sweep and which of a picture are one object, and the best assignment of any pairs."""
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.detections.classes import FAMILIES
+from sceneloom.detections.results import NO_BOX
 from sceneloom.kernels import box_overlaps
-from sceneloom.kernels.assignment import best_partners
 
 SAME_FAMILY = 0.8
 """What a pair of boxes is worth whose classes are taken for one another, of one with the same class."""
@@ -59,12 +62,44 @@ def assign(gains: Float64Array) -> tuple[Int64Array, Int64Array]:
     """Pair rows with columns so that the sum of their gains is the largest; pairs without gain are none.
 
     Args:
-        gains: (N, M), 0 or more, finite.
+        gains: (N, M), finite.
 
     Returns:
         (N,) int64, the column of each row, and (M,) int64, the row of each column; NO_BOX for none.
-
-    Source: Crouse 2016, "On implementing 2D rectangular assignment algorithms", solved apart for what hangs together.
     """
-    found: tuple[Int64Array, Int64Array] = best_partners(gains)
-    return found
+    rows, columns = np.nonzero(gains > 0.0)
+    rows, columns = assign_pairs(rows, columns, gains[rows, columns])
+    of_rows, of_columns = (np.full(count, NO_BOX, np.int64) for count in gains.shape)
+    of_rows[rows], of_columns[columns] = columns, rows
+    return of_rows, of_columns
+
+
+def assign_pairs(rows: Int64Array, columns: Int64Array, gains: Float64Array) -> tuple[Int64Array, Int64Array]:
+    """Choose pairs so that the sum of their gains is the largest, and none shares a row or a column.
+
+    Pairs that compete with no other are taken as they are, since SciPy's time grows with the whole table.
+
+    Args:
+        rows, columns: (K,), the pairs that there may be, each once.
+        gains: (K,), of each, finite; what gains nothing is no pair.
+
+    Returns:
+        (P,) int64 rows, rising, and their columns.
+    """
+    worth = gains > 0.0
+    rows, columns, gains = rows[worth], columns[worth], gains[worth]
+    if not len(rows):
+        return rows, columns
+    taken = (np.bincount(rows)[rows] == 1) & (np.bincount(columns)[columns] == 1)
+    rivals = np.flatnonzero(~taken)
+    if len(rivals):
+        first = np.unique(rows[rivals], return_inverse=True)[1]
+        second = np.unique(columns[rivals], return_inverse=True)[1]
+        table = np.zeros((first.max() + 1, second.max() + 1))
+        table[first, second] = gains[rivals]
+        partners = np.full(len(table), -1)
+        chosen, partners_of_chosen = linear_sum_assignment(table, maximize=True)
+        partners[chosen] = partners_of_chosen
+        taken[rivals] = partners[first] == second
+    order = np.argsort(rows[taken])
+    return rows[taken][order], columns[taken][order]

@@ -19,7 +19,6 @@ from typing import NamedTuple
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.kernels.assignment import best_pairs
 from sceneloom.kernels.object_gains import add_gains_in_picture, gains_in_space
 from sceneloom.tracking.population import ByCamera, Population
 from sceneloom.tracking.settings import TrackerSettings
@@ -89,10 +88,3 @@ def candidates(
                 FREEDOM,
             )
     return found
-
-
-def pair(found: Candidates, objects: int, boxes: int) -> tuple[Int64Array, Int64Array]:
-    """Pair objects with boxes, so many there are of each: (K,) rows and columns."""
-    columns = best_pairs(*found, objects, boxes)
-    rows = np.flatnonzero(columns >= 0)
-    return rows, columns[rows]

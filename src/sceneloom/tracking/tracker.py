@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
+from sceneloom.detections.assignment import assign_pairs
 from sceneloom.scene.tracks import Support, TrackedObjects
 from sceneloom.tracking import births, existence, motion, picture_boxes
-from sceneloom.tracking.association import candidates, pair
+from sceneloom.tracking.association import candidates
 from sceneloom.tracking.headings import turn_round
 from sceneloom.tracking.observation import Observation
 from sceneloom.tracking.picture_boxes import has_area
@@ -65,7 +66,7 @@ class Tracker:
         predicted, slopes = _predicted(self._objects, seconds, self.settings)
         foreseen, missed = _foreseen(predicted, observation, self.settings)
         found = candidates(predicted, foreseen, seen, self.settings)
-        rows, columns = pair(found, len(predicted), len(seen))
+        rows, columns = assign_pairs(*found)
         objects = predicted.copied()
         unseen = predicted.hidden + (1.0 - predicted.hidden) * np.exp(missed)
         objects.log_odds += self.settings.trust * np.log(unseen)

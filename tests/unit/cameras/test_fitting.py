@@ -7,7 +7,6 @@ import pytest
 
 from sceneloom.cameras import MODELS, Camera, project_unbounded, unproject
 from sceneloom.cameras.fitting import PERSPECTIVE_REACH, fit, measured_fit, nearest
-from sceneloom.cameras.least_squares import minimised
 from sceneloom.cameras.table import Chart
 from sceneloom.errors import CalibrationError, OptionError
 
@@ -117,20 +116,6 @@ def test_a_lens_of_which_the_model_holds_nothing_is_refused():
         fit(backwards, "pinhole")
 
 
-def test_the_least_sum_of_squares_of_rosenbrocks_valley_is_found():
-    def residuals(values):
-        return np.array([10 * (values[1] - values[0] ** 2), 1 - values[0]])
-
-    assert minimised(residuals, np.array([-1.2, 1.0]), np.ones(2)) == pytest.approx([1.0, 1.0], abs=1e-6)
-
-
-def test_a_search_does_not_step_where_nothing_is_defined():
-    def residuals(values):
-        return np.array([np.sqrt(values[0]) - 3.0]) if values[0] >= 0 else np.array([np.nan])
-
-    assert minimised(residuals, np.array([0.5]), np.ones(1)) == pytest.approx([9.0])
-
-
 HALF_ROUND = Camera(
     "fisheye", 640, 480, 230.0, 230.0, 319.5, 239.5, (0.02, -0.004)
 )  # 97 degrees at its corners
@@ -181,13 +166,6 @@ def test_a_fit_is_told_in_words():
     found = fit(ALL_AROUND, "brown_conrady")
     assert found.message(ALL_AROUND).startswith("fisheye lens told as brown_conrady, off by up to ")
     assert found.message(ALL_AROUND).endswith(" % of the picture cannot be held")
-
-
-def test_a_value_that_changes_nothing_stays():
-    def residuals(values):
-        return np.array([values[0] - 2.0, values[0] + 1.0])
-
-    assert minimised(residuals, np.array([0.0, 7.0]), np.ones(2)) == pytest.approx([0.5, 7.0])
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,9 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+from scipy.optimize import linear_sum_assignment
 
-from sceneloom.detections.assignment import ONE_UNKNOWN, SAME_FAMILY, SURER, assign, pair_gains
+from sceneloom.detections.assignment import ONE_UNKNOWN, SAME_FAMILY, SURER, assign, assign_pairs, pair_gains
 from sceneloom.detections.classes import numbers_of
 from sceneloom.detections.results import NO_BOX
 
@@ -77,3 +78,18 @@ def test_a_box_that_is_worth_nothing_to_any_other_stays_alone():
     partners, takers = assign(np.array([[0.0, 0.0], [0.9, 0.8]]))
     assert partners.tolist() == [NO_BOX, 0]
     assert takers.tolist() == [1, NO_BOX]
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.5])
+def test_pairs_without_rivals_are_assigned_as_in_the_whole_table(share):
+    rng = np.random.default_rng(3)
+    for _ in range(100):
+        shape = rng.integers(1, 40, 2)
+        gains = np.where(rng.random(shape) < share, rng.normal(0.5, 0.5, shape), 0.0)
+        rows, columns = linear_sum_assignment(np.maximum(gains, 0.0), maximize=True)
+        expected = [(i, j) for i, j in zip(rows, columns, strict=True) if gains[i, j] > 0]
+        found = assign_pairs(*np.nonzero(gains), gains[gains != 0])
+        assert list(zip(*found, strict=True)) == expected
+        of_rows, of_columns = assign(gains)
+        assert [(i, j) for i, j in enumerate(of_rows) if j != NO_BOX] == expected
+        assert sorted((i, j) for j, i in enumerate(of_columns) if i != NO_BOX) == expected

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from sceneloom.kernels.assignment import best_columns, best_pairs, best_partners
+from sceneloom.kernels.assignment import best_columns
 
 
 def columns_by_scipy(gains: np.ndarray) -> np.ndarray:
@@ -37,22 +37,3 @@ def test_a_large_table_is_assigned_as_by_scipy(shape):
 def test_a_table_without_columns_pairs_nothing():
     assert best_columns(np.zeros((3, 0))).tolist() == [-1, -1, -1]
     assert best_columns(np.zeros((0, 3))).tolist() == []
-
-
-@pytest.mark.parametrize("share", [0.02, 0.1, 0.5])
-def test_pairs_that_hang_together_are_assigned_as_the_whole_table_is(share):
-    rng = np.random.default_rng(3)
-    for _ in range(100):
-        shape = tuple(rng.integers(1, 40, 2))
-        gains = np.where(rng.random(shape) < share, rng.normal(0.5, 0.5, shape), 0.0)
-        rows, columns = map(np.ascontiguousarray, np.nonzero(gains))
-        found = best_pairs(rows, columns, gains[rows, columns], *shape)
-        expected = columns_by_scipy(np.maximum(gains, 0.0))
-        of_none = gains[np.arange(shape[0]), expected] <= 0.0
-        expected[of_none] = -1
-        assert found.tolist() == expected.tolist()
-        of_rows, of_columns = best_partners(gains)
-        assert of_rows.tolist() == expected.tolist()
-        paired = np.flatnonzero(expected >= 0)
-        assert of_columns[expected[paired]].tolist() == paired.tolist()
-        assert (of_columns >= 0).sum() == len(paired)

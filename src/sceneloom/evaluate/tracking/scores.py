@@ -8,11 +8,11 @@ from collections.abc import Sequence
 
 import msgspec
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from sceneloom.arrays import Float64Array
 from sceneloom.evaluate.tracking.protocol import ScoredSequence
 from sceneloom.kernels import track_scores
-from sceneloom.kernels.assignment import best_columns
 
 ALPHAS = tuple(k / 100 for k in range(5, 100, 5))
 """The similarities from which HOTA takes two boxes for one object."""
@@ -222,9 +222,7 @@ def score_identity(sequence: ScoredSequence, *, least_similarity: float = 0.5) -
             least_similarity,
         )
         # fewest boxes missed and false is the same as most boxes together, since their sums are given
-        partners = best_columns(together)
-        paired = partners >= 0
-        idtp = int(together[paired, partners[paired]].sum())
+        idtp = int(together[linear_sum_assignment(together, maximize=True)].sum())
     return _identity(idtp, len(sequence.true_ids) - idtp, len(sequence.found_ids) - idtp)
 
 

@@ -20,10 +20,9 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.detections import DetectionPair
 from sceneloom.detections.assignment import assign, pair_gains
 from sceneloom.detections.classes import numbers_of
-from sceneloom.detections.outlines import project_outlines
+from sceneloom.detections.outlines import boxes_with_place, project_outlines
 from sceneloom.detections.projection import fuse_by_projection
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.kernels.sound_boxes import boxes_with_place
 from sceneloom.scene.detections import Boxes2D, Boxes3D
 
 CAMERA = Camera("brown_conrady", 1920, 1080, 1100.0, 1100.0, 959.5, 539.5, (-0.1, 0.02, 5e-4, -3e-4, 1e-3))

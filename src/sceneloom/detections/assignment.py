@@ -93,8 +93,7 @@ def assign_pairs(rows: Int64Array, columns: Int64Array, gains: Float64Array) -> 
     taken = (np.bincount(rows)[rows] == 1) & (np.bincount(columns)[columns] == 1)
     rivals = np.flatnonzero(~taken)
     if len(rivals):
-        first = np.unique(rows[rivals], return_inverse=True)[1]
-        second = np.unique(columns[rivals], return_inverse=True)[1]
+        first, second = _renumbered(rows[rivals]), _renumbered(columns[rivals])
         table = np.zeros((first.max() + 1, second.max() + 1))
         table[first, second] = gains[rivals]
         partners = np.full(len(table), -1)
@@ -103,3 +102,9 @@ def assign_pairs(rows: Int64Array, columns: Int64Array, gains: Float64Array) -> 
         taken[rivals] = partners[first] == second
     order = np.argsort(rows[taken])
     return rows[taken][order], columns[taken][order]
+
+
+def _renumbered(numbers: Int64Array) -> Int64Array:
+    """Number what is there from 0 without gaps, in the same order."""
+    found: Int64Array = (np.cumsum(np.bincount(numbers) > 0) - 1)[numbers]
+    return found

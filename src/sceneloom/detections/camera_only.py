@@ -6,12 +6,13 @@ heights differ within a class is how little is known of that distance; across th
 
 from typing import NamedTuple
 
-from sceneloom.arrays import Float64Array, Int64Array
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import unproject
 from sceneloom.detections.classes import SIZES
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.kernels import height_placing
 from sceneloom.visibility.outlines import CENTRE_TO_CORNER
 
 EDGES = (0.05, 2.0)
@@ -20,6 +21,19 @@ BORDER_PX = 2.0
 """A box that comes so near to the border of the picture may be cut there [px]."""
 _CUT_SIGMA = 0.5
 """Deviation of the distance of what the picture cuts at top or bottom, as a share of it."""
+
+
+_RAYS: Float64Array = read_only(
+    np.array(
+        [
+            [0.5, 0.0, 0.5, 0.0, 0.5, 0.0, 1.0, 0.0, 0.0, 0.0],
+            [0.0, 0.5, 0.0, 1.0, 0.0, 0.0, 0.0, 0.5, 0.0, 0.5],
+            [0.5, 0.0, 0.5, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0, 0.0],
+            [0.0, 0.5, 0.0, 0.0, 0.0, 1.0, 0.0, 0.5, 0.0, 0.5],
+        ]
+    )
+)
+"""From the edges of a box to five pixels: the middle, those of its top and bottom, those of its left and right."""
 
 
 class Placed(NamedTuple):
@@ -58,17 +72,29 @@ def place_by_height(
         rows: (L,) int64, which of them are asked for.
         kinds: (M,) int64, of `classes.table_rows`.
     """
-    rays = unproject(camera, height_placing.ray_places(corners_xyxy, rows, CENTRE_TO_CORNER))
+    boxes = corners_xyxy[rows]
+    pixels = (boxes @ _RAYS).reshape(-1, 2) - CENTRE_TO_CORNER
+    rays = unproject(camera, pixels).reshape(len(rows), 5, 3)
+    chords = rays[:, 1::2] - rays[:, 2::2]
+    angles = 2.0 * np.arcsin(np.minimum(np.sqrt((chords * chords).sum(axis=2)) / 2.0, 1.0))
+    seen = np.isfinite(rays).all(axis=(1, 2)) & (angles[:, 0] > 0.0)
+    rows, boxes, sizes = rows[seen], boxes[seen], SIZES[kinds[rows[seen]]]
+    angle_upright, angle_across = angles[seen].T
+    distances = sizes[:, 2] / (2.0 * np.tan(np.minimum(angle_upright, 3.0) / 2.0)) + sizes[:, 1] / 2.0
+    # variances along the ray and across, as shares of the distance squared
+    upright = (EDGES[0] + EDGES[1] / (boxes[:, 3] - boxes[:, 1])) ** 2
+    sideways = (EDGES[0] + EDGES[1] / (boxes[:, 2] - boxes[:, 0])) ** 2
+    cut = (boxes[:, 1] < BORDER_PX) | (boxes[:, 3] > camera.height - BORDER_PX)
+    along = (sizes[:, 5] / sizes[:, 2]) ** 2 + 2.0 * upright + np.where(cut, _CUT_SIGMA**2, 0.0)
+    across = np.maximum(sideways * angle_across**2, upright * angle_upright**2)
+    rays_lidar = rays[seen, 0] @ camera_from_lidar.rotation
+    outer = rays_lidar[:, :, None] * rays_lidar[:, None]
+    shares = across[:, None, None] * np.eye(3) + (along - across)[:, None, None] * outer
     return Placed(
-        *height_placing.place_by_height(
-            corners_xyxy,
-            rows,
-            rays,
-            kinds,
-            SIZES,
-            camera_from_lidar.rotation,
-            camera_from_lidar.translation,
-            float(camera.height),
-            (*EDGES, BORDER_PX, _CUT_SIGMA),
-        )
+        rows,
+        distances[:, None] * rays_lidar - camera_from_lidar.translation @ camera_from_lidar.rotation,
+        distances[:, None, None] ** 2 * shares,
+        sizes[:, :3],
+        sizes[:, 3:, None] ** 2 * np.eye(3),
+        distances,
     )

@@ -1,7 +1,8 @@
 """Headings that are turned by half a circle, repaired by the motion of the object."""
 
+import numpy as np
+
 from sceneloom.arrays import Float64Array
-from sceneloom.kernels.turned_headings import turn_backward
 
 FASTEST_BACKWARDS = 3.0
 """What moves faster than this moves forward [m/s]: cars leave parking places at 1 to 2 m/s."""
@@ -20,5 +21,8 @@ def turn_with_motion(yaws: Float64Array, velocities: Float64Array | None) -> Flo
     """
     if velocities is None or not len(yaws):
         return yaws
-    turned: Float64Array = turn_backward(yaws, velocities, FASTEST_BACKWARDS, _AGAINST)
-    return turned
+    east, north = velocities[:, 0], velocities[:, 1]
+    with np.errstate(invalid="ignore"):
+        speeds, along = np.hypot(east, north), east * np.cos(yaws) + north * np.sin(yaws)
+        backward = (speeds > FASTEST_BACKWARDS) & (along < _AGAINST * speeds)
+        return np.where(backward, (yaws + 2.0 * np.pi) % (2.0 * np.pi) - np.pi, yaws)

@@ -1,21 +1,50 @@
-"""Where the boxes of a sweep lie in a picture."""
+"""Which boxes have finite numbers, and where those of a sweep lie in a picture."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array
+from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels.box_overlaps import hide_covered
-from sceneloom.kernels.upright_boxes import place_upright_boxes
 from sceneloom.visibility.outlines import COARSE, box_extents
 
 _NEAR = 0.05
 """A box nearer to the camera than this holds it, and has no outline [m]."""
 _APART = 1.5
 """Boxes whose middles are nearer to each other than this along the sight stand for one thing, and hide no other [m]."""
+
+
+def boxes_with_place(
+    centers: Float64Array, sizes: Float64Array, yaws: Float64Array
+) -> tuple[Float64Array, Int64Array]:
+    """Take those boxes in space that have finite numbers, and sizes above 0.
+
+    Args:
+        centers, sizes: (N, 3) [m].
+        yaws: (N,) [rad].
+
+    Returns:
+        (M, 7) float64, middle, size and heading of those, and (M,) int64, which they are.
+    """
+    boxes = np.column_stack([centers, sizes, yaws])
+    rows = np.flatnonzero(np.isfinite(boxes).all(axis=1) & (boxes[:, 3:6] > 0.0).all(axis=1))
+    return boxes[rows], rows
+
+
+def boxes_with_area(corners: Float64Array) -> tuple[Float64Array, Int64Array]:
+    """Take those boxes in a picture that have finite edges, right and lower ones beyond left and upper ones.
+
+    Args:
+        corners: (N, 4) [px], left, upper, right and lower edge.
+
+    Returns:
+        (M, 4) float64 [px], their edges, and (M,) int64, which they are.
+    """
+    rows = np.flatnonzero(np.isfinite(corners).all(axis=1) & (corners[:, 2:] > corners[:, :2]).all(axis=1))
+    return corners[rows], rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,9 +82,18 @@ def project_outlines(
     Raises:
         CalibrationError: the lens is unknown.
     """
-    axes, corners, distances, gaps = place_upright_boxes(
-        boxes, CORNER_SIGNS, camera_from_lidar.rotation, camera_from_lidar.translation
-    )
+    rotation, halves = camera_from_lidar.rotation, boxes[:, 3:6] / 2.0
+    turns = np.zeros((len(boxes), 3, 3))
+    turns[:, 0, 0] = turns[:, 1, 1] = np.cos(boxes[:, 6])
+    turns[:, 1, 0] = np.sin(boxes[:, 6])
+    turns[:, 0, 1] = -turns[:, 1, 0]
+    turns[:, 2, 2] = 1.0
+    axes = rotation @ turns
+    middles = boxes[:, :3] @ rotation.T + camera_from_lidar.translation
+    corners = middles[:, None] + (CORNER_SIGNS * halves[:, None]) @ axes.transpose(0, 2, 1)
+    distances = np.sqrt((middles * middles).sum(axis=1))
+    outside = np.maximum(np.abs((middles[:, None] @ axes)[:, 0]) - halves, 0.0)
+    gaps = np.sqrt((outside * outside).sum(axis=1))
     extents, shares = box_extents(camera, corners, steps=COARSE)
     hide_covered(
         extents, shares, distances, gaps, np.ones(len(boxes)) if likely is None else likely, _NEAR, _APART

@@ -26,14 +26,13 @@ from sceneloom.detections.camera_only import Placed, place_by_height
 from sceneloom.detections.classes import numbers_of, says_nothing, table_rows
 from sceneloom.detections.frustum import place_by_points
 from sceneloom.detections.headings import turn_with_motion
-from sceneloom.detections.noise import picture_sigmas
-from sceneloom.detections.outlines import Outlines, project_outlines
+from sceneloom.detections.noise import box_covariances, picture_sigmas, widen_agreed
+from sceneloom.detections.outlines import Outlines, boxes_with_area, boxes_with_place, project_outlines
 from sceneloom.detections.refinement import refine
 from sceneloom.detections.results import NO_BOX, DetectionPair, FusedBoxes
 from sceneloom.detections.settings import ProjectionSettings, Tables, tables_of
 from sceneloom.errors import OptionError
-from sceneloom.kernels import existence_odds, fused_columns, sound_boxes
-from sceneloom.kernels.box_noise import box_covariances, widen_agreed
+from sceneloom.kernels import existence_odds
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
 from sceneloom.scene.types import PointsFrame
 
@@ -111,7 +110,7 @@ class _Seen(NamedTuple):
     """The boxes of one detector that have a place.
 
     Attributes:
-        numbers: (N, 7) float64 of `sound_boxes.boxes_with_place`, or (N, 4) of `sound_boxes.boxes_with_area`.
+        numbers: (N, 7) float64 of `outlines.boxes_with_place`, or (N, 4) of `outlines.boxes_with_area`.
         rows: (N,) int64, which of the detector's boxes these are.
         labels: N classes.
         classes: (N,) int64 of `classes.numbers_of`.
@@ -133,8 +132,8 @@ class _Seen(NamedTuple):
 
 def _seen(pair: DetectionPair, table: Float64Array) -> tuple[_Seen, _Seen]:
     three, two = pair.boxes_3d, pair.boxes_2d
-    boxes, rows_3d = sound_boxes.boxes_with_place(three.centers, three.sizes_lwh, three.yaws)
-    corners, rows_2d = sound_boxes.boxes_with_area(two.corners_xyxy)
+    boxes, rows_3d = boxes_with_place(three.centers, three.sizes_lwh, three.yaws)
+    corners, rows_2d = boxes_with_area(two.corners_xyxy)
     labels_3d, labels_2d = _some(three.labels, rows_3d), _some(two.labels, rows_2d)
     classes_3d, classes_2d = numbers_of(labels_3d, labels_2d)
     return (
@@ -246,29 +245,31 @@ def _joined(
     degrees_of_freedom: float,
 ) -> FusedBoxes:
     """The objects of the sweep, then those of the picture alone."""
-    places = fused_columns.join_places(sweep.numbers, spread.covariances, *placed[1:5])
-    centers, center_covariances, sizes, size_covariances, yaws = places
-    corners, rows_3d, rows_2d = fused_columns.join_sources(
-        outlines.corners_xyxy, sweep.rows, partners, picture.numbers, picture.rows, placed.rows, NO_BOX
-    )
+    count, spreads = len(placed.rows), spread.covariances
+    sources = np.concatenate([partners, placed.rows])
+    shown = np.flatnonzero(sources != NO_BOX)
+    corners = np.concatenate([outlines.corners_xyxy, np.empty((count, 4))])
+    corners[shown] = picture.numbers[sources[shown]]
+    rows_2d = np.full(len(sources), NO_BOX)
+    rows_2d[shown] = picture.rows[sources[shown]]
+    yaws = np.concatenate([sweep.numbers[:, 6], np.zeros(count)])
     velocities = pair.boxes_3d.velocities
-    of_yaws = np.concatenate([spread.of_yaws, np.full(len(placed.rows), _ANY_YAW)])
     if velocities is not None:
-        velocities = np.concatenate([velocities[sweep.rows], np.zeros((len(placed.rows), 3))])
+        velocities = np.concatenate([velocities[sweep.rows], np.zeros((count, 3))])
     return FusedBoxes(
         timestamp_ns=pair.boxes_3d.timestamp_ns,
-        centers=centers,
-        center_covariances=center_covariances,
-        sizes_lwh=sizes,
-        size_covariances=size_covariances,
+        centers=np.concatenate([sweep.numbers[:, :3], placed.centers]),
+        center_covariances=np.concatenate([spreads[:, :3, :3], placed.center_covariances]),
+        sizes_lwh=np.concatenate([sweep.numbers[:, 3:6], placed.sizes_lwh]),
+        size_covariances=np.concatenate([spreads[:, 3:, 3:], placed.size_covariances]),
         yaws=turn_with_motion(yaws, velocities),
         velocities=velocities,
         scores=scores,
         labels=labels,
         corners_xyxy=corners,
         ids=np.arange(len(labels)),
-        rows_3d=rows_3d,
+        rows_3d=np.concatenate([sweep.rows, np.full(count, NO_BOX)]),
         rows_2d=rows_2d,
-        yaw_variances=of_yaws,
+        yaw_variances=np.concatenate([spread.of_yaws, np.full(count, _ANY_YAW)]),
         degrees_of_freedom=degrees_of_freedom,
     )

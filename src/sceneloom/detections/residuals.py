@@ -23,9 +23,8 @@ from sceneloom.detections.common_turn import (
     turn_slopes,
     voted_turn,
 )
-from sceneloom.detections.outlines import project_outlines
+from sceneloom.detections.outlines import boxes_with_area, boxes_with_place, project_outlines
 from sceneloom.detections.results import DetectionPair
-from sceneloom.kernels import sound_boxes
 from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.visibility.outlines import CENTRE_TO_CORNER
 
@@ -160,8 +159,8 @@ class BoxResiduals:
 def _couples(pair: DetectionPair) -> Float64Array:
     """Couples of boxes that may be one object, (C, 5): x, y and offsets Δx, Δy of tangents, and what fits."""
     three, two, camera = pair.boxes_3d, pair.boxes_2d, pair.camera
-    boxes, rows_3d = sound_boxes.boxes_with_place(three.centers, three.sizes_lwh, three.yaws)
-    corners, rows_2d = sound_boxes.boxes_with_area(two.corners_xyxy)
+    boxes, rows_3d = boxes_with_place(three.centers, three.sizes_lwh, three.yaws)
+    corners, rows_2d = boxes_with_area(two.corners_xyxy)
     classes_3d, classes_2d = numbers_of(
         [three.labels[k] for k in rows_3d.tolist()], [two.labels[k] for k in rows_2d.tolist()]
     )

@@ -59,7 +59,7 @@ class Tables(NamedTuple):
 
     Attributes:
         existence: columns of `kernels.existence_odds`.
-        noise: columns of `kernels.box_noise`.
+        noise: columns of `noise`.
         degrees_of_freedom: of errors.
     """
 

@@ -4,8 +4,7 @@ import numpy as np
 
 from sceneloom.detections.classes import KINDS
 from sceneloom.detections.independent import CENTER_SIGMAS, SIZE_SIGMAS, independent_detectors
-from sceneloom.detections.noise import noise_table
-from sceneloom.kernels.box_noise import box_covariances
+from sceneloom.detections.noise import box_covariances, noise_table
 
 NOISE = noise_table(independent_detectors())
 YAWS = np.array([0.4, -2.0, 1.0, 0.2])

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.detections.outlines import project_outlines
+from sceneloom.detections.outlines import boxes_with_area, boxes_with_place, project_outlines
 from sceneloom.geometry.rigid import RigidTransform
 
 LENS = (-0.12, 0.03, 5e-4, -3e-4, -2e-3)
@@ -78,3 +78,29 @@ def test_what_stands_behind_a_nearer_box_is_seen_less():
     assert doubtful[1] == pytest.approx(0.8, abs=0.02)
     twice = boxes_of([[20.3, 0.5, 0], [20.5, 0, 0]], sizes, [0.0, 0.0])
     assert project_outlines(CAMERA, CAMERA_FROM_LIDAR, twice).seen_shares[1] == 1.0
+
+
+ODD = (0.0, -1.0, np.nan, np.inf, -np.inf)
+
+
+def test_boxes_have_a_place_where_all_numbers_are_finite_and_sizes_above_0():
+    numbers = np.ones((1 + 7 * len(ODD), 7))
+    for k, (column, value) in enumerate((column, value) for column in range(7) for value in ODD):
+        numbers[k + 1, column] = value
+    expected = np.isfinite(numbers).all(axis=1) & (numbers[:, 3:6] > 0).all(axis=1)
+    parts = (np.ascontiguousarray(numbers[:, part]) for part in (slice(0, 3), slice(3, 6), 6))
+    boxes, rows = boxes_with_place(*parts)
+    np.testing.assert_array_equal(rows, np.flatnonzero(expected))
+    np.testing.assert_array_equal(boxes, numbers[expected])
+    assert 0 < expected.sum() < len(expected)
+
+
+def test_boxes_have_an_area_where_all_edges_are_finite_and_in_order():
+    corners = np.tile([10.0, 20, 30, 40], (1 + 4 * 6, 1))
+    for k, (column, value) in enumerate((column, value) for column in range(4) for value in (*ODD, 30.0)):
+        corners[k + 1, column] = value
+    expected = np.isfinite(corners).all(axis=1) & (corners[:, 2:] > corners[:, :2]).all(axis=1)
+    boxes, rows = boxes_with_area(corners)
+    np.testing.assert_array_equal(rows, np.flatnonzero(expected))
+    np.testing.assert_array_equal(boxes, corners[expected])
+    assert 0 < expected.sum() < len(expected)

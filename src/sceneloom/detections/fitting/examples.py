@@ -11,9 +11,9 @@ from sceneloom.detections.assignment import assign, pair_gains
 from sceneloom.detections.classes import numbers_of, table_rows
 from sceneloom.detections.existence import existence_table
 from sceneloom.detections.independent import independent_detectors
-from sceneloom.detections.outlines import Outlines, project_outlines
+from sceneloom.detections.outlines import Outlines, boxes_with_area, boxes_with_place, project_outlines
 from sceneloom.detections.results import NO_BOX, DetectionPair
-from sceneloom.kernels import existence_odds, sound_boxes
+from sceneloom.kernels import existence_odds
 from sceneloom.kernels.upright_overlaps import overlaps_in_space
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
 
@@ -157,8 +157,8 @@ def _example(
 ) -> tuple[Prepared, SweepColumns, PictureColumns]:
     pair = example.pair
     three, two = pair.boxes_3d, pair.boxes_2d
-    boxes, rows_3d = sound_boxes.boxes_with_place(three.centers, three.sizes_lwh, three.yaws)
-    corners, rows_2d = sound_boxes.boxes_with_area(two.corners_xyxy)
+    boxes, rows_3d = boxes_with_place(three.centers, three.sizes_lwh, three.yaws)
+    corners, rows_2d = boxes_with_area(two.corners_xyxy)
     labels_3d, labels_2d = _some(three.labels, rows_3d), _some(two.labels, rows_2d)
     classes_3d, classes_2d = numbers_of(labels_3d, labels_2d)
     kinds_3d, kinds_2d = table_rows(classes_3d), table_rows(classes_2d)

@@ -11,9 +11,15 @@ from sceneloom.detections.classes import KINDS
 from sceneloom.detections.detectors import BoxNoise, Detectors, PictureNoise, Told
 from sceneloom.detections.fitting.examples import Columns, SweepColumns
 from sceneloom.detections.fitting.regression import fit_deviations, weighted_quantile
-from sceneloom.detections.noise import noise_table, picture_sigmas, radius_squared
+from sceneloom.detections.noise import (
+    NEAREST,
+    USUAL,
+    box_covariances,
+    noise_table,
+    picture_sigmas,
+    radius_squared,
+)
 from sceneloom.detections.refinement import refine
-from sceneloom.kernels.box_noise import NEAREST, USUAL, box_covariances
 
 _LEVEL = 0.95
 _LEAST_ERRORS = 30

@@ -9,7 +9,6 @@ from sceneloom.arrays import AnyArray, Float32Array, UInt32Array
 from sceneloom.fusion.messages.columns import Column, ColumnChecks, settle_classes
 from sceneloom.fusion.messages.tables import BOX_2D, BOX_3D, BOXES_2D, BOXES_3D, Table
 from sceneloom.fusion.messages.timestamps import Timestamp
-from sceneloom.kernels.number_checks import first_zero, in_order
 
 COLUMNS_3D = (
     Column("id", ("id",), np.int32),
@@ -132,9 +131,9 @@ class Boxes3d:
         BOXES_3D.settle(self)
         count = _CHECKS_3D.settle(self)
         settle_classes(self, BOX_3D, count, group="boxes")
-        headless = first_zero(self.directions)
-        if headless >= 0:
-            place = f"boxes[{headless}].direction"
+        heads = self.directions.any(axis=1)
+        if not heads.all():
+            place = f"boxes[{int(np.argmin(heads))}].direction"
             raise BOX_3D.fault(place, "(0.0, 0.0, 0.0); expected a vector other than 0")
 
     @classmethod
@@ -309,8 +308,6 @@ def check_corners(table: Table, corners_xyxy: UInt32Array, *, group: str) -> Non
     Raises:
         DataError: a right edge is before the left one, or a lower edge above the upper one.
     """
-    if in_order(corners_xyxy):
-        return
     for name, first, second in (("x2", 0, 2), ("y2", 1, 3)):
         wrong = corners_xyxy[:, second] < corners_xyxy[:, first]
         if wrong.any():

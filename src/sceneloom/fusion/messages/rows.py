@@ -12,7 +12,6 @@ from sceneloom.errors import DataError
 from sceneloom.fusion.messages.basic_types import INTEGER_RANGES, BasicType, check_basic, shown
 from sceneloom.fusion.messages.timestamps import Timestamp
 from sceneloom.fusion.messages.value_types import ValueForm, ValueType
-from sceneloom.kernels.number_checks import all_within
 
 TIME = "uint32. uint32"
 """How the standard writes the type of a time stamp."""
@@ -28,8 +27,6 @@ ARRAY_DTYPES: Mapping[str, np.dtype[Any]] = {"uint8[]": np.dtype(np.uint8), "flo
 
 _FEW = 1000
 """Of fewer numbers it is quicker to look at each than for the smallest and the largest."""
-
-_SMALL_CHECKED = frozenset(map(np.dtype, (np.float32, np.int32, np.uint32)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,10 +158,6 @@ class Row:
         """Whether all numbers of an array are finite and in the range of this field."""
         if values.size == 0:
             return True
-        if values.size < _FEW and values.dtype in _SMALL_CHECKED:
-            low = -math.inf if self.low is None else self.low
-            high = math.inf if self.high is None else self.high
-            return bool(all_within(values.ravel(), low, high, self.above))
         broken = values.dtype.kind == "f"
         if self.low is None and self.high is None and (not broken or values.size < _FEW):
             return not broken or bool(np.isfinite(values).all())

@@ -7,7 +7,6 @@ from sceneloom.errors import OptionError
 from sceneloom.fusion.messages.basic_types import INTEGER_RANGES, BasicType
 from sceneloom.fusion.messages.boxes import Boxes2d, Boxes3d
 from sceneloom.fusion.messages.timestamps import Timestamp
-from sceneloom.kernels.sent_boxes import upright_boxes
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
 from sceneloom.scene.types import Identifier, PointsFrame
 
@@ -21,24 +20,23 @@ def boxes_3d_of(record: Boxes3d, *, sensor_id: Identifier | None = None) -> Boxe
     Args:
         sensor_id: the lidar in the scene; None for the record's own number.
     """
-    vectors = _NO_VECTORS if record.velocity_vectors is None else record.velocity_vectors
-    centers, sizes_lwh, yaws, velocities = upright_boxes(
-        record.centers, record.sizes_lwh, record.directions, record.velocities, vectors
-    )
+    directions = record.directions.astype(np.float64)
+    if record.velocity_vectors is None:
+        along = record.velocities / np.sqrt((directions * directions).sum(axis=1))
+        velocities = directions * along[:, None]
+    else:
+        velocities = record.velocity_vectors.astype(np.float64)
     return Boxes3D(
         record.timestamp.nanoseconds,
-        centers,
-        sizes_lwh,
-        yaws,
+        record.centers.astype(np.float64),
+        record.sizes_lwh.astype(np.float64),
+        np.arctan2(directions[:, 1], directions[:, 0]),
         record.confidence.astype(np.float64),
         record.class_names,
         velocities=velocities,
         ids=record.id.astype(np.int64),
         sensor_id=record.sensor_id if sensor_id is None else sensor_id,
     )
-
-
-_NO_VECTORS = np.zeros((0, 3), np.float32)
 
 
 def boxes_3d_record(boxes: Boxes3D, *, sensor_id: int, seq: int) -> Boxes3d:

@@ -55,7 +55,7 @@ WRAPPERS = {
     "grpc": {"service"},
     "grpc_health": {"service"},
     "grpc_reflection": {"service"},
-    "mcap": {"service"},
+    "mcap": {"formats", "service"},
     "lz4": {"formats"},
     "rosbags": {"formats"},
     "ruamel": {"formats"},

@@ -11,8 +11,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.errors import OutputError
-from sceneloom.formats.mcap.notes import SAMPLE_SCHEMA
-from sceneloom.formats.mcap.schemas import foxglove_type, serialised
+from sceneloom.formats.mcap.schemas import SAMPLE_SCHEMA, foxglove_type, serialised
 from sceneloom.formats.topics.records import (
     AnyRecord,
     Boxes2DRecord,

@@ -9,8 +9,14 @@ import msgspec
 
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.mcap.foxglove_writing import encode
-from sceneloom.formats.mcap.notes import NOTES, NOTES_KEY, SAMPLE_JSON, SAMPLE_SCHEMA
-from sceneloom.formats.mcap.schemas import foxglove_type, schema_bytes
+from sceneloom.formats.mcap.schemas import (
+    NOTES,
+    NOTES_KEY,
+    SAMPLE_JSON,
+    SAMPLE_SCHEMA,
+    foxglove_type,
+    schema_bytes,
+)
 from sceneloom.formats.mcap.writer import McapWriter
 from sceneloom.formats.output import replacing
 from sceneloom.formats.topics.dialect import Dialect

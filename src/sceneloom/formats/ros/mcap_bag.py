@@ -7,8 +7,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.mcap.index import Entries, McapIndex, read_index
-from sceneloom.formats.mcap.messages import McapMessages
+from sceneloom.formats.mcap.index import McapIndex, read_index
 from sceneloom.formats.ros.bags import Connection, full_type
 from sceneloom.formats.topics.file_bytes import FileBytes
 
@@ -26,16 +25,15 @@ class McapBag:
         Raises:
             DataError: the file was not finished, is cut off or damaged; a lenient reading takes what is whole.
         """
-        self._file = FileBytes(path)
+        file = FileBytes(path)
         try:
-            index = read_index(self._file, ledger)
+            index = read_index(file, ledger)
         except BaseException:
-            self._file.close()
+            file.close()
             raise
-        self._messages = McapMessages.of(index)
-        channels = [*index.channels.values()]
-        self.connections = tuple(_connection(index, channel.id) for channel in channels)
-        self._entries: tuple[Entries, ...] = tuple(index.entries(channel.id) for channel in channels)
+        self._messages = index.messages
+        self.connections = tuple(_connection(index, number) for number in index.channels)
+        self._entries = [index.messages.entries(number) for number in index.channels]
 
     def received(self, number: int) -> Int64Array:
         """When the messages of a connection were recorded."""
@@ -52,13 +50,13 @@ class McapBag:
 
     def close(self) -> None:
         """Release the file."""
-        self._file.close()
+        self._messages.file.close()
 
 
 def _connection(index: McapIndex, number: int) -> Connection:
     channel = index.channels[number]
     schema = index.schemas.get(channel.schema_id)
     if schema is None:
-        return Connection(channel.topic, "", "", "", channel.encoding)
+        return Connection(channel.topic, "", "", "", channel.message_encoding)
     text = schema.data.decode("utf-8", "replace")
-    return Connection(channel.topic, full_type(schema.name), text, schema.encoding, channel.encoding)
+    return Connection(channel.topic, full_type(schema.name), text, schema.encoding, channel.message_encoding)

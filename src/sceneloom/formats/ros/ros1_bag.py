@@ -3,7 +3,6 @@
 Source: wiki.ros.org/Bags/Format/2.0.
 """
 
-import bz2
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,10 +13,8 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.mcap.compression import check_ratio
-from sceneloom.formats.mcap.compression import decompress as decompress_lz4
 from sceneloom.formats.ros.bags import Connection, full_type
-from sceneloom.formats.topics.chunks import ChunkPlace, Chunks
+from sceneloom.formats.topics.chunks import Chunk, ChunkedMessages
 from sceneloom.formats.topics.file_bytes import FileBytes
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -25,7 +22,6 @@ MAGIC = b"#ROSBAG V2.0\n"
 
 _MESSAGE, _BAG, _INDEX, _CHUNK, _CONNECTION = 0x02, 0x03, 0x04, 0x05, 0x07
 _LONGEST_HEAD = 1 << 20
-_LARGEST_CHUNK = 1 << 31
 _HEAD_ROOM = 512
 
 Fields = dict[str, bytes]
@@ -61,9 +57,8 @@ class Ros1Bag:
             DataError: the bag was not closed, is cut off or damaged; a lenient reading takes what is whole.
         """
         self._file = FileBytes(path)
-        self._places: list[ChunkPlace] = []
+        self._messages = ChunkedMessages(self._file, _message_at, _HEAD_ROOM)
         self._found: dict[int, Connection] = {}
-        self._rows: dict[int, list[Int64Array]] = {}
         self._indexed = True
         try:
             self._check_beginning()
@@ -73,11 +68,7 @@ class Ros1Bag:
             raise
         numbers = sorted(self._found)
         self.connections = tuple(self._found[number] for number in numbers)
-        self._entries = [
-            np.concatenate(rows) if (rows := self._rows.get(number)) else np.zeros((0, 3), np.int64)
-            for number in numbers
-        ]
-        self._chunks = Chunks(self._file, self._places, decompress)
+        self._entries = [self._messages.entries(number) for number in numbers]
 
     def _check_beginning(self) -> None:
         if self._file.read_up_to(0, len(MAGIC)) != MAGIC:
@@ -131,11 +122,8 @@ class Ros1Bag:
         elif record.op == _CHUNK:
             self._look_into_last(ledger)
             compression = record.fields.get("compression", b"none").decode("ascii", "replace")
-            full_size = record.number("size")
-            if full_size > _LARGEST_CHUNK:
-                raise DataError(self._file.path, f"byte {record.start}", f"a chunk of {full_size} bytes")
-            plain = "" if compression == "none" else compression
-            self._places.append(ChunkPlace(record.start, record.size, full_size, plain))
+            name = "" if compression == "none" else compression
+            self._messages.add_chunk(Chunk(record.start, record.size, record.number("size"), name))
             self._indexed = False
 
     def _add_connection(self, number: int, fields: Fields, content: bytes) -> None:
@@ -146,30 +134,27 @@ class Ros1Bag:
         self._found[number] = Connection(topic, kind, texts.get("message_definition", ""), "ros1msg", "ros1")
 
     def _add_index(self, record: _Record) -> None:
-        if not self._places:
+        if not self._messages.chunks:
             raise ValueError("an index before any chunk")
         rows = np.frombuffer(self._file.read(record.start, record.size), np.dtype("<u4")).reshape(-1, 3)
-        found = np.empty((len(rows), 3), np.int64)
-        found[:, 0] = rows[:, 0].astype(np.int64) * 1_000_000_000 + rows[:, 1]
-        found[:, 1] = len(self._places) - 1
-        found[:, 2] = rows[:, 2]
-        self._rows.setdefault(record.number("conn"), []).append(found)
+        times_ns = rows[:, 0].astype(np.int64) * 1_000_000_000 + rows[:, 1]
+        found = np.stack((times_ns, rows[:, 2].astype(np.int64)), axis=1)
+        self._messages.add(record.number("conn"), len(self._messages.chunks) - 1, found)
 
     def _look_into_last(self, ledger: Ledger) -> None:
         """Look into the last chunk where no index follows it, or where connections are not known otherwise."""
-        if self._places and (not self._indexed or not set(self._rows) <= set(self._found)):
+        number = len(self._messages.chunks) - 1
+        if number >= 0 and (not self._indexed or not self._messages.streams <= set(self._found)):
             try:
-                self._look_into(len(self._places) - 1, with_messages=not self._indexed)
+                self._look_into(number, with_messages=not self._indexed)
             except (ValueError, struct.error) as error:
-                place = f"chunk {len(self._places) - 1}"
-                ledger.fault("bag-damaged", DataError(self._file.path, place, f"damaged: {error}"))
+                fault = DataError(self._file.path, f"chunk {number}", f"damaged: {error}")
+                ledger.fault("bag-damaged", fault)
         self._indexed = True
 
     def _look_into(self, number: int, *, with_messages: bool) -> None:
-        place = self._places[number]
-        stored = self._file.read(place.start, place.size)
-        content = decompress(place.compression, stored, place.full_size)
-        rows: dict[int, list[tuple[int, int, int]]] = {}
+        content = self._messages.unpacked(number)
+        rows: dict[int, list[tuple[int, int]]] = {}
         offset = 0
         while offset + 8 <= len(content):
             fields, start, size = _record_in(content, offset)
@@ -181,16 +166,14 @@ class Ros1Bag:
                 self._add_connection(connection, fields, content[start : start + size])
             elif op == _MESSAGE and with_messages and start + size <= len(content):
                 seconds, nanoseconds = struct.unpack("<II", fields.get("time", bytes(8)))
-                rows.setdefault(connection, []).append(
-                    (seconds * 1_000_000_000 + nanoseconds, number, offset)
-                )
+                rows.setdefault(connection, []).append((seconds * 1_000_000_000 + nanoseconds, offset))
             offset = start + size
         for connection, found in rows.items():
-            self._rows.setdefault(connection, []).append(np.array(found, np.int64))
+            self._messages.add(connection, number, np.array(found, np.int64))
 
     def received(self, number: int) -> Int64Array:
         """When the messages of a connection were recorded."""
-        return np.ascontiguousarray(self._entries[number][:, 0])
+        return self._entries[number].log_times_ns
 
     def data(self, number: int, k: int) -> memoryview:
         """The bytes of message `k` of a connection.
@@ -198,50 +181,23 @@ class Ros1Bag:
         Raises:
             DataError: the bag is damaged there.
         """
-        _, chunk, offset = self._entries[number][k].tolist()
-        place = self._places[chunk]
-        if place.compression:
-            content = self._chunks.whole(chunk)
-            start, size = self._message_in(content, offset, chunk)
-            return memoryview(content)[start : start + size]
-        head = self._file.read_up_to(place.start + offset, _HEAD_ROOM)
-        start, size = self._message_in(head, 0, chunk)
-        if offset + start + size > place.full_size:
-            raise DataError(self._file.path, f"chunk {chunk}", "a message that ends beyond its chunk")
-        return memoryview(self._file.read(place.start + offset + start, size))
+        return self._messages.data(self._entries[number], k)
 
     def heads(self, number: int, size: int) -> Iterator[bytes]:
         """How each message of a connection begins."""
         entries = self._entries[number]
-        for part in np.split(entries, np.flatnonzero(np.diff(entries[:, 1])) + 1):
-            if len(part) == 0:
-                continue
-            chunk, place = int(part[0, 1]), self._places[int(part[0, 1])]
-            content = b""
-            if place.compression:
-                content = self._chunks.beginning(chunk, int(part[:, 2].max()) + _HEAD_ROOM + size)
-            for offset in part[:, 2].tolist():
-                if place.compression:
-                    head = content[offset : offset + _HEAD_ROOM + size]
-                else:
-                    head = self._file.read_up_to(place.start + offset, _HEAD_ROOM + size)
-                start, length = self._message_in(head, 0, chunk)
-                yield head[start : start + min(size, length)]
-
-    def _message_in(self, content: bytes, offset: int, chunk: int) -> tuple[int, int]:
-        try:
-            fields, start, size = _record_in(content, offset)
-        except (ValueError, struct.error) as error:
-            raise DataError(self._file.path, f"chunk {chunk}, byte {offset}", str(error)) from error
-        if int.from_bytes(fields.get("op", b"")[:1]) != _MESSAGE:
-            raise DataError(
-                self._file.path, f"chunk {chunk}, byte {offset}", "no message; the index is damaged"
-            )
-        return start, size
+        return self._messages.heads(entries, np.arange(len(entries)), size)
 
     def close(self) -> None:
         """Release the file."""
         self._file.close()
+
+
+def _message_at(content: bytes, offset: int) -> tuple[int, int]:
+    fields, start, size = _record_in(content, offset)
+    if int.from_bytes(fields.get("op", b"")[:1]) != _MESSAGE:
+        raise ValueError("another record")
+    return start, size
 
 
 def _fields(content: bytes) -> Fields:
@@ -264,18 +220,3 @@ def _record_in(content: bytes, offset: int) -> tuple[Fields, int, int]:
         raise ValueError(f"a record's head of {length} bytes in {len(content) - offset}")
     (size,) = struct.unpack_from("<I", content, offset + 4 + length)
     return _fields(content[offset + 4 : offset + 4 + length]), offset + 8 + length, size
-
-
-def decompress(compression: str, content: bytes, size: int) -> bytes:
-    """Give the first bytes of a chunk.
-
-    Raises:
-        ValueError: the bytes are damaged, of a compression that is not known, or would become too many.
-    """
-    if compression != "bz2":
-        return decompress_lz4(compression, content, size)
-    check_ratio(compression, content, size)
-    try:
-        return bz2.BZ2Decompressor().decompress(content, size)
-    except (OSError, EOFError) as error:
-        raise ValueError(f"cannot be decompressed as bz2: {error}") from error

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from sceneloom.formats.files import open_file
-from sceneloom.formats.mcap.sniffing import is_ros_mcap
+from sceneloom.formats.mcap.form import is_ros_mcap
 
 METADATA = "metadata.yaml"
 ROOT_KEY = "rosbag2_bagfile_information"

@@ -12,7 +12,6 @@ from mcap.writer import CompressionType, IndexType, Writer
 from sceneloom.errors import DataError, OptionError, OutputError, SceneloomError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.mcap.index import read_index
-from sceneloom.formats.mcap.messages import McapMessages
 from sceneloom.formats.mcap.writer import McapWriter
 from sceneloom.formats.topics.file_bytes import FileBytes
 
@@ -54,10 +53,10 @@ def read(path, *, lenient=False):
     file = FileBytes(path)
     try:
         index = read_index(file, Ledger(lenient=lenient))
-        messages = McapMessages.of(index)
+        messages = index.messages
         found = {}
         for number, channel in index.channels.items():
-            entries = index.entries(number)
+            entries = messages.entries(number)
             contents = [bytes(messages.data(entries, k)) for k in range(len(entries))]
             heads = list(messages.heads(entries, np.arange(len(entries)), 16))
             assert heads == [content[:16] for content in contents]
@@ -107,7 +106,7 @@ def test_large_messages_stand_apart_where_chunks_are_compressed_and_each_chunk_s
     file = FileBytes(tmp_path / "log.mcap")
     index = read_index(file, Ledger(lenient=False))
     file.close()
-    chunks = [set(index.entries(number).chunks.tolist()) for number in (large, small)]
+    chunks = [set(index.messages.entries(number).chunks.tolist()) for number in (large, small)]
     if compression != "none":
         assert not chunks[0] & chunks[1]
         assert len(chunks[1]) == 1, "all small ones in one chunk, which comes last"

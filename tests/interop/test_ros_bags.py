@@ -17,7 +17,7 @@ from tests.properties.planted import planted_scene
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.ros.definitions import DEFINITIONS
+from sceneloom.formats.ros.typestores import DEFINITIONS
 from sceneloom.formats.table import find_format
 from sceneloom.scene import (
     Box2DAnnotation,

@@ -31,7 +31,7 @@ def changed(bag, place, byte):
 def test_a_damaged_connection_is_a_fault_and_what_is_whole_is_read_without_it(bag):
     name = bag.read_bytes().rfind(b"message_definition=")
     changed(bag, name - 2, 0x7F)
-    with pytest.raises(DataError, match=r"log.bag: byte \d+: the record is damaged: a field of"):
+    with pytest.raises(DataError, match=r"log.bag: byte \d+: the record is damaged: Declared field size"):
         open_scene(bag)
     with open_scene(bag, lenient=True) as scene:
         assert [len(frame.points) for frame in scene.lidars[0].frames] == [len(POINTS)] * 2
@@ -44,6 +44,15 @@ def test_an_index_without_its_chunk_is_a_fault(bag):
         DataError, match=r"log.bag: byte \d+: the record is damaged: an index before any chunk"
     ):
         open_scene(bag)
+
+
+def test_a_chunk_that_declares_to_become_far_more_is_refused_before_memory_is_asked_for(tmp_path):
+    path = ALL_DRIVES["ros1 lz4"](tmp_path)
+    content = path.read_bytes()
+    size = content.index(b"size=", content.index(b"compression=lz4") - 60) + 5
+    path.write_bytes(content[:size] + (1 << 30).to_bytes(4, "little") + content[size + 4 :])
+    with pytest.raises(DataError, match=r"chunk 0: \d+ bytes that unpack to 1073741824; expected 67108864"):
+        open_scene(path)
 
 
 @pytest.mark.parametrize("kind", ["TFMessage", "Odometry", "Detection3DArray", "Imu"])

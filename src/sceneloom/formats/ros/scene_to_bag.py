@@ -8,7 +8,7 @@ from typing import Any
 from sceneloom.errors import OptionError, OutputError
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import FolderKind, replacing
-from sceneloom.formats.ros.log import NOTES_TOPIC
+from sceneloom.formats.ros.reader import NOTES_TOPIC
 from sceneloom.formats.ros.typestores import distro_store
 from sceneloom.formats.ros.writing import Messages
 from sceneloom.formats.topics.dialect import Dialect

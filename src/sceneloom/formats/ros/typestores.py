@@ -1,16 +1,45 @@
 """Types of ROS messages: as a bag defines them, else as a distribution of ROS does."""
 
+from collections.abc import Mapping
 from functools import cache
+from types import MappingProxyType
 from typing import Any
 
-from sceneloom.errors import MissingExtraError, OptionError, how_to_install
-from sceneloom.formats.ros.bags import Connection
-from sceneloom.formats.ros.definitions import DEFINITIONS
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
-try:
-    from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
-except ImportError as missing:
-    raise MissingExtraError(f"{missing}; install the extra: {how_to_install('ros')}") from missing
+from sceneloom.errors import OptionError
+from sceneloom.formats.ros.bags import Connection
+
+DEFINITIONS: Mapping[str, str] = MappingProxyType(
+    {
+        "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
+        "vision_msgs/msg/Point2D": "float64 x\nfloat64 y\n",
+        "vision_msgs/msg/Pose2D": "vision_msgs/Point2D position\nfloat64 theta\n",
+        "vision_msgs/msg/BoundingBox2D": "vision_msgs/Pose2D center\nfloat64 size_x\nfloat64 size_y\n",
+        "vision_msgs/msg/BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size\n",
+        "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score\n",
+        "vision_msgs/msg/ObjectHypothesisWithPose": (
+            "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose\n"
+        ),
+        "vision_msgs/msg/Detection2D": (
+            "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\n"
+            "vision_msgs/BoundingBox2D bbox\nstring id\n"
+        ),
+        "vision_msgs/msg/Detection2DArray": "std_msgs/Header header\nvision_msgs/Detection2D[] detections\n",
+        "vision_msgs/msg/Detection3D": (
+            "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\n"
+            "vision_msgs/BoundingBox3D bbox\nstring id\n"
+        ),
+        "vision_msgs/msg/Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections\n",
+        "foxglove_msgs/msg/CompressedVideo": (
+            "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
+        ),
+    }
+)
+"""Definitions of types that rosbags does not have, by name; those that others use come before them.
+
+Source: packages vision_msgs (4.0), tf2_msgs and foxglove_msgs of ROS 2.
+"""
 
 USUAL_DISTRO = {"ros1": "noetic", "cdr": "humble"}
 """The distribution whose types are taken where nothing is said, by the encoding of messages."""

@@ -155,6 +155,16 @@ def test_a_compressed_chunk_that_is_changed_is_noticed(tmp_path):
         read(path)
 
 
+def test_a_chunk_that_declares_to_become_far_more_is_refused_before_memory_is_asked_for(tmp_path):
+    content = written("zstd")
+    chunk = 17 + int.from_bytes(content[9:17], "little")  # after the magic and the header
+    size = chunk + 9 + 16
+    path = tmp_path / "log.mcap"
+    path.write_bytes(content[:size] + (1 << 30).to_bytes(8, "little") + content[size + 8 :])
+    with pytest.raises(DataError, match=r"chunk 0: \d+ bytes that unpack to 1073741824; expected"):
+        read(path)
+
+
 @pytest.mark.parametrize("content", [b"", b"\x89MCAP0", b"not one", b"\x89MCAP0\r\n" * 2], ids=repr)
 def test_what_is_no_mcap_file_is_refused_with_what_was_expected(content, tmp_path):
     path = tmp_path / "log.mcap"

@@ -120,9 +120,6 @@ def calibration_frames(
     camera_id: Identifier | None = None,
     lidar_id: Identifier | None = None,
     most: int = MOST,
-    *,
-    rows: Sequence[int] | None = None,
-    ego: EgoMotion | None = None,
 ) -> tuple[CalibrationFrame, ...]:
     """Gather frames spread over a drive: pictures of a camera, each with the sweep nearest in time.
 
@@ -132,8 +129,6 @@ def calibration_frames(
     Args:
         camera_id, lidar_id: None for the scene's first ones.
         most: so many at most, evenly spread.
-        rows: numbers of the pictures, rising, instead.
-        ego: the ego's way; None to take or find one.
 
     Raises:
         OptionError: there is no such camera or lidar, or `most` is less than 1.
@@ -144,10 +139,9 @@ def calibration_frames(
     if most < 1:
         raise OptionError(f"{most} frames; expected at least 1")
     camera, lidar = chosen_camera(scene, camera_id), chosen_lidar(scene, lidar_id)
-    if rows is None:
-        count = len(camera.pictures)
-        rows = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
-    found = tuple(_frames(scene, camera, lidar, rows, _known_way(scene) if ego is None else ego))
+    count = len(camera.pictures)
+    rows = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
+    found = tuple(_frames(scene, camera, lidar, rows, _known_way(scene)))
     if not found:
         raise DataError(
             scene.source,

@@ -19,24 +19,19 @@ EXIT_CODES = MappingProxyType({"good": 0, "drifting": 3, "wrong": 4, "cannot tel
 """What each verdict means to the shell."""
 
 
-BOXES = ("boxes3d", "boxes2d", "det2d", "det3d", "sequences", "motion", "planes")
-"""The names of the arguments of boxes, of motion and of planes."""
+BOXES = ("boxes3d", "boxes2d", "det2d", "det3d", "sequences", "motion")
+"""The names of the arguments of boxes and of motion."""
 
 
 _MOTION = click.option(
     "--motion", is_flag=True, help="With --check: compare how camera and lidar turn, too; takes longer."
-)
-_PLANES = click.option(
-    "--planes",
-    is_flag=True,
-    help="With --check: compare where planes go from picture to picture, too; takes longer.",
 )
 
 
 def box_options(command: Any) -> Any:
     """Add lists of boxes, and the choices in a folder of KITTI's sequences, to a command."""
     return detection_options.added(
-        command, (*detection_options.FILES[:2], *detection_options.FOLDERS, _MOTION, _PLANES)
+        command, (*detection_options.FILES[:2], *detection_options.FOLDERS, _MOTION)
     )
 
 
@@ -65,7 +60,7 @@ def check_health(
     if not (boxes["boxes3d"] or boxes["boxes2d"]) and is_tracking_folder(Path(path)):
         useless = {
             "camera": camera_id, "lidar": lidar_id, "start": start is not None, "stop": stop is not None,
-            "pictures": pictures, "motion": boxes["motion"], "planes": boxes["planes"],
+            "pictures": pictures, "motion": boxes["motion"],
         }  # fmt: skip
         detection_options.refuse(
             useless, tuple(useless), "a folder of KITTI's sequences is judged by its boxes"
@@ -82,7 +77,7 @@ def check_health(
         found = check_drive(
             scene, known_id_or_none(scene, camera_id), known_id_or_none(scene, lidar_id), most=most, start=start,
             stop=stop, boxes_3d=boxes["boxes3d"], boxes_2d=boxes["boxes2d"],
-            motion=boxes["motion"], planes=boxes["planes"], lenient=reading["lenient"],
+            motion=boxes["motion"], lenient=reading["lenient"],
         )  # fmt: skip
     if pictures is not None:
         save_calibration_pictures(found.frames, found.health, pictures, overwrite=overwrite)

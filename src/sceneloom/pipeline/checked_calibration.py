@@ -19,9 +19,7 @@ from sceneloom.calibrate.health.boxes import health_of_boxes, with_boxes
 from sceneloom.calibrate.health.check import CalibrationHealth, check_frames
 from sceneloom.calibrate.health.coarse import with_coarse
 from sceneloom.calibrate.health.motion import MOTION, judge_motion
-from sceneloom.calibrate.health.planes import judge_planes
 from sceneloom.calibrate.health.verdicts import Item
-from sceneloom.calibrate.planes.followed import PlanePair
 from sceneloom.detections.residuals import BoxResiduals, BoxTurn
 from sceneloom.errors import OptionError
 from sceneloom.formats.kitti.tracking_folder import KittiTracking
@@ -44,8 +42,6 @@ from sceneloom.scene.types import Identifier
 
 _MOST_TURNS = 100
 """Pictures whose turning is followed, at most."""
-_APART_M, _MOST_PAIRS = (0.6, 3.0), 8
-"""How far the ego moves between pictures in which planes are followed [m], and how many pairs of them there are."""
 _MOST_PICTURES = 200
 """Boxes of more pictures tell hardly more."""
 
@@ -74,7 +70,6 @@ def check_drive(
     boxes_3d: Sequence[Path] = (),
     boxes_2d: Sequence[Path] = (),
     motion: bool = False,
-    planes: bool = False,
     lenient: bool = False,
 ) -> CheckedCalibration:
     """Check a calibration by pictures and points, and by lists of boxes where there are any.
@@ -85,7 +80,6 @@ def check_drive(
         start, stop: seconds after the first time stamp between which pictures count.
         boxes_3d, boxes_2d: lists of boxes, as for `fuse_detections`.
         motion: compare how both turn, too; it looks at all pictures, up to 100 in the middle of the part.
-        planes: compare where planes go from picture to picture, too, in up to 8 pairs of pictures.
         lenient: leave out boxes that are faulty.
 
     Raises:
@@ -112,8 +106,6 @@ def check_drive(
         health = with_boxes(health, turn_of_boxes(drive, camera))
     if motion:
         health = with_coarse(health, _judged_motion(part, camera, lidar))
-    if planes:
-        health = with_coarse(health, _judged_planes(part, camera, lidar))
     health = msgspec.structs.replace(health, corrections=scene.correction_notices)
     return CheckedCalibration(health, frames)
 
@@ -140,33 +132,6 @@ def _judged_motion(part: Scene, camera_id: Identifier, lidar_id: Identifier) -> 
         conjugate_quaternion(ways[0].quaternions_xyzw[row]), ways[1].quaternions_xyzw[row]
     )
     return judge_motion(steps, said, matrix_from_quaternion(stated))
-
-
-def _judged_planes(part: Scene, camera_id: Identifier, lidar_id: Identifier) -> Item:
-    """Compare where planes go from picture to picture with where the calibration takes them."""
-    camera, lidar = chosen_camera(part, camera_id), chosen_lidar(part, lidar_id)
-    ego = find_ego_motion(part) if needs_ego(part) else None
-    way = sensor_source(part, lidar, ego, reach_ns=scene_period_ns(part)).at(camera.pictures.timestamps_ns)
-    chosen = _pairs_apart(way.positions)
-    frames: dict[int, CalibrationFrame] = {}
-    if chosen:
-        rows = sorted({row for pair in chosen for row in pair})
-        gathered = calibration_frames(part, camera_id, lidar_id, rows=rows, ego=ego)
-        frames = {frame.index: frame for frame in gathered if frame.world_from_lidar is not None}
-    there = [(frames[a], frames[b]) for a, b in chosen if a in frames and b in frames]
-    stated = there[0][0].camera_from_lidar.matrix if there else np.eye(4)
-    return judge_planes([PlanePair.of(first, second) for first, second in there], stated)
-
-
-def _pairs_apart(positions: Float64Array) -> list[tuple[int, int]]:
-    """Pairs of places (N, 3) that are far enough apart to tell and near enough to look alike; NaN where unknown."""
-    pairs = []
-    for row, position in enumerate(positions):
-        apart = np.linalg.norm(positions[row + 1 :] - position, axis=1)
-        first = np.flatnonzero(apart > _APART_M[0])[:1]
-        pairs += [(row, row + 1 + later) for later in first[apart[first] < _APART_M[1]].tolist()]
-    rows = np.unique(np.linspace(0, len(pairs) - 1, min(_MOST_PAIRS, len(pairs))).round().astype(int))
-    return [pairs[row] for row in rows.tolist()]
 
 
 def _steps(quaternions_xyzw: Float64Array) -> Float64Array:

@@ -23,14 +23,6 @@ def test_machines_get_all_parts_with_reasons(call, recording):
     assert all(item["reason"] for item in health["items"])
 
 
-def test_planes_are_judged_where_they_are_asked_for(call, recording):
-    outcome = call("calibrate", recording, "--check", "--planes", "--json")
-    planes = json.loads(outcome.out)["items"][-1]
-    # eight beams show no plane
-    assert (planes["name"], planes["verdict"]) == ("planes", "cannot tell")
-    assert planes["reason"].endswith(("expected 3", "expected 150"))
-
-
 def test_unknown_sensors_and_full_folders_are_refused_at_once(call, recording, tmp_path):
     unknown = call("calibrate", recording, "--camera", "left")
     assert (unknown.code, "camera0" in unknown.err) == (2, True)

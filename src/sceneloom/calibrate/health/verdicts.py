@@ -27,7 +27,7 @@ class Item(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         name: "rotation", "translation", "focal_length", "principal_point" or "time_offset"; "boxes",
-            "boxes_roll", "motion" and "planes".
+            "boxes_roll" and "motion".
         verdict: what is to be said of it.
         reason: why, where it is not good.
         unit: of the numbers.
@@ -91,7 +91,6 @@ LIMITS = {
         Limits("boxes", "deg", 180.0 / np.pi, 0.4, 1.0, 0.12, 0.35, _BOXES),
         Limits("boxes_roll", "deg", 180.0 / np.pi, 1.0, 2.0, 0.4, 0.6, _BOXES),
         Limits("motion", "deg", 180.0 / np.pi, 1.5, 3.0, 0.5, 0.8, "camera and lidar turn alike"),
-        Limits("planes", "deg", 180.0 / np.pi, 0.5, 1.2, 0.2, 0.4, "planes go from picture to picture"),
     )
 }
 SIGNIFICANT = 16.0

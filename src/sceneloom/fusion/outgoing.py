@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
+from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array, UInt32Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.colours import NO_CAMERA, colour_points
 from sceneloom.colouring.results import FusedFrame, FusedView
@@ -21,7 +21,6 @@ from sceneloom.fusion.messages.sensor_data import ImageData
 from sceneloom.fusion.messages.timestamps import Timestamp
 from sceneloom.fusion.setting import Setting
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.kernels.declared_objects import declare_objects
 from sceneloom.scene.clouds import LidarFrame, LidarPoints
 
 UNSEEN_LEVEL = 128
@@ -196,47 +195,61 @@ def declared_columns(
 ) -> tuple[dict[str, Any], bool]:
     """Give the columns of numbers of objects as records of table 10 have them, and whether all of them make sense.
 
+    Scores are cut to 0 to 1, covariances made symmetric, and boxes rounded outwards to whole pixels. Objects make sense
+    where all numbers are finite, no size or variance is below 0, no box is inside out, and what a lidar saw has a size.
+
     Args:
-        declared_from_standard: (3, 3) float64, read-only: from the standard axes of the lidar to those of the record.
+        declared_from_standard: (3, 3) float64, a signed permutation: from the standard axes of the lidar to those of
+            the record.
         camera: the lens of the picture, to whose size boxes are cut.
     """
-    velocities = fused.velocities
-    found = declare_objects(
-        fused.scores,
-        fused.centers,
-        fused.center_covariances,
-        fused.sizes_lwh,
-        fused.size_covariances,
-        fused.yaws,
-        np.zeros((len(fused), 3)) if velocities is None else velocities,
-        fused.corners_xyxy,
-        fused.rows_3d,
-        declared_from_standard,
-        np.array([camera.width, camera.height], np.float64),
+    turn, none = declared_from_standard, np.zeros(len(fused))
+    velocities = np.zeros((len(fused), 3)) if fused.velocities is None else fused.velocities
+    with np.errstate(invalid="ignore", over="ignore"):
+        headings = np.stack([np.cos(fused.yaws), np.sin(fused.yaws), none], axis=1)
+        numbers = {
+            "confidence": np.clip(fused.scores, 0.0, 1.0),
+            "centers": fused.centers @ turn.T,
+            "center_covs": _symmetric(turn @ fused.center_covariances @ turn.T),
+            "sizes_lwh": fused.sizes_lwh,
+            "size_covs": _symmetric(fused.size_covariances),
+            "directions": headings @ turn.T,
+            "velocities": (velocities * headings).sum(axis=1),
+            "velocity_vectors": velocities @ turn.T,
+        }
+        columns: dict[str, Any] = {name: values.astype(np.float32) for name, values in numbers.items()}
+    corners = _whole_pixels(fused.corners_xyxy, camera)
+    sizes, seen = columns["sizes_lwh"], fused.rows_3d != NO_BOX
+    variances = np.diagonal([columns["center_covs"], columns["size_covs"]], axis1=2, axis2=3)
+    sound = (
+        all(np.isfinite(values).all() for values in columns.values())
+        and (variances >= 0.0).all()
+        and (sizes >= 0.0).all()
+        and (sizes[seen] > 0.0).all()
+        and (corners[:, :2] <= corners[:, 2:]).all()
     )
-    columns: dict[str, Any] = dict(zip(_COLUMNS, found[:-1], strict=True))
-    corners = columns["corners_xyxy"]
     # what is cut off at the picture's edge is beside the view, and has no outline
     corners[~(corners[:, 2:] > corners[:, :2]).all(axis=1)] = 0
-    if velocities is None:
+    columns["corners_xyxy"] = corners
+    if fused.velocities is None:
         columns["velocity_vectors"] = None
-    return columns, found[-1]
+    return columns, bool(sound)
+
+
+def _symmetric(matrices: Float64Array) -> Float64Array:
+    return (matrices + matrices.transpose(0, 2, 1)) / 2.0
+
+
+def _whole_pixels(corners_xyxy: Float64Array, camera: Camera) -> UInt32Array:
+    """Round boxes outwards to whole pixels, cut at the picture; zeros where an edge is not finite."""
+    finite = np.isfinite(corners_xyxy).all(axis=1, keepdims=True)
+    edges = np.where(finite, corners_xyxy, 0.0)
+    edges[:, :2] = np.floor(edges[:, :2])
+    edges[:, 2:] = np.ceil(edges[:, 2:])
+    return np.clip(edges, 0.0, [camera.width, camera.height] * 2).astype(np.uint32)
 
 
 _LARGEST_ID = 2**31 - 1
-
-_COLUMNS = (
-    "confidence",
-    "centers",
-    "center_covs",
-    "sizes_lwh",
-    "size_covs",
-    "directions",
-    "velocities",
-    "velocity_vectors",
-    "corners_xyxy",
-)
-"""What `declare_objects` gives, in its order."""
 
 
 def _numbers(rows: Int64Array, boxes: Boxes3d | Boxes2d) -> tuple[int | None, ...]:

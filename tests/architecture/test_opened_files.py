@@ -34,7 +34,7 @@ ALLOWED = {
     ("sceneloom.formats.clouds.las", "laspy.open"): "of a stream, or for writing",
     ("sceneloom.formats.clouds.frame_files", "laspy.open"): "for writing",
     ("sceneloom.formats.clouds.npz", "np.load"): "of an open file",
-    ("sceneloom.formats.clouds.kinds", "zipfile.ZipFile"): "of an open file",
+    ("sceneloom.formats.clouds.spec", "zipfile.ZipFile"): "of an open file",
     ("sceneloom.formats.recording.zipped", "ZipFile"): "of an open file",
     ("sceneloom.formats.pandaset.pickled_frames", "gzip.GzipFile"): "of an open file",
     ("sceneloom.formats.video.source", "av.open"): "after a look whether it is a file",

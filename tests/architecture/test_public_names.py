@@ -5,11 +5,6 @@ import re
 from importlib import import_module
 from importlib.util import find_spec
 
-import pytest
-
-from sceneloom.formats import FORMATS
-from sceneloom.formats.table import format_named
-
 
 def names_on_first_use(tree: ast.Module) -> tuple[dict[str, str], dict[str, str]]:
     """What a package imports when it is first asked for, as type checkers see it, and as its table says it.
@@ -120,11 +115,3 @@ def test_public_things_are_explained(modules_of_room):
             and not any(ast.unparse(mark).endswith("overload") for mark in node.decorator_list)
         ]
         assert not silent, f"{module.name}: without docstring: {silent}"
-
-
-@pytest.mark.parametrize("name", FORMATS)
-def test_every_format_of_the_table_is_there(name):
-    form = format_named(name)
-    assert form.name == name
-    assert form.suffixes
-    assert all(callable(getattr(form, verb)) for verb in ("recognises", "open", "write"))

@@ -292,7 +292,7 @@ def test_what_jpeg_costs_is_told_and_png_costs_nothing(tmp_path):
 def test_these_formats_are_written_only_and_say_what_they_need(tmp_path, name):
     form = format_named(name)
     assert name in written_formats()
-    assert not form.recognises(tmp_path)
+    assert not form.sniff(tmp_path)
     with pytest.raises(OptionError, match="only written"):
         form.open(tmp_path)
     with pytest.raises(OptionError, match="no camera with pictures"):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.formats.sfs.form import FORMAT
+from sceneloom.formats.sfs.spec import FORMAT
 from sceneloom.formats.sfs.writer import SceneWriter
 from sceneloom.formats.sfs.writing import write_scene
 from sceneloom.scene import (

@@ -21,8 +21,8 @@ import numpy as np
 
 with atheris.instrument_imports(include=["sceneloom.formats.sfs", "sceneloom.scene"]):
     from sceneloom.errors import SceneloomError
-    from sceneloom.formats.sfs.form import FORMAT
     from sceneloom.formats.sfs.salvaging import salvage
+    from sceneloom.formats.sfs.spec import FORMAT
 
 LONGEST = 1 << 14
 STRANGE = [
@@ -203,7 +203,7 @@ def changed(content: bytes, longest: int, seed: int) -> bytes:
 
 def look_at_everything(path: Path) -> None:
     """Open a file in every way, touch all that is in it, and salvage it."""
-    FORMAT.recognises(path)
+    FORMAT.sniff(path)
     for options in ({}, {"lenient": True}):
         with contextlib.suppress(SceneloomError), FORMAT.open(path, **options) as scene:
             for sensor in scene.sensors:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from sceneloom.errors import SceneloomError
-from sceneloom.formats.openlabel.form import FORMAT
+from sceneloom.formats.openlabel.spec import FORMAT
 
 GOLDEN = Path(__file__).parents[1] / "interop" / "golden" / "openlabel_vcd.json"
 STRANGE = (

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sceneloom.errors import SceneloomError
-from sceneloom.formats.recording.form import FORMAT
+from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.formats.recording.vio_config import read_vio_config, repeated_keys, unknown_keys
 
 LINES = [
@@ -149,5 +149,5 @@ def test_any_archive(tmp_path_factory, drive, data):
     path.write_bytes(
         content[: data.draw(st.integers(0, len(content)))] if data.draw(st.booleans()) else content
     )
-    FORMAT.recognises(path)
+    FORMAT.sniff(path)
     look(path)

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from sceneloom.errors import DataError, SceneloomError
-from sceneloom.formats.rig.form import FORMAT
+from sceneloom.formats.rig.spec import FORMAT
 from sceneloom.formats.rig.survey import survey
 
 LIDAR = {

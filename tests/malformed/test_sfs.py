@@ -9,7 +9,7 @@ import pytest
 import simplejpeg
 
 from sceneloom.errors import SceneloomError
-from sceneloom.formats.sfs.form import FORMAT
+from sceneloom.formats.sfs.spec import FORMAT
 from sceneloom.formats.sfs.writing import write_scene
 from sceneloom.formats.video.remux import encode_to_mp4
 
@@ -147,7 +147,7 @@ def survives(tmp_path):
     def check(content):
         path.unlink(missing_ok=True)  # a new file is far quicker than an old one made shorter
         path.write_bytes(content)
-        FORMAT.recognises(path)
+        FORMAT.sniff(path)
         for options in ({}, {"lenient": True}):
             with contextlib.suppress(SceneloomError), FORMAT.open(path, **options) as scene:
                 look_at_everything(scene)
@@ -312,4 +312,4 @@ def test_folders_and_missing_files_give_an_error_of_ours(tmp_path):
     for path in (tmp_path, tmp_path / "absent.sfs"):
         with pytest.raises(SceneloomError):
             FORMAT.open(path)
-        assert not FORMAT.recognises(path)
+        assert not FORMAT.sniff(path)

@@ -6,8 +6,8 @@ import json
 import pytest
 
 from sceneloom.errors import SceneloomError
-from sceneloom.formats.sfs.form import FORMAT
 from sceneloom.formats.sfs.salvaging import salvage
+from sceneloom.formats.sfs.spec import FORMAT
 from sceneloom.formats.sfs.writing import write_scene
 
 UNKNOWN = {"id": "p", "type": "x", "paths": [[{"timestamps": [1]}]], "projections": [[1]]}

@@ -12,7 +12,7 @@ from tests.properties.planted import planted_scene
 from sceneloom.errors import MissingExtraError, OptionError
 from sceneloom.formats.holdings import unknown_names
 from sceneloom.formats.loss import Fate, LossReport
-from sceneloom.formats.table import FORMATS, find_format, format_named, reads, writes
+from sceneloom.formats.table import FORMATS, find_format, format_named
 from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.pipeline.converting.fates import field_fates
 from sceneloom.pipeline.converting.field_names import fields_meant, kinds_by_id
@@ -20,7 +20,7 @@ from sceneloom.scene import LazyFrames, Scene, VideoContent
 from sceneloom.scene.contents import MODEL_FIELDS
 from sceneloom.scene.counting import Counting, frame_values, frames_of, standing_values
 
-WRITTEN = [name for name in FORMATS if writes(format_named(name))]
+WRITTEN = [name for name in FORMATS if format_named(name).writes]
 REFERENCES = ("sensor_id", "order", "parent_id", "from_id", "to_id")
 """Fields that name other things: they change with the names of these."""
 
@@ -120,7 +120,7 @@ def written(name: str, odd: bool, folder: Path) -> tuple[Path, LossReport, Count
     """Write the drive: to a folder where a file cannot hold it, with corrections where they have a place."""
     form, suffix = format_named(name), next(iter(format_named(name).suffixes), "")
     # what is written in other formats is corrected before, as `write_in` does
-    corrections = getattr(form, "holds_corrections", False)
+    corrections = form.holds_corrections
     for place in (folder / f"drive{suffix}", folder / "drive"):
         drive = scene(odd, corrections)
         counting = Counting(drive)
@@ -139,9 +139,9 @@ def unexplained(name: str, odd: bool, folder: Path) -> list[str]:
     place, losses, counting, source = written(name, odd, folder)
     for sensor in filter(framed, counting.scene.sensors):
         list(frames_of(sensor))  # also of sensors that the format has no place for
-    fates = field_fates(counting.counts(), form.holds, losses, kinds_by_id(source))
+    fates = field_fates(counting.counts(), form.supports, losses, kinds_by_id(source))
     told = {fate.field: fate.fate for fate in fates}
-    if not reads(form):
+    if not form.reads:
         return []
     assert find_format(place).name == name
     before = values_of(source)
@@ -204,10 +204,10 @@ def test_what_vanishes_or_changes_is_told(name, odd, tmp_path):
 
 @pytest.mark.parametrize("name", WRITTEN)
 def test_a_format_says_something_of_every_field_in_names_that_exist(name):
-    holds = format_named(name).holds
-    assert "" in holds
-    assert unknown_names(holds) == []
-    assert all(bool(holding.how) == (holding.fate != Fate.KEPT) for holding in holds.values())
+    supports = format_named(name).supports
+    assert "" in supports
+    assert unknown_names(supports) == []
+    assert all(bool(holding.how) == (holding.fate != Fate.KEPT) for holding in supports.values())
 
 
 @pytest.mark.parametrize("name", WRITTEN)

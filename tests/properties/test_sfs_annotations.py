@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as hnp
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.formats.sfs.distortion import COEFFICIENT_COUNTS
-from sceneloom.formats.sfs.form import FORMAT
+from sceneloom.formats.sfs.spec import FORMAT
 from sceneloom.formats.sfs.writing import write_scene
 from sceneloom.scene import (
     Activation,

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from sceneloom.formats.sfs.form import FORMAT
+from sceneloom.formats.sfs.spec import FORMAT
 from sceneloom.formats.sfs.times import FileClock, chosen_offset_ns
 from sceneloom.formats.sfs.writing import write_scene
 from sceneloom.scene import (

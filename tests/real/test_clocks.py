@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sceneloom.formats.recording.form import FORMAT
+from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.motion.clock.estimate import ClockVerdict
 from sceneloom.motion.clock.scene_clocks import gyroscope_against_trajectory
 from sceneloom.pipeline import sync

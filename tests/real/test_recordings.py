@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras import project
-from sceneloom.formats.recording.form import FORMAT
+from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.scene import GnssSensor, ImuSensor, Scene
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.formats.sfs.form import FORMAT
+from sceneloom.formats.sfs.spec import FORMAT
 from sceneloom.formats.sfs.writing import write_scene
 from sceneloom.scene import CuboidAnnotation
 

@@ -9,10 +9,9 @@ from sceneloom.checks.subject import Subject
 from sceneloom.errors import DataError
 from sceneloom.formats.faults import PlacedFault
 from sceneloom.formats.recording.examination import RecordingExamination
-from sceneloom.formats.recording.form import RecordingFormat
 from sceneloom.formats.sfs.faults import Examination
-from sceneloom.formats.sfs.form import SfsFormat
-from sceneloom.formats.table import Format, chosen_corrections, format_and_place, opened_by, part_of
+from sceneloom.formats.spec import FormatSpec
+from sceneloom.formats.table import chosen_corrections, format_and_place, opened_by, part_of
 from sceneloom.redaction import redacted
 from sceneloom.scene.scene import Corrections, Scene
 
@@ -53,16 +52,17 @@ def open_subject(
 def _whole_subject(path: str | Path, format: str | None, reading: dict[str, Any]) -> Subject:
     form, where = format_and_place(path, format=format)
     options = {name: value for name, value in reading.items() if value is not None and name != "lenient"}
-    if isinstance(form, SfsFormat):
-        return _examined(form.examine(where, **options), where)
-    if isinstance(form, RecordingFormat):
-        return _examined_recording(form.examine(where, **options), where)
-    return _opened(form, where, options)
+    if not form.examiner:
+        return _opened(form, where, options)
+    found = form.examine(where, **options)
+    if isinstance(found, RecordingExamination):
+        return _examined_recording(found, where)
+    return _examined(found, where)
 
 
 def _examined(examination: Examination, path: str | Path) -> Subject:
     if examination.scene is None:
-        return Subject(_nothing(path, SfsFormat.name), faults=examination.faults)
+        return Subject(_nothing(path, "sfs"), faults=examination.faults)
     return Subject(
         examination.scene,
         examination.header,
@@ -76,7 +76,7 @@ def _examined(examination: Examination, path: str | Path) -> Subject:
 
 
 def _examined_recording(examination: RecordingExamination, path: Path) -> Subject:
-    scene = examination.scene or _nothing(path, RecordingFormat.name)
+    scene = examination.scene or _nothing(path, "recording")
     faults = tuple(
         fault if fault.code in FAULT_CODES else replace(fault, code=UNREADABLE)
         for fault in examination.faults
@@ -84,7 +84,7 @@ def _examined_recording(examination: RecordingExamination, path: Path) -> Subjec
     return Subject(scene, faults=faults, recording=examination.contents)
 
 
-def _opened(form: Format, path: Path, options: dict[str, Any]) -> Subject:
+def _opened(form: FormatSpec, path: Path, options: dict[str, Any]) -> Subject:
     """Open what another format holds: whole, or without what is broken, or not at all."""
     try:
         return Subject(opened_by(form, path, **options))

@@ -20,7 +20,6 @@ from sceneloom.checks.walk import Hits, find_all
 from sceneloom.errors import CalibrationError, DataError, PoseError
 from sceneloom.formats.faults import PlacedFault
 from sceneloom.formats.loss import LossReport
-from sceneloom.formats.recording.form import RecordingFormat
 from sceneloom.formats.table import check_scene_output, format_for_output, write_scene
 from sceneloom.scene.findings import Finding
 from sceneloom.scene.notices import Notice, NoticeKind
@@ -68,7 +67,7 @@ class _Terms:
         return ValidationReport(
             source=subject.scene.source,
             format=subject.scene.format,
-            profile=self.profile or (RecordingFormat.name if subject.is_recording else "sfs"),
+            profile=self.profile or ("recording" if subject.is_recording else "sfs"),
             strict=self.strict,
             passed=is_passed(counts, strict=self.strict),
             findings=findings,

@@ -7,13 +7,14 @@ from sceneloom.lazy import names_on_first_use
 if TYPE_CHECKING:
     from sceneloom.formats.loss import Loss, LossReport
     from sceneloom.formats.size import size_on_disk
-    from sceneloom.formats.table import FORMATS, Format, find_format, open_scene, write_scene
+    from sceneloom.formats.spec import FormatSpec
+    from sceneloom.formats.table import FORMATS, find_format, open_scene, write_scene
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
             "FORMATS": "sceneloom.formats.table:FORMATS",
-            "Format": "sceneloom.formats.table:Format",
+            "FormatSpec": "sceneloom.formats.spec:FormatSpec",
             "Loss": "sceneloom.formats.loss:Loss",
             "LossReport": "sceneloom.formats.loss:LossReport",
             "find_format": "sceneloom.formats.table:find_format",
@@ -25,7 +26,7 @@ else:
 
 __all__ = [
     "FORMATS",
-    "Format",
+    "FormatSpec",
     "Loss",
     "LossReport",
     "find_format",

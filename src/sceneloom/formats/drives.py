@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from sceneloom.errors import SceneloomError
-from sceneloom.formats.table import format_named, format_names
+from sceneloom.formats.table import format_named, formats_that_may_be
 
 
 def drives_of(path: Path, *, read_as: str | None = None) -> Sequence[Path | str]:
@@ -20,12 +20,12 @@ def drives_of(path: Path, *, read_as: str | None = None) -> Sequence[Path | str]
     """
     if not path.is_dir():
         return ()
-    forms = map(format_named, format_names() if read_as is None else (read_as,))
-    sets = [form for form in forms if getattr(form, "drives", None) is not None and form.recognises(path)]
+    forms = formats_that_may_be(path) if read_as is None else [format_named(read_as)]
+    sets = [form.drives for form in forms if form.drives is not None and form.sniff(path)]
     if len(sets) != 1:
         return ()
     try:
-        found: Sequence[Path | str] = sets[0].drives(path)  # type: ignore[attr-defined]
+        found = sets[0](path)
     except SceneloomError:
         return ()
     return found if len(found) > 1 else ()

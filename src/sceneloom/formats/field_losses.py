@@ -4,8 +4,8 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
-from sceneloom.formats.holdings import Holds, holding_of
-from sceneloom.formats.loss import Fate, Holding, Loss
+from sceneloom.formats.holdings import holding_of
+from sceneloom.formats.loss import Fate, Holding, Loss, Supports
 from sceneloom.scene.contents import KINDS, MODEL_FIELDS
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.plain import PlainSensor
@@ -16,28 +16,28 @@ _ROOT = ("attributes", "metadata", "time_offset_ns", "extras")
 _OF_THE_WAY = ("file_seconds", "covariances", "quaternions_xyzw", "positions", "timestamps_ns")
 
 
-def field_losses(scene: Scene, holds: Holds) -> Iterator[Loss]:
+def field_losses(scene: Scene, supports: Supports) -> Iterator[Loss]:
     """Name the fields of a scene that the table does not call kept, as far as the scene has them.
 
     What stands in frames, in annotations of a kind that is held, or in a sensor's lens is for the writer to tell.
 
     Args:
         scene: what is written.
-        holds: the table of the format.
+        supports: the table of the format.
     """
     for sensor in scene.sensors:
-        yield from _of_sensor(sensor, holds)
-    yield from _of_annotations(scene, holds)
-    yield from _of_trajectories(scene, holds)
+        yield from _of_sensor(sensor, supports)
+    yield from _of_annotations(scene, supports)
+    yield from _of_trajectories(scene, supports)
     for name in _ROOT:
         value = getattr(scene, name)
         if value:
-            yield from _told(name, holding_of(holds, name), 1 if isinstance(value, int) else len(value))
+            yield from _told(name, holding_of(supports, name), 1 if isinstance(value, int) else len(value))
 
 
-def _of_sensor(sensor: Any, holds: Holds) -> Iterator[Loss]:
+def _of_sensor(sensor: Any, supports: Supports) -> Iterator[Loss]:
     kind = KINDS[type(sensor)]
-    whole = _of_all(kind, holds)
+    whole = _of_all(kind, supports)
     if whole is not None:
         yield from _told(f"sensors[{sensor.id}]", whole, 1)
         return
@@ -47,22 +47,22 @@ def _of_sensor(sensor: Any, holds: Holds) -> Iterator[Loss]:
         field = f"{kind}.{name}"
         value = getattr(sensor, name)
         if field in MODEL_FIELDS and _is_said(value):
-            yield from _told(f"sensors[{sensor.id}].{name}", holding_of(holds, field), 1)
+            yield from _told(f"sensors[{sensor.id}].{name}", holding_of(supports, field), 1)
         elif isinstance(value, LazyFrames) and len(value):
-            frames = _of_all(field, holds)
+            frames = _of_all(field, supports)
             yield from _told(f"sensors[{sensor.id}].{name}", frames, len(value))
 
 
-def _of_annotations(scene: Scene, holds: Holds) -> Iterator[Loss]:
+def _of_annotations(scene: Scene, supports: Supports) -> Iterator[Loss]:
     counts = Counter(KINDS[type(annotation)] for annotation in scene.annotations)
     for kind, count in counts.items():
-        whole = _of_all(kind, holds)
+        whole = _of_all(kind, supports)
         if whole is not None:
             yield from _told(kind, whole, count)
 
 
-def _of_trajectories(scene: Scene, holds: Holds) -> Iterator[Loss]:
-    whole = _of_all("trajectories", holds)
+def _of_trajectories(scene: Scene, supports: Supports) -> Iterator[Loss]:
+    whole = _of_all("trajectories", supports)
     for name, way in scene.trajectories.items():
         if whole is not None:
             yield from _told(f"trajectories[{name}]", whole, len(way.timestamps_ns))
@@ -71,13 +71,15 @@ def _of_trajectories(scene: Scene, holds: Holds) -> Iterator[Loss]:
             values = getattr(way, field)
             if values is not None:
                 yield from _told(
-                    f"trajectories[{name}].{field}", holding_of(holds, f"trajectories.{field}"), len(values)
+                    f"trajectories[{name}].{field}",
+                    holding_of(supports, f"trajectories.{field}"),
+                    len(values),
                 )
 
 
-def _of_all(kind: str, holds: Holds) -> Holding | None:
+def _of_all(kind: str, supports: Supports) -> Holding | None:
     """What is said of all fields of a kind, where that is the same: it is dropped as a whole."""
-    found = {holding_of(holds, field) for field in MODEL_FIELDS if field.startswith(f"{kind}.")}
+    found = {holding_of(supports, field) for field in MODEL_FIELDS if field.startswith(f"{kind}.")}
     only = next(iter(found))
     return only if len(found) == 1 and only is not None and only.fate is Fate.DROPPED else None
 

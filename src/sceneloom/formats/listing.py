@@ -1,13 +1,12 @@
 """What there is to say of each format, for people who choose one."""
 
-from collections.abc import Mapping
-
 import msgspec
 
 from sceneloom.errors import OptionError
-from sceneloom.formats.holdings import Holds, holding_of
-from sceneloom.formats.loss import Holding
-from sceneloom.formats.table import Format, format_named, format_names, reads, writes
+from sceneloom.formats.holdings import holding_of
+from sceneloom.formats.loss import Holding, Supports
+from sceneloom.formats.spec import FormatSpec
+from sceneloom.formats.table import all_formats, format_named, format_names
 from sceneloom.formats.trajectories.content import TrajectoryForm
 from sceneloom.formats.trajectories.table import TRAJECTORY_FORMS
 from sceneloom.scene.contents import MODEL_FIELDS
@@ -35,7 +34,7 @@ class FormatListing(msgspec.Struct, frozen=True, kw_only=True):
 def list_formats() -> tuple[FormatListing, ...]:
     """Give all formats of scenes, then all forms of trajectories."""
     return (
-        *(_of_format(format_named(name)) for name in format_names()),
+        *map(_of_format, all_formats()),
         *(_of_form(form) for form in TRAJECTORY_FORMS.values()),
     )
 
@@ -48,28 +47,27 @@ def list_holdings(name: str) -> dict[str, Holding]:
     Raises:
         OptionError: there is no format or form of that name.
     """
-    holds = _holds(name)
-    found = {field: holding_of(holds, field) for field in MODEL_FIELDS}
+    supports = _supports(name)
+    found = {field: holding_of(supports, field) for field in MODEL_FIELDS}
     return {field: holding for field, holding in found.items() if holding is not None}
 
 
-def _holds(name: str) -> Holds:
+def _supports(name: str) -> Supports:
     # of a scene format and a form of trajectories that share a name, scenes come first
     if name in format_names():
-        holds: Mapping[str, Holding] = getattr(format_named(name), "holds", {})
-        return holds
+        return format_named(name).supports
     if name in TRAJECTORY_FORMS:
-        return TRAJECTORY_FORMS[name].holds
+        return TRAJECTORY_FORMS[name].supports
     raise OptionError(
         f"no format or form {name!r}; there are {', '.join((*format_names(), *TRAJECTORY_FORMS))}"
     )
 
 
-def _of_format(form: Format) -> FormatListing:
+def _of_format(form: FormatSpec) -> FormatListing:
     return FormatListing(
         name=form.name,
-        reads=reads(form),
-        writes=writes(form),
+        reads=form.reads,
+        writes=form.writes,
         suffixes=tuple(form.suffixes),
         looks_like=form.looks_like,
     )

@@ -1,6 +1,6 @@
 """What a target format could not hold, field by field."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from enum import StrEnum
 
 import msgspec
@@ -30,6 +30,9 @@ class Holding(msgspec.Struct, frozen=True):
     fate: Fate
     how: str = ""
 
+
+Supports = Mapping[str, Holding]
+"""Names of fields, or beginnings of them that end at a dot, and what becomes of these; "" is for all the rest."""
 
 KEPT = Holding(Fate.KEPT)
 

@@ -1,84 +1,168 @@
 """Which formats there are, and which of them a path is written in."""
 
+import codecs
+import os
+import re
 from collections.abc import Callable, Mapping
-from dataclasses import replace
-from functools import cache, partial
-from importlib import import_module
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from functools import cache, cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Protocol, cast
+from typing import Any, cast
 from urllib.parse import urlsplit
 
 from sceneloom.errors import OptionError, SceneloomError, UnknownFormatError
-from sceneloom.formats.loss import Holding, Loss, LossReport
+from sceneloom.formats.loss import Loss, LossReport
 from sceneloom.formats.output import Source, check_output
+from sceneloom.formats.spec import FormatSpec, first_bytes
 from sceneloom.formats.urls import is_url, path_or_url
+from sceneloom.lazy import imported
 from sceneloom.redaction import redacted
 from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.scene import Corrections, Scene
 from sceneloom.scene.types import key_of
 from sceneloom.stages import stage
 
-FORMATS: Mapping[str, str] = MappingProxyType(
-    {
-        "sfs": "sceneloom.formats.sfs.form:FORMAT",
-        "recording": "sceneloom.formats.recording.form:FORMAT",
-        "rig": "sceneloom.formats.rig.form:FORMAT",
-        "mcap": "sceneloom.formats.mcap.form:FORMAT",
-        "ros1": "sceneloom.formats.ros.form:ROS1",
-        "ros2": "sceneloom.formats.ros.form:ROS2",
-        "kitti-raw": "sceneloom.formats.kitti.raw.form:FORMAT",
-        "kitti-object": "sceneloom.formats.kitti.object.form:FORMAT",
-        "kitti-tracking": "sceneloom.formats.kitti.tracking.form:FORMAT",
-        "kitti-odometry": "sceneloom.formats.kitti.odometry.form:FORMAT",
-        "nuscenes": "sceneloom.formats.nuscenes.form:FORMAT",
-        "argoverse2": "sceneloom.formats.argoverse2.form:FORMAT",
-        "pandaset": "sceneloom.formats.pandaset.form:FORMAT",
-        "scale-toolkit": "sceneloom.formats.scale_toolkit.form:FORMAT",
-        "pcd": "sceneloom.formats.clouds.form:PCD",
-        "ply": "sceneloom.formats.clouds.form:PLY",
-        "las": "sceneloom.formats.clouds.form:LAS",
-        "laz": "sceneloom.formats.clouds.form:LAZ",
-        "kitti-bin": "sceneloom.formats.clouds.form:KITTI_BIN",
-        "nuscenes-bin": "sceneloom.formats.clouds.form:NUSCENES_BIN",
-        "npz": "sceneloom.formats.clouds.form:NPZ",
-        "euroc-mav": "sceneloom.formats.euroc_mav.form:FORMAT",
-        "openlabel": "sceneloom.formats.openlabel.form:FORMAT",
-        "colmap": "sceneloom.formats.colmap.form:FORMAT",
-        "nerfstudio": "sceneloom.formats.nerfstudio.form:FORMAT",
-    }
-)
-"""Name of each format and the `module:object` that implements it."""
 
+@dataclass(frozen=True, slots=True)
+class FormatRow:
+    """What a path has to be for a format to be asked whether it is its own, and where the format's spec is.
 
-class Format(Protocol):
-    """What a format module offers as `FORMAT`.
-
-    Further attributes are optional: `reads` and `writes`, false where it is only written or only read; `reads_urls`;
-    `near_miss(path)`, what a path that nearly is one lacks; `drives`, as of `FolderFormat`; `check_place(path)`, which
-    refuses harmful outputs; `holds_corrections`, true where corrections are written as annotations;
-    `along_trajectory`, true where `write` takes the name of the ego's way as `trajectory`.
+    Attributes:
+        spec: `"module:name"` of a `FormatSpec`.
+        file: what a file begins with (bytes), or its name ends with (text, in lower case): one of these.
+        folder: what a folder has: one of these names, or patterns of names (in lower case), with `/` for what is in a
+            folder of it.
     """
 
-    name: str
-    suffixes: tuple[str, ...]
-    looks_like: str
-    """What a person recognises it by ("a file that begins with its header")."""
-    holds: Mapping[str, Holding]
-    """What becomes of each field of a scene that is written, whatever the scene, by names of `MODEL_FIELDS` or
-    beginnings of them; what depends on the scene is told by the losses of `write`. Empty where it is only read."""
+    spec: str
+    file: tuple[bytes | str, ...] = ()
+    folder: tuple[str, ...] = ()
 
-    def recognises(self, path: Path) -> bool:
-        """Say whether the content of an existing path looks like this format."""
-        ...
+    def fits(self, path: "_LookedAt") -> bool:
+        """Whether a path may be of the format."""
+        if path.is_folder:
+            return any(map(path.has, self.folder))
+        return any(map(path.begins_or_ends, self.file))
 
-    def open(self, path: Any, **options: Any) -> Scene:
-        """Open a path lazily, or a URL as text if the format has a true `reads_urls`; the scene owns its files."""
-        ...
 
-    def write(self, scene: Scene, path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
-        """Write beside the target, then rename; say what the format could not hold."""
-        ...
+class _LookedAt:
+    """A path as rows see it; it is looked at once for all of them."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.is_folder = path, path.is_dir()
+
+    @cached_property
+    def _beginnings(self) -> tuple[bytes, bytes]:
+        """The first bytes of a file; and without the white space that JSON may have anywhere."""
+        first = first_bytes(self.path, _BEGINNING)
+        return first, b"".join(first.removeprefix(codecs.BOM_UTF8).split())
+
+    @cached_property
+    def _inside(self) -> tuple[list[str], list["_LookedAt"]]:
+        """Names in a folder, and the folders among these."""
+        try:
+            with os.scandir(self.path) as entries:
+                found = [(entry.name, entry.is_dir()) for entry in entries]
+        except OSError:
+            found = []
+        folders = [_LookedAt(self.path / name) for name, is_folder in found if is_folder]
+        return [name for name, _ in found], folders
+
+    def begins_or_ends(self, part: bytes | str) -> bool:
+        """Whether a file begins with bytes, or its name ends with a text."""
+        if isinstance(part, str):
+            return self.path.name.lower().endswith(part)
+        return any(beginning.startswith(part) for beginning in self._beginnings)
+
+    def has(self, pattern: str) -> bool:
+        """Whether a folder has something of that name."""
+        name, _, rest = pattern.partition("/")
+        if not _WILD.search(name):
+            return (self.path / name).exists() and (not rest or _LookedAt(self.path / name).has(rest))
+        names, folders = self._inside
+        if not rest:
+            return any(fnmatchcase(one.lower(), name) for one in names)
+        return any(fnmatchcase(one.path.name.lower(), name) and one.has(rest) for one in folders)
+
+
+_BEGINNING = 4096
+_WILD = re.compile(r"[*?\[]")
+
+_JSON, _ZIP, _MCAP = b"{", b"PK\x03\x04", b"\x89MCAP0\r\n"
+_KITTI = "sceneloom.formats.kitti.spec"
+_POINTS = "sceneloom.formats.clouds.spec"
+_MESSAGES = "sceneloom.formats.topics.spec"
+
+FORMATS: Mapping[str, FormatRow] = MappingProxyType(
+    {
+        "sfs": FormatRow("sceneloom.formats.sfs.spec:FORMAT", file=(_JSON,)),
+        "recording": FormatRow(
+            "sceneloom.formats.recording.spec:FORMAT",
+            file=(_JSON, _ZIP, "data.jsonl"),
+            folder=("data.jsonl",),
+        ),
+        "rig": FormatRow("sceneloom.formats.rig.spec:FORMAT", file=(".toml",), folder=("rig.toml",)),
+        "mcap": FormatRow(f"{_MESSAGES}:MCAP", file=(_MCAP,)),
+        "ros1": FormatRow(f"{_MESSAGES}:ROS1", file=(b"#ROSBAG V",)),
+        "ros2": FormatRow(
+            f"{_MESSAGES}:ROS2",
+            file=(b"SQLite format 3\0", _MCAP),
+            folder=("metadata.yaml", "*.db3", "*.mcap"),
+        ),
+        "kitti-raw": FormatRow(
+            f"{_KITTI}:RAW",
+            folder=(
+                *("velodyne_points", "oxts/data", "image_0[0-3]"),
+                *("*_drive_*", "????_??_??/*_drive_*"),
+            ),
+        ),
+        "kitti-object": FormatRow(f"{_KITTI}:OBJECT", folder=("calib", "training/calib", "testing/calib")),
+        "kitti-tracking": FormatRow(
+            f"{_KITTI}:TRACKING", folder=("calib", "training/calib", "testing/calib")
+        ),
+        "kitti-odometry": FormatRow(
+            f"{_KITTI}:ODOMETRY",
+            folder=("calib.txt", "times.txt", "sequences", "[0-9][0-9]/calib.txt", "[0-9][0-9]/times.txt"),
+        ),
+        "nuscenes": FormatRow(
+            "sceneloom.formats.nuscenes.spec:FORMAT",
+            folder=("sample_data.json", "ego_pose.json", "calibrated_sensor.json", "v[0-9]*"),
+        ),
+        "argoverse2": FormatRow(
+            "sceneloom.formats.argoverse2.spec:FORMAT",
+            folder=(
+                *("city_SE3_egovehicle.feather", "calibration/egovehicle_SE3_sensor.feather"),
+                *("*/city_SE3_egovehicle.feather", "*/calibration/egovehicle_SE3_sensor.feather"),
+            ),
+        ),
+        "pandaset": FormatRow(
+            "sceneloom.formats.pandaset.spec:FORMAT",
+            folder=("lidar", "annotations/cuboids", "*/lidar", "*/annotations/cuboids"),
+        ),
+        "scale-toolkit": FormatRow("sceneloom.formats.scale_toolkit.spec:FORMAT", folder=("pointcloud",)),
+        "pcd": FormatRow(f"{_POINTS}:PCD", file=(".pcd",), folder=("*.pcd", "*/*.pcd")),
+        "ply": FormatRow(f"{_POINTS}:PLY", file=(".ply",), folder=("*.ply", "*/*.ply")),
+        "las": FormatRow(f"{_POINTS}:LAS", file=(".las",), folder=("*.las", "*/*.las")),
+        "laz": FormatRow(f"{_POINTS}:LAZ", file=(".laz",), folder=("*.laz", "*/*.laz")),
+        "kitti-bin": FormatRow(f"{_POINTS}:KITTI_BIN", file=(".bin",), folder=("*.bin", "*/*.bin")),
+        "nuscenes-bin": FormatRow(
+            f"{_POINTS}:NUSCENES_BIN", file=(".pcd.bin",), folder=("*.pcd.bin", "*/*.pcd.bin")
+        ),
+        "npz": FormatRow(
+            f"{_POINTS}:NPZ", file=(".npz", ".npy"), folder=("*.npz", "*.npy", "*/*.npz", "*/*.npy")
+        ),
+        "euroc-mav": FormatRow(
+            "sceneloom.formats.euroc_mav.spec:FORMAT",
+            folder=("mav0", "cam[01]/data.csv", "imu[01]/data.csv"),
+        ),
+        "openlabel": FormatRow("sceneloom.formats.openlabel.spec:FORMAT", file=(b'{"openlabel":',)),
+        "colmap": FormatRow("sceneloom.formats.colmap.spec:FORMAT"),
+        "nerfstudio": FormatRow("sceneloom.formats.nerfstudio.spec:FORMAT"),
+    }
+)
+"""The formats by name. Their rows are looked at before a spec is imported; they only rule out, and a spec decides."""
 
 
 @cache
@@ -94,42 +178,43 @@ def format_names() -> list[str]:
     return [*FORMATS, *(point.name for point in _entry_points())]
 
 
-def format_named(name: str) -> Format:
-    """Import one format.
+def format_named(name: str) -> FormatSpec:
+    """Import the spec of one format.
 
     Raises:
         OptionError: there is none of that name.
     """
     if name in FORMATS:
-        module, attribute = FORMATS[name].split(":")
-        return cast("Format", getattr(import_module(module), attribute))
+        return cast("FormatSpec", imported(FORMATS[name].spec))
     for point in _entry_points():
         if point.name == name:
-            return cast("Format", point.load())
+            return cast("FormatSpec", point.load())
     raise OptionError(f"no format {name!r}; there are {', '.join(format_names())}")
 
 
-def reads(form: Format) -> bool:
-    """Whether a format is read."""
-    return bool(getattr(form, "reads", True))
-
-
-def writes(form: Format) -> bool:
-    """Whether a format is written."""
-    return bool(getattr(form, "writes", True))
+def all_formats() -> list[FormatSpec]:
+    """Import the specs of all formats."""
+    return list(map(format_named, format_names()))
 
 
 def written_formats() -> list[str]:
     """Names of the formats that are written."""
-    return [name for name in format_names() if writes(format_named(name))]
+    return [form.name for form in all_formats() if form.writes]
 
 
-def claims_of(path: Path) -> list[Format]:
+def formats_that_may_be(path: Path) -> list[FormatSpec]:
+    """The formats whose rows an existing path fits; those of other packages have none, and are always asked."""
+    looked_at = _LookedAt(path)
+    names = [name for name in format_names() if name not in FORMATS or FORMATS[name].fits(looked_at)]
+    return [form for form in map(format_named, names) if form.reads]
+
+
+def claims_of(path: Path) -> list[FormatSpec]:
     """The formats whose content test accepts an existing path."""
-    return [form for form in map(format_named, format_names()) if reads(form) and form.recognises(path)]
+    return [form for form in formats_that_may_be(path) if form.sniff(path)]
 
 
-def find_format(path: Path) -> Format:
+def find_format(path: Path) -> FormatSpec:
     """Find the format whose content test accepts an existing path.
 
     Raises:
@@ -155,7 +240,7 @@ def _guesses(path: Path) -> list[str]:
     """What a person may have meant: what nearly is of a format, and what lies right inside of a folder."""
     if _is_empty(path):
         return ["it is empty"]
-    near = {form.name: _near_miss(form, path) for form in map(format_named, FORMATS) if reads(form)}
+    near = {form.name: form.near_miss(path) for form in map(format_named, FORMATS) if form.reads}
     told = [f"{name}? {guess}" for name, guess in near.items() if guess]
     return told or _inside(path)
 
@@ -187,23 +272,17 @@ _LOOKED_AT = 20
 
 
 def _known() -> str:
-    return f"expected one of: {', '.join(name for name in format_names() if reads(format_named(name)))}"
+    return f"expected one of: {', '.join(form.name for form in all_formats() if form.reads)}"
 
 
-def _near_miss(form: Format, path: Path) -> str | None:
-    """What keeps a path from being of a format, where the format can tell."""
-    told = getattr(form, "near_miss", None)
-    return None if told is None else cast("str | None", told(path))
-
-
-def _format_of_url(url: str) -> Format:
+def _format_of_url(url: str) -> FormatSpec:
     """Find the format that reads files behind URLs; those of another suffix have to be fetched first.
 
     Raises:
         UnknownFormatError: no format reads such a URL.
     """
     suffix = Path(urlsplit(url).path).suffix.lower()
-    forms = [form for form in map(format_named, format_names()) if getattr(form, "reads_urls", False)]
+    forms = [form for form in all_formats() if form.reads_urls]
     for form in forms:
         if suffix in form.suffixes:
             return form
@@ -261,19 +340,19 @@ def chosen_corrections(said: str) -> Corrections:
         raise OptionError(f"corrections {said!r}; expected one of {', '.join(Corrections)}") from error
 
 
-def scene_for(form: Format, scene: Scene) -> Scene:
+def scene_for(form: FormatSpec, scene: Scene) -> Scene:
     """Give the scene that a format is to write: with its corrections applied where the format has no place for them."""
-    return scene if getattr(form, "holds_corrections", False) else scene.corrected()
+    return scene if form.holds_corrections else scene.corrected()
 
 
-def write_in(form: Format, scene: Scene, path: Path, **options: Any) -> LossReport:
+def write_in(form: FormatSpec, scene: Scene, path: Path, **options: Any) -> LossReport:
     """Write a scene in a format; corrections that it cannot hold are applied, or lost where they are to be left off.
 
     Raises:
         OutputError: the output exists, or cannot be written.
     """
     written = scene_for(form, scene)
-    lost = () if getattr(form, "holds_corrections", False) else written.pending_corrections
+    lost = () if form.holds_corrections else written.pending_corrections
     if not lost:
         return form.write(written, path, **options)
     keys = {key_of(annotation.id) for annotation in lost}
@@ -314,7 +393,7 @@ def _whole_scene(path: str | Path, format: str | None, options: dict[str, Any]) 
         return opened_by(form, place, **options)
 
 
-def opened_by(form: Format, place: Path | str, **options: Any) -> Scene:
+def opened_by(form: FormatSpec, place: Path | str, **options: Any) -> Scene:
     """Open a scene with its format; until it is closed, no output replaces what it is read from."""
     scene = form.open(place, **options)
     if isinstance(place, str):
@@ -324,13 +403,9 @@ def opened_by(form: Format, place: Path | str, **options: Any) -> Scene:
 
 def _read_by_ranges(url: str, format: str | None) -> bool:
     if format is not None:
-        return bool(getattr(format_named(format), "reads_urls", False))
+        return format_named(format).reads_urls
     suffix = Path(urlsplit(url).path).suffix.lower()
-    return any(
-        suffix in form.suffixes
-        for form in map(format_named, format_names())
-        if getattr(form, "reads_urls", False)
-    )
+    return any(form.reads_urls and suffix in form.suffixes for form in all_formats())
 
 
 def _fetched_scene(url: str, format: str | None, options: dict[str, Any]) -> Scene:
@@ -365,7 +440,7 @@ def _close_both(close: Callable[[], None], remove: Callable[[], None]) -> None:
     remove()
 
 
-def format_and_place(path: str | Path, *, format: str | None = None) -> tuple[Format, Any]:
+def format_and_place(path: str | Path, *, format: str | None = None) -> tuple[FormatSpec, Any]:
     """Find the format of a path or URL, and what it opens: a `Path`, or the URL as text.
 
     Raises:
@@ -376,12 +451,12 @@ def format_and_place(path: str | Path, *, format: str | None = None) -> tuple[Fo
     if not isinstance(where, str):
         return find_format(where) if format is None else format_named(format), where
     form = _format_of_url(where) if format is None else format_named(format)
-    if not getattr(form, "reads_urls", False):
+    if not form.reads_urls:
         raise OptionError(f"{where}: the format {form.name} is not read from URLs; fetch the files first")
     return form, where
 
 
-def format_for_output(path: Path) -> Format:
+def format_for_output(path: Path) -> FormatSpec:
     """Find the format that a path to be written asks for: its suffix; a path without one is a recording folder.
 
     Raises:
@@ -391,7 +466,8 @@ def format_for_output(path: Path) -> Format:
         return format_named(_OF_FOLDERS)
     endings = [
         (suffix, form)
-        for form in map(format_named, written_formats())
+        for form in all_formats()
+        if form.writes
         for suffix in form.suffixes
         if suffix and path.name.lower().endswith(suffix)
     ]
@@ -424,9 +500,7 @@ def check_scene_output(path: Path, *, overwrite: bool) -> None:
     """
     form = format_for_output(path)
     check_output(path, overwrite=overwrite)
-    check_place = getattr(form, "check_place", None)
-    if check_place is not None:
-        check_place(path)
+    form.check_output(path)
 
 
 def write_scene(

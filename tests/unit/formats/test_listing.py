@@ -8,7 +8,7 @@ from tests.test_documentation import SHARED_PAGES
 from sceneloom.errors import OptionError
 from sceneloom.formats.listing import FormatListing, list_formats, list_holdings
 from sceneloom.formats.loss import Fate
-from sceneloom.formats.table import FORMATS, format_named, writes
+from sceneloom.formats.table import FORMATS, format_named
 from sceneloom.scene.contents import MODEL_FIELDS
 
 PAGE = Path(__file__).parents[3] / "docs" / "converting.md"
@@ -35,7 +35,7 @@ def test_the_page_lists_no_format_that_is_not_there():
     assert sorted(rows) == sorted(map(row, list_formats()))
 
 
-@pytest.mark.parametrize("name", [name for name in FORMATS if writes(format_named(name))])
+@pytest.mark.parametrize("name", [name for name in FORMATS if format_named(name).writes])
 def test_a_format_that_is_written_says_something_of_every_field(name):
     assert list(list_holdings(name)) == list(MODEL_FIELDS)
 

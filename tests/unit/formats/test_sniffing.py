@@ -6,14 +6,13 @@ import pytest
 
 from sceneloom.errors import OptionError, UnknownFormatError
 from sceneloom.formats import table
+from sceneloom.formats.spec import FormatSpec
 from sceneloom.formats.table import (
     FORMATS,
     find_format,
     format_for_output,
     format_named,
     open_scene,
-    reads,
-    writes,
 )
 
 
@@ -43,7 +42,7 @@ def test_a_path_that_nothing_knows_lists_all_formats_that_are_read(tmp_path):
     (tmp_path / "notes.doc").write_text("hello")
     with pytest.raises(UnknownFormatError) as caught:
         find_format(tmp_path / "notes.doc")
-    named = [name for name in FORMATS if reads(format_named(name))]
+    named = [name for name in FORMATS if format_named(name).reads]
     assert str(caught.value).endswith(f"expected one of: {', '.join(named)}")
 
 
@@ -61,19 +60,18 @@ def test_no_format_claims_an_empty_folder_or_a_file_of_noise(name, tmp_path):
     (tmp_path / "empty").write_bytes(b"")
     (tmp_path / "folder").mkdir()
     form = format_named(name)
-    claimed = [entry.name for entry in tmp_path.iterdir() if reads(form) and form.recognises(entry)]
+    claimed = [entry.name for entry in tmp_path.iterdir() if form.reads and form.sniff(entry)]
     assert claimed == []
 
 
-class Twin:
-    """A format with the suffix of another."""
-
-    name, suffixes, looks_like, reads, holds = "twin", (".sfs",), "its twin", False, {}
+TWIN = FormatSpec(
+    name="twin", title="a twin", suffixes=(".sfs",), looks_like="its twin", writer="twins:write"
+)
+"""A format with the suffix of another."""
 
 
 def test_a_suffix_of_two_formats_asks_for_a_name(tmp_path, monkeypatch):
-    monkeypatch.setattr(table, "FORMATS", {**FORMATS, "twin": f"{__name__}:Twin"})
-    monkeypatch.setattr(table, "format_named", lambda name: Twin if name == "twin" else format_named(name))
+    monkeypatch.setattr(table, "all_formats", lambda: [*map(format_named, FORMATS), TWIN])
     with pytest.raises(OptionError, match=r"belongs to several formats; say `--to sfs` or `--to twin`"):
         format_for_output(tmp_path / "drive.sfs")
 
@@ -81,7 +79,7 @@ def test_a_suffix_of_two_formats_asks_for_a_name(tmp_path, monkeypatch):
 def test_every_suffix_names_one_format_that_is_written(tmp_path):
     for name in FORMATS:
         form = format_named(name)
-        for suffix in form.suffixes if writes(form) else ():
+        for suffix in form.suffixes if form.writes else ():
             if suffix:
                 assert format_for_output(tmp_path / f"drive{suffix}").name == name, suffix
 

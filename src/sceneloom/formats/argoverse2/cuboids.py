@@ -9,7 +9,7 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.argoverse2.feather import POSE_COLUMNS, Columns, poses_of, read_columns
-from sceneloom.formats.argoverse2.place import ANNOTATIONS
+from sceneloom.formats.argoverse2.spec import ANNOTATIONS
 from sceneloom.formats.ledger import Ledger
 from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
 from sceneloom.scene.angles import CuboidAngles

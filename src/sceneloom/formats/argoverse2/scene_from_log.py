@@ -9,10 +9,11 @@ from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.argoverse2.cuboids import build_cuboids
 from sceneloom.formats.argoverse2.feather import POSE_COLUMNS, poses_of, read_columns
-from sceneloom.formats.argoverse2.place import POSES, find_log
 from sceneloom.formats.argoverse2.sensors import build_cameras, build_lidars, read_mounts
+from sceneloom.formats.argoverse2.spec import POSES, is_log
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.option_values import as_flag
+from sceneloom.formats.spec import choose_drive, drives_in
 from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene
@@ -46,7 +47,13 @@ def open_argoverse2(
         MissingExtraError: pyarrow is not installed.
     """
     joined, bent = as_flag("one_lidar", one_lidar), as_flag("distorted", distorted)
-    log = find_log(path, sequence)
+    log = choose_drive(
+        path,
+        drives_in(path, is_log),
+        sequence,
+        called="log",
+        expected=f"{POSES}, calibration/ and sensors/",
+    )
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
         trajectory = _trajectory(log, ledger)

@@ -13,7 +13,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.table import MODELS
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.argoverse2.feather import POSE_COLUMNS, poses_of, read_columns
-from sceneloom.formats.argoverse2.place import CAMERAS, LENSES, LIDAR, MOUNTS, stamped_files
+from sceneloom.formats.argoverse2.spec import CAMERAS, LENSES, LIDAR, MOUNTS
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.pictures import PictureReader
 from sceneloom.geometry.rigid import RigidTransform
@@ -109,7 +109,7 @@ def build_lidars(
     Raises:
         DataError: there is no sweep, or a mounting is missing.
     """
-    found = stamped_files(log / LIDAR, ".feather")
+    found = _stamped_files(log / LIDAR, ".feather")
     if not found:
         raise DataError(log / LIDAR, "", "no sweep; expected files such as 315966265259836000.feather")
     stamps_ns = np.array([stamp for stamp, _ in found], np.int64)
@@ -221,7 +221,7 @@ def _camera(
         lens = Camera(model, *size, fx, fy, cx, cy, _lens_numbers(row, distorted=distorted))
     except CalibrationError as error:
         raise DataError(log / LENSES, name, str(error)) from error
-    found = stamped_files(log / CAMERAS / name, ".jpg")
+    found = _stamped_files(log / CAMERAS / name, ".jpg")
     stamps_ns = np.array([stamp for stamp, _ in found], np.int64)
     files = tuple(file for _, file in found)
     names = tuple(f"{CAMERAS}/{name}/{file.name}" for file in files)
@@ -241,3 +241,20 @@ def _lens_numbers(row: Mapping[str, Any], *, distorted: bool) -> tuple[float, ..
         return ()
     known = {name: float(row[name]) for name in ("k1", "k2", "k3")}
     return tuple(known.get(name, 0.0) for name in MODELS["brown_conrady"].coefficient_names)
+
+
+def _stamped_files(folder: Path, suffix: str) -> list[tuple[int, Path]]:
+    """The files of a folder that are named after their time [ns], in its order.
+
+    Raises:
+        DataError: one is named otherwise.
+    """
+    found = []
+    for file in folder.glob(f"*{suffix}"):
+        if not (
+            file.stem.isascii() and file.stem.isdigit() and len(file.stem) < 20 and int(file.stem) < 1 << 63
+        ):
+            problem = f"expected files named after their time in nanoseconds, as 315966265259836000{suffix}"
+            raise DataError(file, "", problem)
+        found.append((int(file.stem), file))
+    return sorted(found)

@@ -29,9 +29,6 @@ _STEPS_M = (1e-5, 1e-3)
 _LAS_REACH = 2.0**31 - 1
 _FULL_SCALE = 257
 
-ENCODINGS = ("binary", "ascii", "binary_compressed")
-"""How the points of a PCD file are stored."""
-
 
 def _records(columns: Mapping[str, AnyArray], count: int) -> AnyArray:
     """Lay columns side by side, packed, little-endian."""

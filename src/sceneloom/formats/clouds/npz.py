@@ -16,6 +16,7 @@ from sceneloom.errors import DataError
 from sceneloom.formats.clouds.cloud import Cloud, check_count, columns_of
 from sceneloom.formats.clouds.layout import FieldLayout
 from sceneloom.formats.clouds.roles import ALIASES, ROW_ALIASES
+from sceneloom.formats.clouds.spec import POSITION_NAMES
 from sceneloom.formats.files import check_length, check_unpacked, file_faults, open_file
 
 _MAGIC = b"\x93NUMPY"
@@ -25,9 +26,6 @@ _FAULTS = (
     IndexError, RecursionError, zipfile.BadZipFile, zlib.error, tokenize.TokenError, UserWarning,
 )  # fmt: skip
 """What NumPy and the modules below it raise for files that are damaged, encrypted, or hold objects."""
-
-POSITION_NAMES = ("points", "positions", "xyz", "pos", "pts", "arr_0")
-"""Arrays of rows that hold x, y, z and perhaps more."""
 
 _PLAIN_COLUMNS = ("x", "y", "z", "intensity")
 

@@ -1,7 +1,7 @@
 """Files of points as a scene with a lidar for each folder of them."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Int64Array, read_only
-from sceneloom.errors import DataError, OptionError
+from sceneloom.errors import DataError
 from sceneloom.formats.clouds.bin import default_layout
-from sceneloom.formats.clouds.folder import EGO_POSES, SENSOR_POSES, TIME_FILES, CloudFolder, find_folders
-from sceneloom.formats.clouds.kinds import CloudKind
+from sceneloom.formats.clouds.folder import CloudFolder, find_folders
 from sceneloom.formats.clouds.names import numbers_of_names, stem_of, times_of_names
 from sceneloom.formats.clouds.points import IntensityScale, PointMapping
+from sceneloom.formats.clouds.spec import EGO_POSES, SENSOR_POSES, TIME_FILES, CloudKind, CloudReading
 from sceneloom.formats.clouds.sweeps import (
     CloudFrames,
     first_time_ns,
@@ -24,7 +24,6 @@ from sceneloom.formats.clouds.sweeps import (
     times_of,
 )
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.option_values import as_positive
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.frames import LazyFrames
@@ -39,38 +38,17 @@ DEFAULT_RATE_HZ = 10.0
 _EGO_TRAJECTORY = "pose"
 
 
-@dataclass(frozen=True, slots=True)
-class CloudReading:
-    """How clouds are to be read.
-
-    Attributes:
-        lenient: leave out files that cannot be read; each is looked into for that.
-        points_frame: "sensor", "ego" or "world"; None: the sensor's, unless a file of poses says the ego's.
-        rate_hz: frames per second of files whose names are plain numbers; None: `DEFAULT_RATE_HZ`.
-    """
-
-    lenient: bool = False
-    points_frame: str | None = None
-    rate_hz: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.points_frame is not None and self.points_frame not in tuple(PointsFrame):
-            raise OptionError(f"points frame {self.points_frame!r}; expected one of {', '.join(PointsFrame)}")
-        if self.rate_hz is not None:
-            as_positive("rate_hz", self.rate_hz)
-
-
-def open_clouds(path: Path, kind: CloudKind, reading: CloudReading) -> Scene:
+def open_clouds(path: Path, *, kind: CloudKind, options: CloudReading) -> Scene:
     """Open a file, a folder of files, or a folder of folders of files; the first file of each is read.
 
     Raises:
         DataError: there are none, one is damaged, or their times are.
     """
-    ledger = Ledger(lenient=reading.lenient)
+    ledger = Ledger(lenient=options.lenient)
     trajectories: dict[str, Trajectory] = {}
     with ledger.telling():
         sensors = tuple(
-            _lidar(folder, kind, reading, ledger, trajectories) for folder in find_folders(path, kind)
+            _lidar(folder, kind, options, ledger, trajectories) for folder in find_folders(path, kind)
         )
     return Scene(
         sensors, trajectories=trajectories, source=str(path), format=kind.name, notices=ledger.notices

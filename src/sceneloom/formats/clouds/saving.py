@@ -14,11 +14,16 @@ from sceneloom.editing.frames import to_ego, to_sensor, to_world
 from sceneloom.editing.sensor_frames import points_change
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.formats.clouds.columns import LossTaker, frame_columns, left_out
-from sceneloom.formats.clouds.folder import DEFAULT_ID, EGO_POSES, SENSOR_POSES
-from sceneloom.formats.clouds.frame_files import ENCODINGS, FRAME_WRITERS
-from sceneloom.formats.clouds.holdings import holds_of
-from sceneloom.formats.clouds.kinds import CloudKind
+from sceneloom.formats.clouds.frame_files import FRAME_WRITERS
 from sceneloom.formats.clouds.names import name_of_time
+from sceneloom.formats.clouds.spec import (
+    DEFAULT_ID,
+    EGO_POSES,
+    ENCODINGS,
+    SENSOR_POSES,
+    CloudKind,
+    supports_of,
+)
 from sceneloom.formats.default_poses import ego_in_world
 from sceneloom.formats.field_losses import field_losses
 from sceneloom.formats.file_names import file_stems
@@ -66,7 +71,7 @@ class CloudSaving:
 
 
 def write_clouds(
-    scene: Scene, path: Path, kind: CloudKind, saving: CloudSaving, *, overwrite: bool = False
+    scene: Scene, path: Path, *, kind: CloudKind, overwrite: bool = False, **options: str
 ) -> LossReport:
     """Write each frame of each lidar to a file; a path with the kind's ending takes a scene of one frame.
 
@@ -75,6 +80,7 @@ def write_clouds(
         PoseError: the poses that another frame of the points needs are not known.
         OutputError: the output exists, or cannot be written.
     """
+    saving = CloudSaving(**options)
     losses = list(_of_fields(scene, kind))
     asked = _chosen(scene, saving.lidar)
     if saving.frame is not None and any(lidar.points_frame != saving.frame for lidar in asked):
@@ -145,7 +151,7 @@ def _by_own_poses(lidar: LidarSensor, frame: PointsFrame) -> LidarSensor:
 
 def _of_fields(scene: Scene, kind: CloudKind) -> Iterator[Loss]:
     """What becomes of the scene, but for what depends on the frames, and for what this scene does not have."""
-    table = dict(holds_of(kind.name))
+    table = dict(supports_of(kind.name))
     for name in ("id", "coordinates", "points_frame", "poses", "mount", "extras"):
         table.pop(f"sensors.lidar.{name}", None)
     yield from field_losses(scene, table)

@@ -1,8 +1,10 @@
 """A scene as a COLMAP model with its pictures."""
 
 from pathlib import Path
+from typing import Any
 
 from sceneloom.cameras.camera import Camera
+from sceneloom.errors import OptionError
 from sceneloom.formats.colmap.model_files import (
     LENS_MODELS,
     ColmapCamera,
@@ -14,10 +16,9 @@ from sceneloom.formats.colmap.model_files import (
 from sceneloom.formats.field_losses import field_losses
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import FolderKind, replacing
-from sceneloom.formats.posed_pictures.holdings import HOLDS
 from sceneloom.formats.posed_pictures.lenses import told_lens
 from sceneloom.formats.posed_pictures.map_points import map_points
-from sceneloom.formats.posed_pictures.settings import PosedSettings
+from sceneloom.formats.posed_pictures.spec import SUPPORTS, PosedSettings
 from sceneloom.formats.posed_pictures.views import PosedScene, View
 from sceneloom.scene.scene import Scene
 
@@ -28,19 +29,31 @@ _KIND = FolderKind(
 )
 
 
+_MODELS = ("txt", "bin", "both")
+
+
 def write_colmap(
-    scene: Scene, path: Path, settings: PosedSettings, *, model: str = "txt", overwrite: bool = False
+    scene: Scene, path: Path, *, overwrite: bool = False, model: str = "txt", **options: Any
 ) -> LossReport:
     """Write a folder `images` and a folder `sparse/0`.
 
+    Args:
+        scene: the drive.
+        path: of the folder.
+        overwrite: whether a folder that is there may be replaced.
+        model: how the files of the model are written: "txt", "bin" or "both".
+        options: those of `PosedSettings`.
+
     Raises:
-        OptionError: the scene has no pictures.
+        OptionError: an option has no such value, or the scene has no pictures.
         PoseError: it is not known where a camera was.
         DataError: a picture or a sweep cannot be read.
         CalibrationError: COLMAP has no model for a lens.
         OutputError: the folder exists, or cannot be written.
     """
-    posed = PosedScene.of(scene, settings)
+    if model not in _MODELS:
+        raise OptionError(f"model {model!r}; expected one of {', '.join(_MODELS)}")
+    posed = PosedScene.of(scene, PosedSettings(**options))
     lenses = _Lenses(posed)
     with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
         folder = draft / "sparse" / "0"
@@ -55,7 +68,7 @@ def write_colmap(
             write_text(folder, lenses.cameras, images, points)
         if model in {"bin", "both"}:
             write_binary(folder, lenses.cameras, images, points)
-    return LossReport.of((*field_losses(scene, HOLDS), *posed.origin_losses, *posed.losses))
+    return LossReport.of((*field_losses(scene, SUPPORTS), *posed.origin_losses, *posed.losses))
 
 
 class _Lenses:

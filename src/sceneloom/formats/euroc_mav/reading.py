@@ -12,8 +12,8 @@ from sceneloom.errors import DataError
 from sceneloom.formats.clouds.points import PointMapping, SweepClock, points_of
 from sceneloom.formats.clouds.table import read_cloud
 from sceneloom.formats.default_poses import default_poses
-from sceneloom.formats.euroc_mav.place import DESCRIPTION, TABLE, mav_folder, sensor_folders
 from sceneloom.formats.euroc_mav.sensor_yaml import body_from_sensor, lens, read_sensor_yaml
+from sceneloom.formats.euroc_mav.spec import DESCRIPTION, TABLE, mav_folder
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.csv_files import Table, read_table
 from sceneloom.formats.rig.pictures import PictureReader, picture_size
@@ -50,8 +50,8 @@ def read_euroc(path: Path, *, lenient: bool = False) -> Scene:
     with ledger.telling():
         ways = _ways(folder, ledger)
         poses = default_poses(ways, str(path), ledger)
-        sensors: list[Sensor] = [_camera(one, poses, ledger) for one in sensor_folders(folder, "cam")]
-        sensors += [_imu(one, ledger) for one in sensor_folders(folder, "imu")]
+        sensors: list[Sensor] = [_camera(one, poses, ledger) for one in _sensor_folders(folder, "cam")]
+        sensors += [_imu(one, ledger) for one in _sensor_folders(folder, "imu")]
         sensors += _maps(folder, ledger)
         _note_others(folder, ledger)
     return Scene(
@@ -241,3 +241,13 @@ def _note_others(folder: Path, ledger: Ledger) -> None:
     if others:
         told = f"folders that are not known: {', '.join(others)}"
         ledger.note(NoticeKind.SKIPPED, "folders-not-read", str(folder), told, count=len(others))
+
+
+def _sensor_folders(folder: Path, kind: str) -> list[Path]:
+    """The folders of the sensors of a kind that have a table, in the order of their numbers."""
+    found = [
+        one
+        for one in folder.iterdir()
+        if one.name.startswith(kind) and one.name[len(kind) :].isdigit() and (one / TABLE).is_file()
+    ]
+    return sorted(found, key=lambda one: int(one.name[len(kind) :]))

@@ -20,9 +20,9 @@ from mcap.records import Channel, ChunkIndex, Header, Metadata, MetadataIndex, S
 
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.mcap.form import MAGIC
 from sceneloom.formats.topics.chunks import DIRECT, Chunk, ChunkedMessages
 from sceneloom.formats.topics.file_bytes import FileBytes
+from sceneloom.formats.topics.spec import MCAP_MAGIC
 
 LARGEST_RECORD = 1 << 30
 """Records of the index that claim to be larger are refused [bytes]."""
@@ -86,8 +86,8 @@ def read_index(file: FileBytes, ledger: Ledger) -> McapIndex:
         DataError: it is no MCAP file, or one that was not finished, is cut off or damaged; a lenient reading takes
             what is whole.
     """
-    if file.read_up_to(0, len(MAGIC)) != MAGIC:
-        raise DataError(file.path, "byte 0", f"does not begin as an MCAP file does, with {MAGIC!r}")
+    if file.read_up_to(0, len(MCAP_MAGIC)) != MCAP_MAGIC:
+        raise DataError(file.path, "byte 0", f"does not begin as an MCAP file does, with {MCAP_MAGIC!r}")
     summary = _summary_start(file)
     if summary is None:
         problem = (
@@ -109,11 +109,11 @@ def read_index(file: FileBytes, ledger: Ledger) -> McapIndex:
 
 def _summary_start(file: FileBytes) -> int | None:
     """Where the summary begins, 0 where there is none; None where the file has no end."""
-    tail_size = _HEAD.size + _FOOTER.size + len(MAGIC)
-    if file.size < len(MAGIC) + tail_size:
+    tail_size = _HEAD.size + _FOOTER.size + len(MCAP_MAGIC)
+    if file.size < len(MCAP_MAGIC) + tail_size:
         return None
     tail = file.read(file.size - tail_size, tail_size)
-    if not tail.endswith(MAGIC) or _HEAD.unpack_from(tail) != (Opcode.FOOTER, _FOOTER.size):
+    if not tail.endswith(MCAP_MAGIC) or _HEAD.unpack_from(tail) != (Opcode.FOOTER, _FOOTER.size):
         return None
     start: int = _FOOTER.unpack_from(tail, _HEAD.size)[0]
     return start
@@ -121,10 +121,10 @@ def _summary_start(file: FileBytes) -> int | None:
 
 def _read_header(index: McapIndex) -> int:
     """Read the first record, and give where it ends."""
-    op, length = _HEAD.unpack(index.file.read(len(MAGIC), _HEAD.size))
+    op, length = _HEAD.unpack(index.file.read(len(MCAP_MAGIC), _HEAD.size))
     if op != Opcode.HEADER or length > LARGEST_RECORD:
         raise ValueError(f"record {op} of {length} bytes at the beginning; expected the header")
-    start = len(MAGIC) + _HEAD.size
+    start = len(MCAP_MAGIC) + _HEAD.size
     header = _parsed(Header.read, index.file.read(start, length))
     index.profile, index.library = header.profile, header.library
     return start + int(length)
@@ -133,7 +133,7 @@ def _read_header(index: McapIndex) -> int:
 def _read_summary(index: McapIndex, start: int) -> bool:
     """Read schemas, channels and locations of messages; whether that is all there is to know."""
     file, scan = index.file, _Scan(index)
-    if not len(MAGIC) <= start < file.size or file.size - start > LARGEST_RECORD:
+    if not len(MCAP_MAGIC) <= start < file.size or file.size - start > LARGEST_RECORD:
         raise ValueError(f"a summary at byte {start} of {file.size}")
     message_count = None
     chunks: list[ChunkIndex] = []
@@ -212,7 +212,7 @@ def _parsed(read: Callable[[ReadDataStream], _Record], content: bytes | memoryvi
 
 def _scanned(file: FileBytes, ledger: Ledger, *, until: int) -> McapIndex:
     """Go from record to record through a file; chunks are passed over unless they are needed."""
-    index, location = McapIndex.of(file), len(MAGIC)
+    index, location = McapIndex.of(file), len(MCAP_MAGIC)
     scan = _Scan(index)
     try:
         location = _read_header(index)

@@ -28,7 +28,7 @@ from mcap.records import (
 )
 
 from sceneloom.errors import MissingExtraError, OptionError, OutputError, how_to_install
-from sceneloom.formats.mcap.form import MAGIC
+from sceneloom.formats.topics.spec import MCAP_MAGIC
 
 CHUNK_BYTES = 1 << 20
 """A chunk ends as soon as it is as long as this; a longer message is one of its own."""
@@ -122,7 +122,7 @@ class McapWriter:
         self._chunk_indexes: list[ChunkIndex] = []
         self._metadata_indexes: list[MetadataIndex] = []
         self._chunk, self._large_chunk = _Chunk(), _Chunk()
-        self._write(MAGIC, _packed(Header(profile, library)))
+        self._write(MCAP_MAGIC, _packed(Header(profile, library)))
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Add a schema of messages, and give its id."""
@@ -210,7 +210,7 @@ class McapWriter:
         offsets_start = start + len(summary)
         summary += _packed(*offsets)
         crc = zlib.crc32(_packed(Footer(start, offsets_start, 0))[:-4], zlib.crc32(summary))
-        self._write(summary, _packed(Footer(start, offsets_start, crc)), MAGIC)
+        self._write(summary, _packed(Footer(start, offsets_start, crc)), MCAP_MAGIC)
 
     def _end_chunks(self) -> None:
         self._end_chunk(self._chunk)

@@ -20,10 +20,9 @@ from sceneloom.formats.clouds.frame_files import write_ply
 from sceneloom.formats.field_losses import field_losses
 from sceneloom.formats.loss import Loss, LossReport
 from sceneloom.formats.output import FolderKind, replacing
-from sceneloom.formats.posed_pictures.holdings import HOLDS
 from sceneloom.formats.posed_pictures.lenses import Models, ToldLens, coefficients, told_lens
 from sceneloom.formats.posed_pictures.map_points import MapPoints, map_points
-from sceneloom.formats.posed_pictures.settings import PosedSettings
+from sceneloom.formats.posed_pictures.spec import SUPPORTS, PosedSettings
 from sceneloom.formats.posed_pictures.views import PosedScene, View
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier
@@ -46,7 +45,7 @@ _GL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def write_nerfstudio(
-    scene: Scene, path: Path, settings: PosedSettings, *, overwrite: bool = False
+    scene: Scene, path: Path, *, options: PosedSettings, overwrite: bool = False
 ) -> LossReport:
     """Write a folder with `transforms.json`, `images` and `points.ply`.
 
@@ -57,7 +56,7 @@ def write_nerfstudio(
         CalibrationError: nerfstudio has no model for a lens.
         OutputError: the folder exists, or cannot be written.
     """
-    posed = PosedScene.of(scene, settings)
+    posed = PosedScene.of(scene, options)
     lenses = _Lenses(_camera_model(scene), posed)
     with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
         frames = []
@@ -75,7 +74,7 @@ def write_nerfstudio(
             _write_points(draft / POINTS_FILE, points)
         text = msgspec.json.format(msgspec.json.encode(content), indent=1)
         (draft / "transforms.json").write_bytes(text)
-    return LossReport.of((*field_losses(scene, HOLDS), *posed.origin_losses, *posed.losses))
+    return LossReport.of((*field_losses(scene, SUPPORTS), *posed.origin_losses, *posed.losses))
 
 
 def _frame(view: View, camera: Camera) -> dict[str, Any]:

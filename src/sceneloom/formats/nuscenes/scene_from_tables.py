@@ -9,8 +9,7 @@ import msgspec
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.nuscenes.cuboids import build_cuboids
 from sceneloom.formats.nuscenes.lidarseg import build_labelled_points
-from sceneloom.formats.nuscenes.place import find_place
-from sceneloom.formats.nuscenes.selection import SceneTables, select
+from sceneloom.formats.nuscenes.selection import SceneTables, find_place, select
 from sceneloom.formats.nuscenes.sensors import build_sensors, trajectory_of
 from sceneloom.formats.option_values import as_flag
 from sceneloom.geometry.euler import AngleUnit

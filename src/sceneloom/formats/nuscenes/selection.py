@@ -7,8 +7,9 @@ from typing import Any
 
 from sceneloom.errors import DataError, OptionError, SceneloomError
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.nuscenes.place import Place, find_place
+from sceneloom.formats.nuscenes.spec import table_folders
 from sceneloom.formats.nuscenes.tables import (
+    NEEDED,
     CalibratedSensorRow,
     EgoPoseRow,
     LogRow,
@@ -21,6 +22,39 @@ from sceneloom.formats.nuscenes.tables import (
 from sceneloom.scene.types import key_of
 
 _MOST_NAMES = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a data set is.
+
+    Attributes:
+        root: the folder that the names of files begin at.
+        tables: the folder of the tables, `v1.0-mini` of the root.
+    """
+
+    root: Path
+    tables: Path
+
+
+def find_place(path: Path) -> Place:
+    """Find the tables of a data set.
+
+    Raises:
+        DataError: there are none, or one of those that are needed is missing.
+        OptionError: there are several sets of tables.
+    """
+    folders = table_folders(path)
+    if not folders:
+        raise DataError(path, "", "no tables; expected a folder v1.0-mini or the like with sample_data.json")
+    if len(folders) > 1:
+        names = ", ".join(folder.name for folder in folders)
+        raise OptionError(f"{path}: several sets of tables ({names}); open one of these folders itself")
+    missing = [f"{name}.json" for name in NEEDED if not (folders[0] / f"{name}.json").is_file()]
+    if missing:
+        expected = ", ".join(f"{name}.json" for name in NEEDED)
+        raise DataError(folders[0], ", ".join(missing), f"missing; expected the tables {expected}")
+    return Place(folders[0].parent, folders[0])
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,8 +18,8 @@ from sceneloom.formats.file_names import file_stems
 from sceneloom.formats.kitti.written.choice import ego_way
 from sceneloom.formats.loss import Fate, Loss
 from sceneloom.formats.nuscenes.further_fields import further_fields
-from sceneloom.formats.nuscenes.holdings import HOLDS
 from sceneloom.formats.nuscenes.keyframes import Samples, Written, choose_samples, stamps_of
+from sceneloom.formats.nuscenes.spec import SUPPORTS
 from sceneloom.formats.nuscenes.tables import LogRow, SceneRow
 from sceneloom.formats.nuscenes.written_tables import token_of
 from sceneloom.formats.recording.written_mounts import each_mounted, mounting
@@ -125,7 +125,7 @@ class WritingPlan:
             PoseError: the trajectory cannot be taken.
             DataError: no sensor has a frame.
         """
-        losses = [loss for loss in field_losses(scene, HOLDS) if loss.fate is Fate.DROPPED]
+        losses = [loss for loss in field_losses(scene, SUPPORTS) if loss.fate is Fate.DROPPED]
         losses += further_fields(scene)
         scene = _with_pinholes(scene, losses)
         way = ego_way(scene) if trajectory is None else None

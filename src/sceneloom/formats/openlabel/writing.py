@@ -11,7 +11,6 @@ from sceneloom.arrays import Int64Array
 from sceneloom.formats.field_losses import field_losses
 from sceneloom.formats.loss import Fate, Loss, LossReport
 from sceneloom.formats.openlabel.draft import Draft, Uids
-from sceneloom.formats.openlabel.holdings import HOLDS
 from sceneloom.formats.openlabel.ours import (
     activation_fields,
     annotation_fields,
@@ -23,6 +22,7 @@ from sceneloom.formats.openlabel.ours import (
 from sceneloom.formats.openlabel.read_geometry import RBBOX
 from sceneloom.formats.openlabel.read_objects import KIND
 from sceneloom.formats.openlabel.reading import KEPT
+from sceneloom.formats.openlabel.spec import SUPPORTS
 from sceneloom.formats.openlabel.things import things
 from sceneloom.formats.openlabel.words import EGO, OURS, SCHEMA_VERSION, WORLD
 from sceneloom.formats.openlabel.written_data import (
@@ -84,7 +84,7 @@ class _Writer:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.streams = Streams.of(scene)
-        self.losses = list(field_losses(scene, HOLDS))
+        self.losses = list(field_losses(scene, SUPPORTS))
         self.draft = Draft(_frame_times(scene))
         self.uids = Uids()
         self.relations: dict[str, Any] = {}

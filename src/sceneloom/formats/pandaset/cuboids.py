@@ -10,8 +10,8 @@ from sceneloom.arrays import Float64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.pandaset.pickled_frames import PickledFrame, read_pickled_frame
-from sceneloom.formats.pandaset.place import numbered_files
 from sceneloom.formats.pandaset.sensors import LIDARS, Sweeps
+from sceneloom.formats.pandaset.spec import numbered_files
 from sceneloom.scene.annotations.attributes import AttributePath
 from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath
 

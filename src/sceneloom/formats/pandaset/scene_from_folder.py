@@ -5,7 +5,6 @@ from types import MappingProxyType
 
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.pandaset.cuboids import build_cuboids
-from sceneloom.formats.pandaset.place import find_drive
 from sceneloom.formats.pandaset.semantic import build_labelled_points
 from sceneloom.formats.pandaset.sensors import (
     build_cameras,
@@ -14,6 +13,8 @@ from sceneloom.formats.pandaset.sensors import (
     read_sweeps,
     trajectory_of,
 )
+from sceneloom.formats.pandaset.spec import is_drive
+from sceneloom.formats.spec import choose_drive, drives_in
 from sceneloom.scene.annotations.annotation import Annotation
 from sceneloom.scene.scene import Scene
 
@@ -32,7 +33,13 @@ def open_pandaset(path: Path, *, sequence: str | None = None, lenient: bool = Fa
         DataError: a file is missing or wrong.
         OptionError: there is no such drive, or none was chosen of several.
     """
-    drive = find_drive(path, sequence)
+    drive = choose_drive(
+        path,
+        drives_in(path, is_drive),
+        sequence,
+        called="drive",
+        expected="lidar/00.pkl.gz, lidar/poses.json, camera/",
+    )
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
         sweeps = read_sweeps(drive)

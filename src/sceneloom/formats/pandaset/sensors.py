@@ -11,7 +11,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.pandaset.pickled_frames import PickledFrame, read_pickled_frame
-from sceneloom.formats.pandaset.place import numbered_files
+from sceneloom.formats.pandaset.spec import numbered_files
 from sceneloom.formats.pandaset.text_files import (
     LATEST_SECONDS,
     NANOSECONDS,

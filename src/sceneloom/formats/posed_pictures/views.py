@@ -10,7 +10,7 @@ from sceneloom.errors import OptionError
 from sceneloom.formats.default_poses import ego_in_world
 from sceneloom.formats.file_names import file_stems
 from sceneloom.formats.loss import Fate, Loss
-from sceneloom.formats.posed_pictures.settings import PosedSettings
+from sceneloom.formats.posed_pictures.spec import PosedSettings
 from sceneloom.formats.sfs.write_pictures import encode_jpeg
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import CameraSensor, Picture

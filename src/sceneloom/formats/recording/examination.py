@@ -6,8 +6,7 @@ from pathlib import Path
 from sceneloom.errors import SceneloomError
 from sceneloom.formats.faults import FaultLedger, PlacedFault, placed
 from sceneloom.formats.recording.further_contents import RecordingContents
-from sceneloom.formats.recording.place import find_place
-from sceneloom.formats.recording.scene_from_recording import check_values, read_recording
+from sceneloom.formats.recording.scene_from_recording import check_values, find_place, read_recording
 from sceneloom.scene.scene import Scene
 
 

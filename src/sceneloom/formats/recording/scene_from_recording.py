@@ -1,6 +1,8 @@
 """A recording's folder as a scene."""
 
+from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
@@ -16,11 +18,66 @@ from sceneloom.formats.recording.lidar_building import build_lidars
 from sceneloom.formats.recording.lines import read_lines
 from sceneloom.formats.recording.number_sensors import build_number_sensors
 from sceneloom.formats.recording.picture_files import ALIGNMENTS, OpenPictures
-from sceneloom.formats.recording.place import DATA_FILE, Closing, RecordingPlace, find_place
+from sceneloom.formats.recording.spec import DATA_FILE
 from sceneloom.formats.recording.trajectories import build_trajectories
+from sceneloom.formats.recording.zipped import is_zip, unpack
 from sceneloom.scene.scene import Scene
 
 ALTITUDES = ("wgs84", "msl")
+
+
+def _nothing() -> None:
+    pass
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingPlace:
+    """A recording's folder.
+
+    Attributes:
+        folder: where its files are.
+        source: what messages call it.
+        data_path: its lines.
+        alone: whether these are a log by itself, as programs put out, and what lies beside it is somebody else's.
+        remove: takes away what was made for it.
+    """
+
+    folder: Path
+    source: str
+    data_path: Path
+    alone: bool = False
+    remove: Callable[[], None] = _nothing
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Closing:
+    """Closes what a scene holds open, then takes away what was made for it."""
+
+    pictures: OpenPictures
+    remove: Callable[[], None]
+
+    def __call__(self) -> None:
+        """Close everything."""
+        self.pictures.close()
+        self.remove()
+
+
+def find_place(path: Path) -> RecordingPlace:
+    """Find the folder of a recording that is named by its folder, its log or a zip archive of it.
+
+    Raises:
+        DataError: the archive is damaged, or holds something else or too much.
+    """
+    if path.is_dir():
+        return RecordingPlace(path, str(path), path / DATA_FILE)
+    if is_zip(path):
+        unpacked = unpack(path, DATA_FILE)
+        return RecordingPlace(unpacked.folder, str(path), unpacked.folder / DATA_FILE, remove=unpacked.remove)
+    if path.name == DATA_FILE:
+        return RecordingPlace(path.parent, str(path.parent), path)
+    if path.is_file():
+        return RecordingPlace(path.parent, str(path), path, alone=True)
+    return RecordingPlace(path, str(path), path / DATA_FILE)
 
 
 def open_recording(

@@ -17,7 +17,7 @@ from sceneloom.formats.recording.calibration import CALIBRATION_FILE
 from sceneloom.formats.recording.kept_texts import SharedLines, timed_lines, untimed_lines
 from sceneloom.formats.recording.merged_lines import FRAMES, LineStream, OneByOne, WrittenLine, merged_lines
 from sceneloom.formats.recording.picture_rows import PictureRows, grouping_losses, picture_rows
-from sceneloom.formats.recording.place import DATA_FILE
+from sceneloom.formats.recording.spec import DATA_FILE
 from sceneloom.formats.recording.writing_plan import WritingPlan
 from sceneloom.formats.recording.written_calibration import antenna_entry, camera_entry, cropped, lidar_entry
 from sceneloom.formats.recording.written_frames import FrameLines

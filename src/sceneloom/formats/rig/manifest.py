@@ -10,9 +10,6 @@ from sceneloom.formats.files import read_bytes
 from sceneloom.formats.rig.faults import Faults
 from sceneloom.formats.rig.records import Record, read_record
 
-MANIFEST = "rig.toml"
-"""Name of the manifest in a folder."""
-
 _NAMED = (("sensors", "id"), ("trajectories", "name"))
 _LARGEST_MANIFEST = 16_000_000
 _LARGEST_EXPONENT = 40
@@ -49,20 +46,10 @@ class Manifest:
         return [(f"{name}[{k}]", record) for k, record in enumerate(self.record.get(name, []))]
 
 
-def manifest_path(path: Path) -> Path:
-    """The manifest of a folder, or the file itself."""
-    return path / MANIFEST if path.is_dir() else path
-
-
-def looks_like_manifest(path: Path) -> bool:
-    """Say whether a path is a folder with a `rig.toml`, that file, or another TOML file with sensors in it."""
-    manifest = manifest_path(path)
-    if not manifest.is_file() or manifest.suffix.lower() != ".toml":
-        return False
-    if manifest.name == MANIFEST:
-        return True
+def has_sensors(path: Path) -> bool:
+    """Whether a file is TOML with sensors in it."""
     try:
-        return "sensors" in _parse(manifest)
+        return "sensors" in _parse(path)
     except DataError:
         return False
 

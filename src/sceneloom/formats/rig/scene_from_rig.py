@@ -15,10 +15,11 @@ from sceneloom.formats.rig.doubts import note_doubts
 from sceneloom.formats.rig.drive import Drive, own_frame
 from sceneloom.formats.rig.faults import Faults
 from sceneloom.formats.rig.lidars import build_lidar
-from sceneloom.formats.rig.manifest import MANIFEST, Manifest, manifest_path, read_manifest
+from sceneloom.formats.rig.manifest import Manifest, read_manifest
 from sceneloom.formats.rig.motion_sensors import build_gnss, build_imu
 from sceneloom.formats.rig.records import Record
 from sceneloom.formats.rig.roots import open_root
+from sceneloom.formats.rig.spec import MANIFEST, manifest_path
 from sceneloom.formats.rig.trajectories import build_trajectory
 from sceneloom.formats.rig.transforms import Edge, FrameTree, read_transform
 from sceneloom.formats.rig.videos import VideoFile

@@ -28,9 +28,9 @@ from sceneloom.errors import DataError
 from sceneloom.formats.files import check_regular, file_faults, most_unpacked, read_bytes
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.mcap.index import McapIndex, read_index
-from sceneloom.formats.ros.form import METADATA, ROOT_KEY
 from sceneloom.formats.topics.chunks import Chunk, ChunkedMessages, decompress
 from sceneloom.formats.topics.file_bytes import FileBytes
+from sceneloom.formats.topics.spec import METADATA, ROOT_KEY
 from sceneloom.scene.notices import NoticeKind
 
 _ROS1_MAGIC = b"#ROSBAG V2.0\n"

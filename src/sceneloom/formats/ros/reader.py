@@ -3,6 +3,7 @@
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -88,6 +89,10 @@ def open_bag(
             raise
         scene = scene_from_topics(log, ledger, form=form, metadata={}, stamps=stamps, ego=ego, world=world)
     return with_assumed_models(scene) if assume_model else scene
+
+
+open_ros1, open_ros2 = partial(open_bag, form="ros1"), partial(open_bag, form="ros2")
+"""As `open_bag`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,8 @@ from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.option_values import as_positive
 from sceneloom.formats.scale_toolkit.frame_names import frame_names, times_of
-from sceneloom.formats.scale_toolkit.sensors import CLOUDS, build_camera, build_lidar, build_radar, read_pose
+from sceneloom.formats.scale_toolkit.sensors import build_camera, build_lidar, build_radar, read_pose
+from sceneloom.formats.scale_toolkit.spec import CLOUDS
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene
 

@@ -30,7 +30,6 @@ from sceneloom.scene.poses import PosePath
 from sceneloom.scene.scene import Sensor
 from sceneloom.scene.types import PointsFrame
 
-CLOUDS = (".ply", ".pcd")
 _LENS = ("fx", "fy", "cx", "cy")
 _RADAR_COLUMNS = 7
 _LARGEST = 1e9

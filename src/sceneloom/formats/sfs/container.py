@@ -17,7 +17,6 @@ import msgspec
 
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
-from sceneloom.formats.files import open_file
 from sceneloom.formats.identity import Identity
 from sceneloom.formats.sfs.items import (
     DTYPES,
@@ -33,13 +32,10 @@ from sceneloom.formats.sfs.remote import RemoteContent, RemoteFile
 from sceneloom.formats.urls import is_url
 from sceneloom.redaction import redacted
 
-__all__ = ["DTYPES", "ITEMS", "Container", "ItemFault", "RawBytes", "format_keys", "has_scene_header"]
+__all__ = ["DTYPES", "ITEMS", "Container", "ItemFault", "RawBytes", "format_keys"]
 
 HEADER_LIMIT = 1 << 30
 """Longest header that is read [bytes]: beyond it the text alone would fill the memory of a large machine."""
-
-_LOOKED_THROUGH = 64 << 20
-"""How far a file without the suffix is searched for the end of a header: logs begin with a brace, too [bytes]."""
 
 
 class StoredFile(Protocol):
@@ -194,23 +190,6 @@ class Container:
         if self._numbers is None:
             self._numbers = item_places(self.header if header is None else header, self._items)
         return self._numbers.get(place)
-
-
-def has_scene_header(path: Path) -> bool:
-    """Say whether a file starts with `{` and has a header that ends in a NUL and names `$items`."""
-    if not path.is_file():
-        return False
-    try:
-        with open_file(path) as file:
-            if not file.read(4096).lstrip(b" \t\r\n").startswith(b"{"):
-                return False
-            if path.suffix.lower() == ".sfs":
-                return True
-            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
-                stop = mapped.find(b"\0", 0, _LOOKED_THROUGH)
-                return stop > 0 and mapped.find(f'"{ITEMS}"'.encode(), 0, stop) > 0
-    except (OSError, ValueError):
-        return False
 
 
 def _decode(text: memoryview, file: str) -> Any:

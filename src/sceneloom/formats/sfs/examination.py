@@ -7,7 +7,7 @@ from sceneloom.errors import DataError
 from sceneloom.formats.faults import PlacedFault
 from sceneloom.formats.sfs.faults import Examination
 from sceneloom.formats.sfs.reading import read_all
-from sceneloom.formats.sfs.source import ReadingOptions
+from sceneloom.formats.sfs.spec import ReadingOptions
 
 
 def examine(path: Path | str, options: ReadingOptions | None = None) -> Examination:

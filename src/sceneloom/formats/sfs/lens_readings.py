@@ -5,7 +5,8 @@ from dataclasses import replace
 from typing import Any
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.formats.sfs.source import BROWN, OPENCV, TANGENTIALS, Source
+from sceneloom.formats.sfs.source import Source
+from sceneloom.formats.sfs.spec import BROWN, OPENCV, TANGENTIALS
 from sceneloom.scene.assumed_lenses import with_assumed_models
 from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.scene import Scene

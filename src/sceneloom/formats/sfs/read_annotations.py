@@ -22,7 +22,8 @@ from sceneloom.formats.sfs.read_cameras import further_of_intrinsics, read_lens
 from sceneloom.formats.sfs.read_cuboids import read_cuboid
 from sceneloom.formats.sfs.read_keypoints import read_keypoints
 from sceneloom.formats.sfs.records import Faults, FieldError, Place
-from sceneloom.formats.sfs.source import PAIRS, Source
+from sceneloom.formats.sfs.source import Source
+from sceneloom.formats.sfs.spec import PAIRS
 from sceneloom.formats.sfs.usual_cuboids import read_usual_cuboids
 from sceneloom.scene.annotations.annotation import Annotation
 from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation, BoxPath

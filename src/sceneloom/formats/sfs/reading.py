@@ -38,7 +38,8 @@ from sceneloom.formats.sfs.root import (
     read_clock,
     read_ours,
 )
-from sceneloom.formats.sfs.source import ReadingOptions, Source
+from sceneloom.formats.sfs.source import Source
+from sceneloom.formats.sfs.spec import ReadingOptions
 from sceneloom.formats.sfs.times import FileClock
 from sceneloom.formats.sfs.video_rescue import damaged_videos, rescue_videos
 from sceneloom.formats.urls import is_url

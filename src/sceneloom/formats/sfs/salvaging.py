@@ -15,7 +15,7 @@ from sceneloom.formats.sfs.container import Container, ItemFault, format_keys
 from sceneloom.formats.sfs.header_recovery import recover_header
 from sceneloom.formats.sfs.reading import read_container
 from sceneloom.formats.sfs.removal import Keys
-from sceneloom.formats.sfs.source import ReadingOptions
+from sceneloom.formats.sfs.spec import ReadingOptions
 from sceneloom.formats.sfs.video_rescue import as_keys, video_problem
 from sceneloom.formats.sfs.write_annotations import annotation_record
 from sceneloom.formats.sfs.writing import write_scene

@@ -4,65 +4,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from sceneloom.errors import OptionError
 from sceneloom.formats.faults import PlacedFault
 from sceneloom.formats.sfs.container import ITEMS, Container, ItemFault, format_keys
 from sceneloom.formats.sfs.file_parts import FileParts
 from sceneloom.formats.sfs.records import Fault, Faults, Place, RecordReader
+from sceneloom.formats.sfs.spec import ReadingOptions
 from sceneloom.formats.sfs.times import FileClock
-from sceneloom.geometry.euler import ORDERS, AngleUnit
 from sceneloom.scene.notices import Notice, NoticeKind
-from sceneloom.scene.types import Identifier, PointsFrame
-
-OPENCV, BROWN = "opencv", "brown"
-TANGENTIALS = (OPENCV, BROWN)
-"""The two meanings that p1 and p2 have among those who write lenses. Source: "Distortion" in docs/CONVENTIONS.md."""
-PAIRS, TRIPLES = "pairs", "triples"
-VERTICES = (PAIRS, TRIPLES)
-"""How the vertices of polygons and polylines in space may be written."""
-
-
-@dataclass(frozen=True, slots=True)
-class ReadingOptions:
-    """What the caller says about a file that the file does not say itself.
-
-    Attributes:
-        points_frame: the frame of lidar and radar points; None: as recorded, else the one that `coordinates` names.
-        euler_unit: unit of the angles of cuboids; None: as recorded, else degrees.
-        euler_order: order of the rotations of cuboids; None: as recorded, else xyz.
-        tangential: what p1 and p2 of `brown_conrady` mean; None: as recorded, else as in OpenCV. "brown": as in Brown's
-            paper, where they stand the other way round; they are exchanged, unless the file records that they were.
-        vertices: how polygons and polylines in space are written: "triples" x, y, z, or "pairs" x, y, as the examples
-            of the description have them, whose z is 0; None: triples where all rows of a path fit them, else pairs.
-        assume_model: allow computing with lenses whose formulas nothing confirms.
-        lenient: leave out sensors and annotations that are at fault, with a notice each.
-        storage_options: what the fsspec back end of a URL is made with, such as credentials.
-
-    Raises:
-        OptionError: a value is not one of those that there are.
-    """
-
-    points_frame: PointsFrame | None = None
-    euler_unit: str | None = None
-    euler_order: str | None = None
-    tangential: str | None = None
-    vertices: str | None = None
-    assume_model: bool = False
-    lenient: bool = False
-    storage_options: Mapping[str, Any] | None = None
-
-    def __post_init__(self) -> None:
-        for name, known in (
-            ("euler_unit", tuple(AngleUnit)),
-            ("euler_order", ORDERS),
-            ("tangential", TANGENTIALS),
-            ("vertices", VERTICES),
-        ):
-            if getattr(self, name) not in (None, *known):
-                raise OptionError(f"{name} {getattr(self, name)!r}; expected one of {', '.join(known)}")
-        frames = [frame.value for frame in PointsFrame]
-        if self.points_frame is not None and self.points_frame not in frames:
-            raise OptionError(f"points_frame {self.points_frame!r}; expected one of {', '.join(frames)}")
+from sceneloom.scene.types import Identifier
 
 
 @dataclass(slots=True)

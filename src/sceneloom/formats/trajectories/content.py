@@ -5,9 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from sceneloom.arrays import Float64Array
-from sceneloom.formats.holdings import Holds
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.loss import Loss
+from sceneloom.formats.loss import Loss, Supports
 from sceneloom.formats.trajectories.holdings import HOLDS, METRES
 from sceneloom.scene.motion import GnssSensor
 from sceneloom.scene.notices import Notice
@@ -69,8 +68,8 @@ class TrajectoryForm:
         write: puts a content into a new file, and tells what that has no place for. It is given the path to write to
             and, for messages, the one that will be the file's in the end.
         beside: where a second file stands that is written with it, or None.
-        holds: what becomes of each field of a scene out of which a way is written.
-        fix_holds: the same where it is what a satellite receiver told.
+        supports: what becomes of each field of a scene out of which a way is written.
+        fix_supports: the same where it is what a satellite receiver told.
     """
 
     name: str
@@ -80,5 +79,5 @@ class TrajectoryForm:
     read: Callable[[Path, Reading, Ledger], TrajectoryFile]
     write: Callable[[TrajectoryFile, Path, Path], Iterable[Loss]]
     beside: Callable[[Path], Path] | None = None
-    holds: Holds = field(default_factory=lambda: HOLDS)
-    fix_holds: Holds = field(default_factory=lambda: METRES)
+    supports: Supports = field(default_factory=lambda: HOLDS)
+    fix_supports: Supports = field(default_factory=lambda: METRES)

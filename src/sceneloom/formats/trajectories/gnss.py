@@ -128,6 +128,6 @@ FORM = TrajectoryForm(
     _recognises,
     _read,
     _write,
-    holds=PLACES,
-    fix_holds=FIXES,
+    supports=PLACES,
+    fix_supports=FIXES,
 )

@@ -2,8 +2,7 @@
 
 from types import MappingProxyType
 
-from sceneloom.formats.holdings import Holds
-from sceneloom.formats.loss import KEPT, Holding, converted, dropped
+from sceneloom.formats.loss import KEPT, Holding, Supports, converted, dropped
 
 _ELSE = dropped("the file holds one trajectory and nothing else")
 _WAY: dict[str, Holding] = {
@@ -15,18 +14,18 @@ _WAY: dict[str, Holding] = {
     "trajectories.file_seconds": dropped("only the exact times are written"),
 }
 
-HOLDS: Holds = MappingProxyType(_WAY)
+HOLDS: Supports = MappingProxyType(_WAY)
 """Of forms that hold poses with times, number for number."""
 
-MATRICES: Holds = MappingProxyType(
+MATRICES: Supports = MappingProxyType(
     {**_WAY, "trajectories.quaternions_xyzw": converted("as matrices of rotation, within 1e-14 rad")}
 )
 """Of forms that hold poses as matrices."""
 
-NAMED: Holds = MappingProxyType({**_WAY, "trajectories.name": KEPT})
+NAMED: Supports = MappingProxyType({**_WAY, "trajectories.name": KEPT})
 """Of forms that say how the way is called."""
 
-PLACES: Holds = MappingProxyType(
+PLACES: Supports = MappingProxyType(
     {
         **_WAY,
         "trajectories.positions": converted("as latitude, longitude and altitude"),
@@ -35,7 +34,7 @@ PLACES: Holds = MappingProxyType(
 )
 """Of a way in a form of places on earth."""
 
-FIXES: Holds = MappingProxyType(
+FIXES: Supports = MappingProxyType(
     {
         "": _ELSE,
         "sensors.gnss.timestamps_ns": KEPT,
@@ -46,7 +45,7 @@ FIXES: Holds = MappingProxyType(
 )
 """Of what a satellite receiver told, in a form of places on earth."""
 
-METRES: Holds = MappingProxyType(
+METRES: Supports = MappingProxyType(
     {
         "": _ELSE,
         "sensors.gnss.timestamps_ns": KEPT,

@@ -165,5 +165,5 @@ FORM = TrajectoryForm(
     _recognises,
     _read,
     _write,
-    holds=NAMED,
+    supports=NAMED,
 )

@@ -8,7 +8,8 @@ import numpy as np
 
 from sceneloom.arrays import read_only
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.formats.table import Format, chosen_corrections
+from sceneloom.formats.spec import FormatSpec
+from sceneloom.formats.table import chosen_corrections
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile
 from sceneloom.formats.trajectories.gnss import of_fixes
 from sceneloom.motion.gnss_receivers import usable_fixes
@@ -29,7 +30,11 @@ def is_scene_name(name: str | None) -> bool:
 
 
 def read_scene_trajectory(
-    form: Format, place: Any, reading: Reading, options: Mapping[str, Any], progress: Progress | None = None
+    form: FormatSpec,
+    place: Any,
+    reading: Reading,
+    options: Mapping[str, Any],
+    progress: Progress | None = None,
 ) -> TrajectoryFile:
     """Open a scene and take a trajectory out of it.
 

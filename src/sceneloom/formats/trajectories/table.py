@@ -13,7 +13,7 @@ from sceneloom.errors import OptionError, PoseError, UnknownFormatError, check_o
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import replacing_together
-from sceneloom.formats.table import FORMATS, format_and_place, format_named, format_names
+from sceneloom.formats.table import claims_of, format_and_place, format_names
 from sceneloom.formats.trajectories import euroc, gnss, jsonl, kitti, named_columns, tum
 from sceneloom.formats.trajectories.axes import from_optical, to_optical
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
@@ -214,7 +214,8 @@ def find_form(path: str | Path) -> TrajectoryForm | None:
     where = Path(path)
     if not where.exists():
         raise UnknownFormatError(path, "", "no such file or folder")
-    if any(form.recognises(where) for form in map(format_named, FORMATS) if form.name != "recording"):
+    claims = {form.name for form in claims_of(where)}
+    if claims - {"recording"}:
         return None
     text = None if where.name == "data.jsonl" else beginning(where)
     if text is not None:
@@ -226,7 +227,7 @@ def find_form(path: str | Path) -> TrajectoryForm | None:
         )
         if found is not None:
             return found
-    if any(form.recognises(where) for form in map(format_named, format_names())):
+    if claims:
         return None
     known = "; ".join(f"{form.name}, {form.looks_like}" for form in TRAJECTORY_FORMS.values())
     raise UnknownFormatError(

@@ -4,8 +4,8 @@ from collections.abc import Iterable, Mapping
 
 import msgspec
 
-from sceneloom.formats.holdings import SEVERITY, Holds, holding_of
-from sceneloom.formats.loss import Fate, Holding, Loss
+from sceneloom.formats.holdings import SEVERITY, holding_of
+from sceneloom.formats.loss import Fate, Holding, Loss, Supports
 from sceneloom.pipeline.converting.field_names import fields_meant
 from sceneloom.scene.contents import MODEL_FIELDS
 
@@ -34,13 +34,13 @@ class FieldFate(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def field_fates(
-    contents: Mapping[str, int], holds: Holds, losses: Iterable[Loss], kinds: Mapping[str, str]
+    contents: Mapping[str, int], supports: Supports, losses: Iterable[Loss], kinds: Mapping[str, str]
 ) -> tuple[FieldFate, ...]:
     """Say of every field that a scene holds what became of it.
 
     Args:
         contents: how many objects or frames hold each field.
-        holds: what the format does with each field, whatever the scene.
+        supports: what the format does with each field, whatever the scene.
         losses: what the writing told.
         kinds: of the scene's sensors and annotations, as `kinds_by_id` gives them.
 
@@ -53,7 +53,7 @@ def field_fates(
         for field in meant or [loss.field]:
             told.setdefault(field, []).append(loss)
     known = [
-        _fate(field, count, holding_of(holds, field), told.pop(field, []))
+        _fate(field, count, holding_of(supports, field), told.pop(field, []))
         for field, count in contents.items()
     ]
     return (*known, *(_beside(place, lines) for place, lines in told.items()))

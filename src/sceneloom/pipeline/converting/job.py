@@ -10,20 +10,18 @@ from typing import Any
 import msgspec
 
 from sceneloom.errors import LossError, OptionError
-from sceneloom.formats.holdings import Holds
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import check_output
 from sceneloom.formats.remote.uploads import uploading
+from sceneloom.formats.spec import FormatSpec
 from sceneloom.formats.table import (
     PART,
-    Format,
     format_for_output,
     format_named,
     format_names,
     open_scene,
     scene_for,
     write_in,
-    writes,
     written_formats,
 )
 from sceneloom.formats.trajectories.table import TRAJECTORY_FORMS, form_for_output
@@ -146,7 +144,7 @@ def _listing(path: Path, *, overwrite: bool) -> Callable[[ConversionReport], Non
 
 def _write_way(source: str | Path, way: ChosenWay, to: str | None, target: _Target) -> ConversionReport:
     form = form_for_output(target.place) if to is None else TRAJECTORY_FORMS[to]
-    holds = form.holds if way.content.fixes is None else form.fix_holds
+    supports = form.supports if way.content.fixes is None else form.fix_supports
     blank = ConversionReport(
         source=str(source),
         source_format=way.content.form,
@@ -154,13 +152,13 @@ def _write_way(source: str | Path, way: ChosenWay, to: str | None, target: _Targ
         target_format=form.name,
         notices=way.content.notices,
         losses=LossReport(),
-        fields=field_fates(way.contents, holds, way.losses, way.kinds),
+        fields=field_fates(way.contents, supports, way.losses, way.kinds),
         written=False,
     )
 
     def judged(told: LossReport) -> ConversionReport:
         losses = LossReport.of([*way.losses, *told])
-        fates = field_fates(way.contents, holds, losses, way.kinds)
+        fates = field_fates(way.contents, supports, losses, way.kinds)
         return msgspec.structs.replace(blank, losses=losses, fields=fates, written=True)
 
     return _written(partial(way.write, form=form.name), blank, judged, target)
@@ -179,7 +177,7 @@ def _write_drive(
     if reading.get("form") in TRAJECTORY_FORMS or holds_trajectory_only(source):
         _refuse_part(source, reading)
         opened = drive_of(source, trajectory, reading)
-    elif trajectory is not None and getattr(writer, "along_trajectory", False):
+    elif trajectory is not None and writer.along_trajectory:
         target = replace(target, writing={**target.writing, "trajectory": trajectory})
         opened = open_scene(source, **reading)
     elif trajectory is not None:
@@ -202,11 +200,10 @@ def _refuse_part(place: str | Path, reading: Mapping[str, Any]) -> None:
 
 
 def _write_scene(
-    source: str | Path, scene: Scene, writer: Format, target: _Target, progress: Progress | None
+    source: str | Path, scene: Scene, writer: FormatSpec, target: _Target, progress: Progress | None
 ) -> ConversionReport:
     scene = scene_for(writer, scene)
     counting = Counting(_telling(scene, progress))
-    holds: Holds = getattr(writer, "holds", {})
     blank = ConversionReport(
         source=str(source),
         source_format=scene.format,
@@ -214,21 +211,19 @@ def _write_scene(
         target_format=writer.name,
         notices=scene.notices,
         losses=LossReport(),
-        fields=field_fates(counting.counts(), holds, (), {}),
+        fields=field_fates(counting.counts(), writer.supports, (), {}),
         written=False,
     )
 
     def judged(losses: LossReport) -> ConversionReport:
-        fates = field_fates(counting.counts(), holds, losses, kinds_by_id(scene))
+        fates = field_fates(counting.counts(), writer.supports, losses, kinds_by_id(scene))
         return msgspec.structs.replace(blank, losses=losses, fields=fates, written=True)
 
-    check_place = getattr(writer, "check_place", None)
-    if check_place is not None:
-        check_place(target.place)
+    writer.check_output(target.place)
     return _written(partial(_written_scene, writer, counting.scene), blank, judged, target)
 
 
-def _written_scene(writer: Format, scene: Scene, place: Path, **writing: Any) -> LossReport:
+def _written_scene(writer: FormatSpec, scene: Scene, place: Path, **writing: Any) -> LossReport:
     return write_in(writer, scene, place, **writing)
 
 
@@ -246,14 +241,14 @@ def _written(
         return write_strictly(written, target.place, judged, overwrite=target.overwrite)
 
 
-def _writer(place: Path, to: str | None) -> Format:
+def _writer(place: Path, to: str | None) -> FormatSpec:
     if to is None:
         return format_for_output(place)
     if to not in format_names():
         known = ", ".join((*written_formats(), *TRAJECTORY_FORMS))
         raise OptionError(f"no format or form {to!r}; there are {known}")
     form = format_named(to)
-    if not writes(form):
+    if not form.writes:
         known = ", ".join((*written_formats(), *TRAJECTORY_FORMS))
         raise OptionError(f"{place}: the format {to} is only read; written are {known}")
     return form

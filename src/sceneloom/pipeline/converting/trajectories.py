@@ -7,7 +7,7 @@ from typing import Any
 
 from sceneloom.errors import UnknownFormatError, check_option_names
 from sceneloom.formats.loss import Loss, LossReport
-from sceneloom.formats.table import format_and_place, format_named, format_names, reads
+from sceneloom.formats.table import claims_of, format_and_place
 from sceneloom.formats.trajectories.content import TrajectoryFile
 from sceneloom.formats.trajectories.table import (
     TRAJECTORY_FORMS,
@@ -40,9 +40,7 @@ def holds_trajectory_only(path: str | Path) -> bool:
         form = find_form(path)
     except UnknownFormatError:
         return False
-    return form is not None and not any(
-        known.recognises(Path(path)) for known in filter(reads, map(format_named, format_names()))
-    )
+    return form is not None and not claims_of(Path(path))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,8 +6,8 @@ import sys
 import pytest
 
 from sceneloom.errors import UnknownFormatError, UnknownOptionError
-from sceneloom.formats.mcap.form import FORMAT
 from sceneloom.formats.table import find_format
+from sceneloom.formats.topics.spec import MCAP
 
 WITHOUT = """
 import sys, importlib.abc
@@ -43,4 +43,4 @@ def test_a_file_that_is_only_called_so_is_told(tmp_path):
 
 def test_unknown_options_are_refused(tmp_path):
     with pytest.raises(UnknownOptionError, match="stamps, ego, world"):
-        FORMAT.open(tmp_path / "drive.mcap", stamp="header")
+        MCAP.open(tmp_path / "drive.mcap", stamp="header")

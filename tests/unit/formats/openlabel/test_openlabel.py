@@ -9,7 +9,7 @@ import pytest
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, OutputError, UnknownOptionError
 from sceneloom.formats.loss import Fate
-from sceneloom.formats.openlabel.form import FORMAT
+from sceneloom.formats.openlabel.spec import FORMAT
 from sceneloom.formats.table import find_format, open_scene, write_scene
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras import project
-from sceneloom.formats.recording.form import FORMAT
 from sceneloom.formats.recording.lenses import LENS_READINGS
+from sceneloom.formats.recording.spec import FORMAT
 
 # two lines of "Example data.jsonl" in the description of the format, as they stand there
 FIRST = (

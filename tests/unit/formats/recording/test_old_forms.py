@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError
-from sceneloom.formats.recording.form import FORMAT
+from sceneloom.formats.recording.spec import FORMAT
 
 CAMERA_FROM_IMU = np.array(
     [[0.0, -1.0, 0.0, 0.1], [0.0, 0.0, -1.0, 0.2], [1.0, 0.0, 0.0, 0.3], [0.0, 0.0, 0.0, 1.0]]

@@ -10,7 +10,7 @@ import pytest
 
 from sceneloom.cameras import project
 from sceneloom.errors import CalibrationError, DataError, OptionError
-from sceneloom.formats.recording.form import FORMAT
+from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.scene import NoticeKind, Scene
 
 CAMERA_MATRIX = np.array([[420.0, 0.0, 310.0], [0.0, 415.0, 245.0], [0.0, 0.0, 1.0]])

@@ -7,7 +7,7 @@ import pytest
 import sceneloom
 from sceneloom.checks import validate
 from sceneloom.errors import DataError
-from sceneloom.formats.recording.form import FORMAT
+from sceneloom.formats.recording.spec import FORMAT
 
 COUNT = 24
 CODECS = {

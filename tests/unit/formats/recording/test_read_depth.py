@@ -10,7 +10,7 @@ from sceneloom import diff
 from sceneloom.checks import validate
 from sceneloom.editing import crop_scene, merge_scenes, thin_scene, to_ego, to_world, undistort_scene
 from sceneloom.errors import DataError
-from sceneloom.formats.recording.form import FORMAT
+from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.formats.sfs.writing import write_scene as write_sfs
 from sceneloom.pipeline.woven.origin import moved_scene
 from sceneloom.scene import DepthCameraSensor

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import CalibrationError, DataError
-from sceneloom.formats.recording.form import FORMAT
+from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.scene import NoticeKind
 
 POINTS = [

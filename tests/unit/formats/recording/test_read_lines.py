@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError
-from sceneloom.formats.recording.form import FORMAT
+from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.scene import GnssSensor, ImuSensor, NoticeKind, Scene
 
 TURN = {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}
@@ -445,7 +445,7 @@ def test_a_byte_order_mark_is_passed_over_with_a_warning_and_lines_keep_their_pl
         assert scene.cameras[0].pictures[0].extras["features"] == [1]
     alone = recording.path.rename(recording.path.with_name("other")) / "lines.log"
     (alone.parent / "data.jsonl").rename(alone)
-    assert FORMAT.recognises(alone)
+    assert FORMAT.sniff(alone)
 
 
 def test_samples_of_another_width_than_the_first_of_an_unknown_sensor_are_kept_as_text(recording):

@@ -7,7 +7,7 @@ import pytest
 
 from sceneloom.checks import validate
 from sceneloom.errors import DataError, UnknownFormatError
-from sceneloom.formats.recording.form import FORMAT
+from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.formats.table import find_format
 
 # a line as the vendor's software puts it out, the numbers shortened
@@ -63,7 +63,7 @@ def test_a_file_of_output_is_a_scene_with_a_trajectory(output):
 def test_poses_under_the_name_of_a_method_are_read_from_any_file(tmp_path, line, names):
     path = tmp_path / "results.json"
     path.write_text(line + "\n")
-    assert FORMAT.recognises(path)
+    assert FORMAT.sniff(path)
     with FORMAT.open(path) as scene:
         assert list(scene.trajectories) == names
 
@@ -102,7 +102,7 @@ def test_a_log_under_another_name_has_the_pictures_beside_it(recording, pinhole)
 def test_other_files_are_no_logs(tmp_path, text):
     path = tmp_path / "other.jsonl"
     path.write_text(text)
-    assert not FORMAT.recognises(path)
+    assert not FORMAT.sniff(path)
     with pytest.raises(UnknownFormatError):
         find_format(path)
 

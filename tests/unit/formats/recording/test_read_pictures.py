@@ -8,8 +8,8 @@ import pytest
 
 import sceneloom
 from sceneloom.errors import CalibrationError, DataError, OptionError
-from sceneloom.formats.recording.form import FORMAT
 from sceneloom.formats.recording.picture_files import choose_pictures
+from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.scene import CameraSensor, NoticeKind, Scene
 
 GREY_STEP = 10

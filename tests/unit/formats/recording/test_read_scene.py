@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats import open_scene
-from sceneloom.formats.recording.form import FORMAT
+from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.scene import Coordinates, PointsFrame, SensorType
 
 IMU_LINE = '{"sensor":{"type":"gyroscope","values":[0,0,0]},"time":0}'
@@ -34,7 +34,7 @@ def sweep(time: float) -> dict[str, Any]:
 def test_a_folder_or_its_lines_name_a_recording(recording, name):
     recording.lines([IMU_LINE])
     path = recording.path / name
-    assert FORMAT.recognises(path)
+    assert FORMAT.sniff(path)
     with open_scene(path) as scene:
         assert scene.format == "recording"
         assert scene.source == str(recording.path)
@@ -44,7 +44,7 @@ def test_a_folder_or_its_lines_name_a_recording(recording, name):
 def test_other_paths_are_not_recognised(recording, tmp_path):
     (tmp_path / "other.jsonl").write_text('{"speed": 1.5, "time": 0.0}\n')
     for path in (recording.path, tmp_path / "other.jsonl", tmp_path / "missing"):
-        assert not FORMAT.recognises(path)
+        assert not FORMAT.sniff(path)
 
 
 @pytest.mark.parametrize("name", ["drive", "missing", "missing/data.jsonl"])

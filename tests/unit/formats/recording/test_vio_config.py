@@ -2,7 +2,7 @@
 
 import pytest
 
-from sceneloom.formats.recording.form import FORMAT
+from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.formats.recording.vio_config import read_vio_config, repeated_keys, similar_key, unknown_keys
 from sceneloom.formats.recording.vio_config_keys import KNOWN_KEYS
 

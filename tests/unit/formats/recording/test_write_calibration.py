@@ -11,8 +11,8 @@ from sceneloom.cameras import Camera, project_unbounded, unproject
 from sceneloom.cameras.table import MODELS
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.recording.form import FORMAT
 from sceneloom.formats.recording.mounts import rigid_transform
+from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.formats.recording.written_calibration import camera_entry, lens_entry
 from sceneloom.formats.recording.written_mounts import matrix_entry, mount_entry, mounting
 from sceneloom.geometry.rigid import RigidTransform

@@ -6,7 +6,7 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.editing import crop_scene, thin_scene
-from sceneloom.formats.recording.form import FORMAT
+from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraSensor, LazyFrames, Picture, Scene
 

@@ -15,7 +15,7 @@ import pytest
 from sceneloom.checks import validate
 from sceneloom.errors import DataError
 from sceneloom.formats.recording import zipped
-from sceneloom.formats.recording.form import FORMAT
+from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.formats.table import find_format, open_scene
 
 LINES = [
@@ -200,7 +200,7 @@ def test_other_archives_are_no_recordings(tmp_path, scratch):
         archive.writestr("b/data.jsonl", "{}")
     path = Path(tmp_path / "two.zip")
     path.write_bytes(buffer.getvalue())
-    assert not FORMAT.recognises(path)
+    assert not FORMAT.sniff(path)
     with pytest.raises(
         DataError, match=r"holds no data\.jsonl, neither at its root nor in a single top folder"
     ):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sceneloom.formats.rig.form import FORMAT
+from sceneloom.formats.rig.spec import FORMAT
 from sceneloom.scene import Scene
 
 START_NS = 1_532_402_927_600_000_000

@@ -46,7 +46,7 @@ def test_a_fault_is_told_with_place_value_and_what_was_expected(opened, old, new
 
 def test_a_file_that_is_no_toml_is_told_with_its_line(folder, opened):
     (folder / "rig.toml").write_text("ego = base\n")
-    from sceneloom.formats.rig.form import FORMAT
+    from sceneloom.formats.rig.spec import FORMAT
 
     with pytest.raises(DataError, match=r"is no TOML: .*line 1"):
         FORMAT.open(folder)
@@ -59,7 +59,7 @@ def test_a_file_that_is_no_toml_is_told_with_its_line(folder, opened):
 
 
 def test_an_empty_manifest_says_what_is_missing(folder):
-    from sceneloom.formats.rig.form import FORMAT
+    from sceneloom.formats.rig.spec import FORMAT
 
     (folder / "rig.toml").write_text("")
     with pytest.raises(DataError, match="sensors: missing; expected a list of tables: the sensors"):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.errors import DataError, OptionError, OutputError
-from sceneloom.formats.rig.form import FORMAT
+from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.rig.spec import FORMAT
 from sceneloom.scene import PointsFrame
 
 from .conftest import START_NS
@@ -48,8 +48,8 @@ def test_sensors_have_poses_along_the_trajectory(opened):
 
 
 def test_the_folder_and_the_manifest_are_recognised_and_open_alike(folder):
-    assert FORMAT.recognises(folder)
-    assert FORMAT.recognises(folder / "rig.toml")
+    assert FORMAT.sniff(folder)
+    assert FORMAT.sniff(folder / "rig.toml")
     for path in (folder, folder / "rig.toml"):
         with sceneloom.open(path) as scene:
             assert (scene.format, scene.source, len(scene.sensors)) == ("rig", str(folder), 2)
@@ -57,16 +57,16 @@ def test_the_folder_and_the_manifest_are_recognised_and_open_alike(folder):
 
 def test_a_manifest_of_another_name_is_recognised_by_its_sensors(folder):
     (folder / "rig.toml").rename(folder / "day.toml")
-    assert not FORMAT.recognises(folder)
-    assert FORMAT.recognises(folder / "day.toml")
+    assert not FORMAT.sniff(folder)
+    assert FORMAT.sniff(folder / "day.toml")
     (folder / "other.toml").write_text("[project]\nname = 'x'\n")
     (folder / "broken.toml").write_text("sensors = [")
-    assert not FORMAT.recognises(folder / "other.toml")
-    assert not FORMAT.recognises(folder / "broken.toml")
+    assert not FORMAT.sniff(folder / "other.toml")
+    assert not FORMAT.sniff(folder / "broken.toml")
 
 
 def test_a_rig_is_not_written(opened, tmp_path):
-    with pytest.raises(OutputError, match="a rig is only read; write a scene file"):
+    with pytest.raises(OptionError, match="a rig is only read; write a scene file"):
         sceneloom.write(opened(), tmp_path / "new.toml", format="rig")
     assert not (tmp_path / "new.toml").exists()
 

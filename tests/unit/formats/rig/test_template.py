@@ -9,7 +9,7 @@ from PIL import Image
 
 import sceneloom
 from sceneloom.errors import DataError, OptionError, OutputError
-from sceneloom.formats.rig.form import FORMAT
+from sceneloom.formats.rig.spec import FORMAT
 from sceneloom.formats.rig.survey import survey
 from sceneloom.formats.rig.template import TEMPLATE, quoted, template_text, write_template
 

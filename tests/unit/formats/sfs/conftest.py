@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sceneloom.formats.sfs.form import FORMAT
+from sceneloom.formats.sfs.spec import FORMAT
 
 POSE_ROW = [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]
 

@@ -5,7 +5,7 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.sfs.form import FORMAT
+from sceneloom.formats.sfs.spec import FORMAT
 from sceneloom.formats.sfs.writer import SceneWriter
 from sceneloom.formats.sfs.writing import write_scene
 from sceneloom.scene import (

@@ -7,7 +7,8 @@ import pytest
 
 from sceneloom.errors import DataError
 from sceneloom.formats.sfs import container as module
-from sceneloom.formats.sfs.container import DTYPES, Container, RawBytes, format_keys, has_scene_header
+from sceneloom.formats.sfs.container import DTYPES, Container, RawBytes, format_keys
+from sceneloom.formats.sfs.spec import has_scene_header
 
 
 @pytest.fixture

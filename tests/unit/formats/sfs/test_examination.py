@@ -7,8 +7,7 @@ import pytest
 
 from sceneloom.errors import DataError
 from sceneloom.formats.sfs.examination import examine
-from sceneloom.formats.sfs.form import FORMAT
-from sceneloom.formats.sfs.source import ReadingOptions
+from sceneloom.formats.sfs.spec import FORMAT, ReadingOptions
 
 POSE = [0, 0, 0, 0, 0, 0, 1]
 PATH = {"timestamps": [0], "values": [[1, 1, 1, 0, 0, 0, 0, 0, 0]]}

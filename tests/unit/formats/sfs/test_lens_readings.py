@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import CalibrationError, OptionError
-from sceneloom.formats.sfs.form import FORMAT
+from sceneloom.formats.sfs.spec import FORMAT
 from sceneloom.formats.sfs.writing import write_scene
 from sceneloom.pipeline.woven.scene import weave
 from sceneloom.scene.assumed_lenses import assumed_models, check_lenses

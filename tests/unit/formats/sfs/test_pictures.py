@@ -9,8 +9,8 @@ from PIL import Image
 
 from sceneloom.cameras import Camera, project_unbounded, unproject
 from sceneloom.errors import DataError
-from sceneloom.formats.sfs.form import FORMAT
 from sceneloom.formats.sfs.mp4 import video_codec
+from sceneloom.formats.sfs.spec import FORMAT
 from sceneloom.formats.sfs.writer import SceneWriter
 from sceneloom.formats.sfs.writing import write_scene
 from sceneloom.formats.video.reader import open_video

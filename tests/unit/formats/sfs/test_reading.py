@@ -127,7 +127,7 @@ def test_flat_arrays_are_cut_into_rows_and_lists_become_arrays(open_header, make
 
 
 def test_items_without_dtype_get_the_fields_own(tmp_path, encode_sfs, make):
-    from sceneloom.formats.sfs.form import FORMAT
+    from sceneloom.formats.sfs.spec import FORMAT
 
     points = {"positions": TWO, "timestamps": np.array([5, 6], np.uint32)}
     path = tmp_path / "raw.sfs"
@@ -139,7 +139,7 @@ def test_items_without_dtype_get_the_fields_own(tmp_path, encode_sfs, make):
 
 
 def test_arrays_at_odd_addresses_come_out_aligned(tmp_path):
-    from sceneloom.formats.sfs.form import FORMAT
+    from sceneloom.formats.sfs.spec import FORMAT
 
     text = (
         b'{"version":"1.0","sensors":[{"id":1,"type":"points","points":{"positions":""}}],"$items":'

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.formats.sfs.form import FORMAT
+from sceneloom.formats.sfs.spec import FORMAT
 from sceneloom.formats.sfs.times import INT64_MIN
 from sceneloom.formats.sfs.writing import write_scene
 from sceneloom.geometry.rigid import RigidTransform

@@ -9,8 +9,8 @@ import pytest
 import sceneloom
 from sceneloom.errors import DataError
 from sceneloom.formats.sfs.examination import examine
-from sceneloom.formats.sfs.form import FORMAT
 from sceneloom.formats.sfs.removal import copied, parse_path
+from sceneloom.formats.sfs.spec import FORMAT
 
 POSE = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 BOX = [4.0, 2.0, 1.5, 1.0, 2.0, 3.0, 0.0, 0.0, 0.0]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError, OptionError, OutputError
-from sceneloom.formats.sfs.form import FORMAT
+from sceneloom.formats.sfs.spec import FORMAT
 from sceneloom.formats.sfs.writer import SceneWriter
 from sceneloom.formats.sfs.writing import write_scene
 from sceneloom.scene import (

@@ -60,7 +60,7 @@ def test_a_strict_conversion_that_loses_nothing_is_written(scene_file, tmp_path)
 
 
 def test_what_is_known_beforehand_is_refused_before_anything_is_written(with_event, tmp_path, monkeypatch):
-    monkeypatch.setattr("sceneloom.formats.recording.form.write_recording", None)
+    monkeypatch.setattr("sceneloom.formats.recording.writer.write_recording", None)
     with pytest.raises(LossError, match=r"recording would not hold all: .*annotations.event.id") as caught:
         convert(with_event, tmp_path / "drive", strict=True, loss=tmp_path / "loss.json")
     assert names(tmp_path) == ["event.sfs", "loss.json"]

@@ -17,18 +17,11 @@ from sceneloom.errors import DataError
 from sceneloom.formats.files import read_bytes
 from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration
 from sceneloom.formats.kitti.labels import KittiLabels, joined_labels, read_labels
-from sceneloom.formats.kitti.object.place import PARTS, PICTURE_FOLDERS, find_frames
 from sceneloom.formats.kitti.scenes.boxes import LabelPlaces, label_annotations
-from sceneloom.formats.kitti.scenes.numbered import (
-    PICTURES,
-    SWEEPS,
-    TEXTS,
-    NumberedFiles,
-    note_unread,
-    numbered_files,
-)
+from sceneloom.formats.kitti.scenes.numbered import NumberedFiles, note_unread, numbered_files
 from sceneloom.formats.kitti.scenes.pictures import FramedPictures
 from sceneloom.formats.kitti.scenes.sensors import camera_id, kitti_metadata, lidar_sensor
+from sceneloom.formats.kitti.spec import OBJECT_CAMERAS, PARTS, PICTURES, SWEEPS, TEXTS, object_folders
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.pictures import picture_size
 from sceneloom.geometry.rigid import RigidTransform
@@ -112,16 +105,16 @@ def open_object(path: Path, *, lenient: bool = False) -> Scene:
     """
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
-        return _open(find_frames(path, ledger), ledger)
+        return _open(_find_frames(path, ledger), ledger)
 
 
 def _open(folder: Path, ledger: Ledger) -> Scene:
-    note_unread(folder, ("calib", "velodyne", "label_2", *PICTURE_FOLDERS.values(), *PARTS), ledger)
+    note_unread(folder, ("calib", "velodyne", "label_2", *OBJECT_CAMERAS.values(), *PARTS), ledger)
     calibrations = FrameCalibrations.read(numbered_files(folder / "calib", TEXTS, ledger), ledger)
     sweeps = calibrations.kept(numbered_files(folder / "velodyne", SWEEPS, ledger), ledger)
     pictures = {
         number: calibrations.kept(numbered_files(folder / name, PICTURES, ledger), ledger)
-        for number, name in PICTURE_FOLDERS.items()
+        for number, name in OBJECT_CAMERAS.items()
     }
     labels = calibrations.kept(numbered_files(folder / "label_2", TEXTS, ledger), ledger)
     every = np.unique(np.concatenate([files.numbers for files in (sweeps, labels, *pictures.values())]))
@@ -193,7 +186,7 @@ def _camera(
     for frame in frames:
         if number not in calibrations.of(frame).projections:
             place = folder / "calib" / f"{frame:06d}.txt"
-            raise DataError(place, "", f"no P{number}; expected that of {PICTURE_FOLDERS[number]}")
+            raise DataError(place, "", f"no P{number}; expected that of {OBJECT_CAMERAS[number]}")
     first = calibrations.of(frames[0])
     if len(files):
         size = picture_size(files.paths[0])
@@ -248,3 +241,18 @@ def _annotations(
         np.zeros(len(rows), np.uint8),
     )
     return label_annotations(labels, LabelPlaces(times.of(labels.frames), places, camera_id(2), folder))
+
+
+def _find_frames(path: Path, ledger: Ledger) -> Path:
+    """Find the folder of the frames; of both parts it is `training`, with a notice."""
+    found = object_folders(path)
+    if not found:
+        raise DataError(
+            path,
+            "",
+            "holds no frames; expected velodyne/000000.bin, image_2/000000.png or label_2/000000.txt",
+        )
+    if len(found) > 1 and found[0] != path:
+        message = f"{found[0].name} is read, {found[1].name} is left aside; name its folder to read it"
+        ledger.note(NoticeKind.SKIPPED, "other-part", str(path), message)
+    return found[0]

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.formats.kitti.labels import write_object_labels
-from sceneloom.formats.kitti.object.place import PICTURE_FOLDERS
 from sceneloom.formats.kitti.object.reading import FRAME_NS
+from sceneloom.formats.kitti.spec import OBJECT_CAMERAS
 from sceneloom.formats.kitti.written.calibration_text import Mounted, write_calibration
 from sceneloom.formats.kitti.written.choice import Choice, choose, dropped_parts
 from sceneloom.formats.kitti.written.frames import point_time_loss, write_frames
@@ -51,7 +51,7 @@ def write_object(scene: Scene, path: Path, *, overwrite: bool = False) -> LossRe
         OutputError: the path exists, or cannot be written.
         DataError: what the scene is read from is damaged.
     """
-    choice = choose(scene, tuple(PICTURE_FOLDERS), rectified=True, models=frozenset({"pinhole"}), rigid=False)
+    choice = choose(scene, tuple(OBJECT_CAMERAS), rectified=True, models=frozenset({"pinhole"}), rigid=False)
     losses = [*dropped_parts(scene, HELD), *choice.losses]
     check_files(choice, labels=True)
     timeline = timeline_of(choice, one_time=False)
@@ -60,7 +60,7 @@ def write_object(scene: Scene, path: Path, *, overwrite: bool = False) -> LossRe
     with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
         folder = draft / "training"
         (folder / "calib").mkdir(parents=True)
-        pictures = {number: folder / kind for number, kind in PICTURE_FOLDERS.items()}
+        pictures = {number: folder / kind for number, kind in OBJECT_CAMERAS.items()}
         losses += write_frames(
             choice,
             timeline,

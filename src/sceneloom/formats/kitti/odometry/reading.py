@@ -12,20 +12,25 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration, rotation_of
+from sceneloom.formats.kitti.chosen_sequence import choose_sequence
 from sceneloom.formats.kitti.number_lines import read_lines
-from sceneloom.formats.kitti.odometry.place import CAMERAS, OdometrySequence, find_sequence
 from sceneloom.formats.kitti.odometry.semantic_labels import point_annotations
 from sceneloom.formats.kitti.oxts import PERIOD_NS
 from sceneloom.formats.kitti.scenes.numbered import (
-    LABELS,
-    PICTURES,
-    SWEEPS,
     NumberedFiles,
     frames_within,
     note_unread,
     numbered_files,
 )
 from sceneloom.formats.kitti.scenes.sensors import camera_sensor, kitti_metadata, lidar_sensor
+from sceneloom.formats.kitti.spec import (
+    LABELS,
+    ODOMETRY_CAMERAS,
+    PICTURES,
+    SWEEPS,
+    OdometrySequence,
+    odometry_sequences,
+)
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.pictures import picture_size
 from sceneloom.formats.rig.times import line_stamps
@@ -60,16 +65,20 @@ def open_odometry(
         raise OptionError(f"labels {labels!r}; expected one of {', '.join(_LABELS)}")
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
-        return _open(find_sequence(path, sequence), ledger, with_labels=labels == "read")
+        return _open(_find_sequence(path, sequence), ledger, with_labels=labels == "read")
 
 
 def _open(place: OdometrySequence, ledger: Ledger, *, with_labels: bool) -> Scene:
     folder = place.folder
     note_unread(
-        folder, ("calib.txt", "times.txt", "poses.txt", "velodyne", "labels", *CAMERAS.values()), ledger
+        folder,
+        ("calib.txt", "times.txt", "poses.txt", "velodyne", "labels", *ODOMETRY_CAMERAS.values()),
+        ledger,
     )
     sweeps = numbered_files(folder / "velodyne", SWEEPS, ledger)
-    pictures = {number: numbered_files(folder / name, PICTURES, ledger) for number, name in CAMERAS.items()}
+    pictures = {
+        number: numbered_files(folder / name, PICTURES, ledger) for number, name in ODOMETRY_CAMERAS.items()
+    }
     labels = numbered_files(folder / "labels", LABELS, ledger)
     if len(labels) and not with_labels:
         message = "labels of points are left aside, as was asked for"
@@ -89,7 +98,9 @@ def _open(place: OdometrySequence, ledger: Ledger, *, with_labels: bool) -> Scen
     for number, files in pictures.items():
         if len(files):
             if number not in calibration.projections:
-                raise DataError(folder / "calib.txt", "", f"no P{number}; expected that of {CAMERAS[number]}")
+                raise DataError(
+                    folder / "calib.txt", "", f"no P{number}; expected that of {ODOMETRY_CAMERAS[number]}"
+                )
             lens = calibration.camera(number, picture_size(files.paths[0]))
             mount = calibration.camera_from_lidar(number).inverse()
             sensors.append(camera_sensor(number, files, times[files.numbers], lens, mount, path))
@@ -177,3 +188,13 @@ def _matrices(path: Path) -> Float64Array:
     if not rows:
         raise DataError(path, "", "is empty; expected a pose for each frame")
     return np.stack(rows)
+
+
+def _find_sequence(path: Path, wanted: str | None) -> OdometrySequence:
+    """Find the only sequence, or the wanted one."""
+    found = odometry_sequences(path)
+    if not found:
+        raise DataError(path, "", "holds no sequence; expected sequences/00 with calib.txt and times.txt")
+    name = choose_sequence(path, tuple(found), wanted)
+    folder = found[name]
+    return OdometrySequence(name, folder, folder.resolve().parent.parent / "poses" / f"{name}.txt")

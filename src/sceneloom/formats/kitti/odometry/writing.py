@@ -6,8 +6,8 @@ import numpy as np
 
 from sceneloom.arrays import finite_rows
 from sceneloom.errors import OptionError
-from sceneloom.formats.kitti.odometry.place import CAMERAS, OdometrySequence
 from sceneloom.formats.kitti.odometry.written_labels import PointLabels
+from sceneloom.formats.kitti.spec import ODOMETRY_CAMERAS, OdometrySequence
 from sceneloom.formats.kitti.written.calibration_text import write_calibration
 from sceneloom.formats.kitti.written.choice import Choice, choose, dropped_parts
 from sceneloom.formats.kitti.written.files import write_point_labels
@@ -83,7 +83,7 @@ def write_odometry(
 
         if labels:
             (folder / "labels").mkdir()
-        pictures = {number: folder / kind for number, kind in CAMERAS.items()}
+        pictures = {number: folder / kind for number, kind in ODOMETRY_CAMERAS.items()}
         losses += write_frames(choice, timeline, "{:06d}".format, folder / "velodyne", pictures, told)
         mounted = mounted_of(choice, with_imu=False)
         rectified_from_lidar = write_calibration(

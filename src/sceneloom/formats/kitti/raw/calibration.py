@@ -12,7 +12,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.kitti.calibration import projection_of, rotation_of
 from sceneloom.formats.kitti.number_lines import Line, read_lines
-from sceneloom.formats.kitti.raw.place import CALIBRATION_FILES
+from sceneloom.formats.kitti.spec import CALIBRATION_FILES
 from sceneloom.geometry.rigid import RigidTransform
 
 CAM_TO_CAM, VELO_TO_CAM, IMU_TO_VELO = CALIBRATION_FILES

@@ -8,34 +8,92 @@ from types import MappingProxyType
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.errors import DataError
+from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.kitti.number_lines import as_table
 from sceneloom.formats.kitti.oxts import read_fields
 from sceneloom.formats.kitti.raw.calibration import RawCalibration, picture_sizes, read_raw_calibration
-from sceneloom.formats.kitti.raw.place import CALIBRATION_FILES, RawDrive, camera_folders, find_drive
 from sceneloom.formats.kitti.raw.stamps import StampFile, in_order, stamped
 from sceneloom.formats.kitti.raw.tracked_boxes import tracklet_annotations
 from sceneloom.formats.kitti.raw.tracklets import FILE as TRACKLETS
 from sceneloom.formats.kitti.raw.tracklets import read_tracklets
 from sceneloom.formats.kitti.scenes.inertial import oxts_sensors, rising
-from sceneloom.formats.kitti.scenes.numbered import (
-    PICTURES,
-    SWEEPS,
-    TEXTS,
-    NumberedFiles,
-    note_unread,
-    numbered_files,
-)
+from sceneloom.formats.kitti.scenes.numbered import NumberedFiles, note_unread, numbered_files
 from sceneloom.formats.kitti.scenes.sensors import camera_sensor, kitti_metadata, lidar_sensor, standing
 from sceneloom.formats.kitti.scenes.sweeps import TurnTimes
+from sceneloom.formats.kitti.spec import (
+    CALIBRATION_FILES,
+    DRIVE_NAME,
+    PICTURES,
+    RAW_CAMERAS,
+    SWEEPS,
+    TEXTS,
+    is_raw_drive,
+    raw_drives_below,
+)
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.pictures import picture_size
+from sceneloom.formats.spec import named_folder
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations.annotation import Annotation
 from sceneloom.scene.motion import ImuSensor
 from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene, Sensor
+
+
+@dataclass(frozen=True, slots=True)
+class RawDrive:
+    """A drive's folder.
+
+    Attributes:
+        folder: of its sensors.
+        calibration: the folder of its calibration files.
+        kind: "sync" (rectified pictures, one of each sensor in each frame), "extract" (as recorded), or None where the
+            folder's name does not say it.
+    """
+
+    folder: Path
+    calibration: Path
+    kind: str | None
+
+
+def find_drive(path: Path, wanted: str | None = None) -> RawDrive:
+    """Find the only drive of a folder, or the wanted one: the drive's own folder, that of its day, or the one above.
+
+    Raises:
+        DataError: there is none.
+        OptionError: there are several and none was chosen, or the chosen one is not there.
+    """
+    found = [named_folder(path)] if is_raw_drive(path) else raw_drives_below(path)
+    if wanted is not None:
+        chosen = [drive for drive in found if wanted in _names(drive)]
+        if len(chosen) != 1:
+            names = ", ".join(drive.name for drive in found) or "none"
+            raise OptionError(f"drive {wanted!r}: {path} has {len(chosen)} of that name; it has {names}")
+        found = chosen
+    if not found:
+        raise DataError(path, "", "holds no drive; expected folders as 2011_09_26_drive_0001_sync")
+    if len(found) > 1:
+        names = ", ".join(drive.name for drive in found)
+        raise OptionError(f"{path} has several drives: {names}; choose one with `--sequence NAME`")
+    return _drive(found[0])
+
+
+def _names(drive: Path) -> set[str]:
+    match = DRIVE_NAME.fullmatch(drive.name)
+    if match is None:
+        return {drive.name}
+    number = match["number"]
+    return {drive.name, number, f"{number}_{match['kind']}", f"{match['date']}_drive_{number}"}
+
+
+def _drive(folder: Path) -> RawDrive:
+    match = DRIVE_NAME.fullmatch(folder.resolve().name)
+    places = (folder, folder / "calib", folder.resolve().parent)
+    calibration = next(
+        (place for place in places if any((place / name).is_file() for name in CALIBRATION_FILES)), places[-1]
+    )
+    return RawDrive(folder, calibration, None if match is None else match["kind"])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,11 +125,11 @@ def open_raw(path: Path, *, sequence: str | None = None, lenient: bool = False) 
 
 def _open(drive: RawDrive, ledger: Ledger) -> Scene:
     note_unread(
-        drive.folder, (*camera_folders(), "velodyne_points", "oxts", TRACKLETS, *CALIBRATION_FILES), ledger
+        drive.folder, (*RAW_CAMERAS, "velodyne_points", "oxts", TRACKLETS, *CALIBRATION_FILES), ledger
     )
     cameras = {
         number: stream
-        for number, name in enumerate(camera_folders())
+        for number, name in enumerate(RAW_CAMERAS)
         if (stream := _stream(drive.folder / name, PICTURES, ledger)) is not None
     }
     sweeps = _stream(drive.folder / "velodyne_points", (*SWEEPS, *TEXTS), ledger)

@@ -7,7 +7,6 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import OptionError
-from sceneloom.formats.kitti.raw.place import camera_folders
 from sceneloom.formats.kitti.raw.stamps import format_stamp
 from sceneloom.formats.kitti.raw.tracklets import FILE as TRACKLETS
 from sceneloom.formats.kitti.raw.tracklets import format_tracklets
@@ -15,6 +14,7 @@ from sceneloom.formats.kitti.raw.written_calibration import write_raw_calibratio
 from sceneloom.formats.kitti.raw.written_sweeps import TurnWriter
 from sceneloom.formats.kitti.raw.written_tracklets import tracklets_of
 from sceneloom.formats.kitti.scenes.inertial import IMU_ID
+from sceneloom.formats.kitti.spec import RAW_CAMERAS
 from sceneloom.formats.kitti.written.choice import PARALLEL_WITHIN, Choice, choose, dropped_parts, ego_way
 from sceneloom.formats.kitti.written.files import check_lens, picture_losses, write_picture
 from sceneloom.formats.kitti.written.oxts_lines import oxts_lines
@@ -144,7 +144,7 @@ def _write_sync(choice: Choice, timeline: Timeline, folder: Path) -> tuple[Int64
     )
     stamps: dict[int, list[str]] = {number: [] for number, c in choice.cameras.items() if len(c.pictures)}
     for number in stamps:
-        (folder / camera_folders()[number] / "data").mkdir(parents=True)
+        (folder / RAW_CAMERAS[number] / "data").mkdir(parents=True)
     for k in range(len(timeline)):
         sweep = int(timeline.sweeps[k])
         if turns is not None and lidar is not None and sweep != NONE:
@@ -156,10 +156,10 @@ def _write_sync(choice: Choice, timeline: Timeline, folder: Path) -> tuple[Int64
                 continue
             picture = choice.cameras[number].pictures[row]
             check_lens(choice.cameras[number], picture)
-            write_picture(picture, folder / camera_folders()[number] / "data" / f"{k:010d}.png")
+            write_picture(picture, folder / RAW_CAMERAS[number] / "data" / f"{k:010d}.png")
             lines.append(format_stamp(picture.timestamp_ns))
     for number, lines in stamps.items():
-        _write_lines(folder / camera_folders()[number] / "timestamps.txt", lines)
+        _write_lines(folder / RAW_CAMERAS[number] / "timestamps.txt", lines)
     if turns is None:
         return timeline.timestamps_ns, losses
     return turns.moments_ns(timeline.timestamps_ns), losses + turns.close()
@@ -177,7 +177,7 @@ def _write_extract(choice: Choice, times: Int64Array, folder: Path) -> tuple[Int
     for number, camera in choice.cameras.items():
         if not len(camera.pictures):
             continue
-        place = folder / camera_folders()[number]
+        place = folder / RAW_CAMERAS[number]
         (place / "data").mkdir(parents=True)
         for k, picture in enumerate(camera.pictures):
             check_lens(camera, picture)

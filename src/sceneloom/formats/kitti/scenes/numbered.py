@@ -10,16 +10,9 @@ from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.files import file_faults
 from sceneloom.formats.kitti.number_lines import LATEST
+from sceneloom.formats.kitti.spec import is_number
 from sceneloom.formats.ledger import Ledger
 from sceneloom.scene.notices import NoticeKind
-
-PICTURES = (".png", ".jpg", ".jpeg")
-SWEEPS = (".bin",)
-TEXTS = (".txt",)
-LABELS = (".label",)
-"""Endings of the files of each kind."""
-
-_MOST_DIGITS = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,21 +67,6 @@ def numbered_files(folder: Path, suffixes: tuple[str, ...], ledger: Ledger) -> N
         found[number] = path
     numbers = sorted(found)
     return NumberedFiles(folder, np.array(numbers, np.int64), tuple(found[k] for k in numbers))
-
-
-def is_number(name: str) -> bool:
-    """Whether a name is nothing but digits."""
-    return name.isascii() and name.isdigit() and len(name) <= _MOST_DIGITS
-
-
-def has_numbered(folder: Path, suffixes: tuple[str, ...]) -> bool:
-    """Whether a folder has a file that is named by a number."""
-    if not folder.is_dir():
-        return False
-    try:
-        return any(path.suffix.lower() in suffixes and is_number(path.stem) for path in folder.iterdir())
-    except OSError:
-        return False
 
 
 def frames_within(files: NumberedFiles, count: int, told_by: Path, ledger: Ledger) -> NumberedFiles:

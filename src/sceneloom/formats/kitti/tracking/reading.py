@@ -9,13 +9,12 @@ from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.files import read_bytes
 from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration
+from sceneloom.formats.kitti.chosen_sequence import choose_sequence
 from sceneloom.formats.kitti.labels import KittiLabels, read_labels
 from sceneloom.formats.kitti.oxts import read_fields
 from sceneloom.formats.kitti.scenes.boxes import LabelPlaces, label_annotations
 from sceneloom.formats.kitti.scenes.inertial import oxts_sensors
 from sceneloom.formats.kitti.scenes.numbered import (
-    PICTURES,
-    SWEEPS,
     NumberedFiles,
     frames_within,
     note_unread,
@@ -28,7 +27,14 @@ from sceneloom.formats.kitti.scenes.sensors import (
     lidar_sensor,
     standing,
 )
-from sceneloom.formats.kitti.tracking.place import PARTS, PICTURE_FOLDERS, find_sequence
+from sceneloom.formats.kitti.spec import (
+    PARTS,
+    PICTURES,
+    SWEEPS,
+    TRACKING_CAMERAS,
+    tracking_folders,
+    tracking_sequences,
+)
 from sceneloom.formats.kitti.tracking_folder import CAMERA, frame_times, picture_size
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.pictures import picture_size as size_of_picture
@@ -55,7 +61,7 @@ def open_tracking(path: Path, *, sequence: str | None = None, lenient: bool = Fa
     """
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
-        return _open(*find_sequence(path, sequence, ledger), ledger)
+        return _open(*_find_sequence(path, sequence, ledger), ledger)
 
 
 def _open(folder: Path, name: str, ledger: Ledger) -> Scene:
@@ -66,7 +72,7 @@ def _open(folder: Path, name: str, ledger: Ledger) -> Scene:
     sweeps = numbered_files(folder / "velodyne" / name, SWEEPS, ledger)
     pictures = {
         number: numbered_files(folder / kind / name, PICTURES, ledger)
-        for number, kind in PICTURE_FOLDERS.items()
+        for number, kind in TRACKING_CAMERAS.items()
     }
     labels = _labels(folder / "label_02" / f"{name}.txt", ledger)
     fields = _fields(folder / "oxts" / f"{name}.txt")
@@ -169,7 +175,7 @@ def _camera(
 ) -> Sensor:
     folder, name = sequence
     if number not in calibration.projections:
-        problem = f"no P{number}; expected that of {PICTURE_FOLDERS[number]}"
+        problem = f"no P{number}; expected that of {TRACKING_CAMERAS[number]}"
         raise DataError(folder / "calib" / f"{name}.txt", "", problem)
     size = size_of_picture(files.paths[0]) if len(files) else picture_size(folder, name, calibration, ledger)
     mount = ego_from_lidar @ calibration.camera_from_lidar(number).inverse()
@@ -182,7 +188,7 @@ def _note_others(folder: Path, ledger: Ledger) -> None:
     if lists:
         message = f"{', '.join(lists)}: lists of detections, which `track` and `fuse --type detection` read"
         ledger.note(NoticeKind.SKIPPED, "detections-aside", str(folder), message)
-    read = ("calib", "velodyne", "label_02", "oxts", "times", *PICTURE_FOLDERS.values(), *PARTS)
+    read = ("calib", "velodyne", "label_02", "oxts", "times", *TRACKING_CAMERAS.values(), *PARTS)
     note_unread(folder, (*read, *lists), ledger)
 
 
@@ -198,3 +204,15 @@ def _annotations(
         labels = labels.select(known)
         places = source.at(times[labels.frames])
     return label_annotations(labels, LabelPlaces(times[labels.frames], places, camera_id(CAMERA), file))
+
+
+def _find_sequence(path: Path, wanted: str | None, ledger: Ledger) -> tuple[Path, str]:
+    """Find the folder of the sequences, and the only one of them or the wanted one."""
+    found = tracking_folders(path)
+    if not found:
+        expected = "velodyne/0000, image_02/0000, label_02/0000.txt or oxts/0000.txt"
+        raise DataError(path, "", f"holds no sequences; expected {expected}")
+    if len(found) > 1 and found[0] != path:
+        message = f"{found[0].name} is read, {found[1].name} is left aside; name its folder to read it"
+        ledger.note(NoticeKind.SKIPPED, "other-part", str(path), message)
+    return found[0], choose_sequence(path, tracking_sequences(found[0]), wanted)

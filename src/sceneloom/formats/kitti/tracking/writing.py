@@ -4,7 +4,7 @@ from pathlib import Path
 
 from sceneloom.errors import OptionError
 from sceneloom.formats.kitti.labels import format_labels
-from sceneloom.formats.kitti.tracking.place import PICTURE_FOLDERS
+from sceneloom.formats.kitti.spec import TRACKING_CAMERAS
 from sceneloom.formats.kitti.written.calibration_text import write_calibration
 from sceneloom.formats.kitti.written.choice import choose, dropped_parts
 from sceneloom.formats.kitti.written.frames import point_time_loss, write_frames
@@ -61,7 +61,7 @@ def write_tracking(
     name = name if len(name) == 4 else f"{int(name):04d}" if name.isascii() and name.isdigit() else name
     if not (len(name) == 4 and name.isascii() and name.isdigit()):
         raise OptionError(f"sequence {name!r}; expected four digits, as 0000")
-    choice = choose(scene, tuple(PICTURE_FOLDERS), rectified=True, models=frozenset({"pinhole"}))
+    choice = choose(scene, tuple(TRACKING_CAMERAS), rectified=True, models=frozenset({"pinhole"}))
     losses = [*dropped_parts(scene, HELD), *choice.losses]
     timeline = timeline_of(choice)
     losses += timeline.losses
@@ -69,7 +69,7 @@ def write_tracking(
         folder = draft / "training"
         for kind in ("calib", "label_02", "times"):
             (folder / kind).mkdir(parents=True)
-        pictures = {number: folder / kind / name for number, kind in PICTURE_FOLDERS.items()}
+        pictures = {number: folder / kind / name for number, kind in TRACKING_CAMERAS.items()}
         losses += write_frames(
             choice,
             timeline,

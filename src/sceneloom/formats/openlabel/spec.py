@@ -1,15 +1,33 @@
-"""What OpenLABEL makes of each field of the scene."""
+"""ASAM OpenLABEL 1.0: annotations, sensors without their frames, and the trajectory of the ego, as JSON."""
 
-from collections.abc import Mapping
+import re
+from pathlib import Path
 from types import MappingProxyType
 
-from sceneloom.formats.loss import KEPT, Holding, converted, dropped
+from sceneloom.formats.loss import KEPT, Supports, converted, dropped
+from sceneloom.formats.spec import FormatSpec, first_bytes
+
+_BEGINNING = 4096
+_FIRST = re.compile(rb"(?:\xef\xbb\xbf)?\s*\{\s*\"openlabel\"\s*:")
+_OLD = re.compile(rb"\s*\{\s*\"vcd\"\s*:")
+
+
+def _sniff(path: Path) -> bool:
+    """Whether the only member of the JSON of a file is `openlabel`."""
+    return _FIRST.match(first_bytes(path, _BEGINNING)) is not None
+
+
+def _near_miss(path: Path) -> str | None:
+    if _OLD.match(first_bytes(path, _BEGINNING)) is None:
+        return None
+    return "it is of VCD, which OpenLABEL came from; bring it to OpenLABEL 1.0 with the program `vcd`"
+
 
 _ELSEWHERE = dropped(
     "left out: OpenLABEL refers to what sensors measured by the names of files, and does not hold it"
 )
 _NO_PLACE = dropped("left out: OpenLABEL has no place for it")
-_SENSOR: Mapping[str, Holding] = {
+_SENSOR: Supports = {
     "id": KEPT,
     "parent_id": _NO_PLACE,
     "extras": dropped("left out but for uri and description"),
@@ -22,7 +40,7 @@ _SENSOR: Mapping[str, Holding] = {
     "model": _NO_PLACE,
     "frames": _ELSEWHERE,
 }
-_CAMERA: Mapping[str, Holding] = {
+_CAMERA: Supports = {
     **{name: _SENSOR[name] for name in ("id", "parent_id", "extras", "poses", "mount", "coordinates")},
     "camera": KEPT,
     "pictures": _ELSEWHERE,
@@ -33,7 +51,7 @@ _SAMPLED = converted(
     "transforms of the ego at the times of the frames, which are those of annotations and sweeps"
 )
 
-HOLDS: Mapping[str, Holding] = MappingProxyType(
+SUPPORTS: Supports = MappingProxyType(
     {
         "": _NO_PLACE,
         "sensors.order": KEPT,
@@ -60,4 +78,17 @@ HOLDS: Mapping[str, Holding] = MappingProxyType(
         "trajectories.covariances": _NO_PLACE,
         "metadata": KEPT,
     }
+)
+
+FORMAT = FormatSpec(
+    name="openlabel",
+    title="OpenLABEL",
+    looks_like='a .json file that begins with {"openlabel": …',
+    suffixes=(".json",),
+    sniff=_sniff,
+    near_miss=_near_miss,
+    reader="sceneloom.formats.openlabel.reading:read_openlabel",
+    read_options=("lenient", "rate_hz"),
+    writer="sceneloom.formats.openlabel.writing:write_openlabel",
+    supports=SUPPORTS,
 )

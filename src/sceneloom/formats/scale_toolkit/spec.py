@@ -1,10 +1,10 @@
-"""What folders of Scale's lidar toolkit offer to the table of formats."""
+"""Folders of Scale's lidar toolkit: clouds, poses and cameras. Only read."""
 
 from pathlib import Path
 
-from sceneloom.formats.folder_form import FolderFormat
-from sceneloom.formats.scale_toolkit.scene_from_folder import open_scale_toolkit
-from sceneloom.formats.scale_toolkit.sensors import CLOUDS
+from sceneloom.formats.spec import FormatSpec
+
+CLOUDS = (".ply", ".pcd")
 
 
 def _recognises(path: Path) -> bool:
@@ -25,16 +25,15 @@ def _has_clouds(path: Path) -> bool:
     return folder.is_dir() and any(file.suffix.lower() in CLOUDS for file in folder.iterdir())
 
 
-FORMAT = FolderFormat(
+FORMAT = FormatSpec(
     name="scale-toolkit",
-    called="a folder of Scale's lidar toolkit",
+    title="a folder of Scale's lidar toolkit",
     looks_like="a folder with pointcloud/1.ply, poses/1.json and cameras/NAME/extrinsics.json",
     suffixes=(".scale-toolkit",),
-    recogniser=_recognises,
-    missing=_near_miss,
-    reader=open_scale_toolkit,
-    reading_options=("lenient", "rate_hz"),
-    refusal="folders of Scale's lidar toolkit are only read; write a scene file (drive.sfs), which Scale's own library "
+    sniff=_recognises,
+    near_miss=_near_miss,
+    reader="sceneloom.formats.scale_toolkit.scene_from_folder:open_scale_toolkit",
+    read_options=("lenient", "rate_hz"),
+    instead="folders of Scale's lidar toolkit are only read; write a scene file (drive.sfs), which Scale's own library "
     "reads with --profile scale",
 )
-"""Folders of Scale's lidar toolkit as one of the formats."""

@@ -1,9 +1,43 @@
-"""What data sets in the nuScenes schema make of each field of a scene."""
+"""The nuScenes schema: a data set as a folder of tables, and the files of its sensors."""
 
+from pathlib import Path
 from types import MappingProxyType
 
-from sceneloom.formats.holdings import Holds
-from sceneloom.formats.loss import KEPT, converted, dropped
+from sceneloom.formats.loss import KEPT, Supports, converted, dropped
+from sceneloom.formats.spec import FormatSpec
+
+_MARKS = ("sample_data", "ego_pose", "calibrated_sensor")
+"""Tables that nobody else has; a folder with one of them is nuScenes', be it half a one."""
+
+
+def table_folders(path: Path) -> list[Path]:
+    """The folders with tables: those of a data set, or the path itself."""
+    if not path.is_dir():
+        return []
+    if _has_tables(path):
+        return [path]
+    return [child for child in sorted(path.glob("v[0-9]*")) if child.is_dir() and _has_tables(child)]
+
+
+def _has_tables(folder: Path) -> bool:
+    return any((folder / f"{name}.json").is_file() for name in _MARKS)
+
+
+def _sniff(path: Path) -> bool:
+    return bool(table_folders(path))
+
+
+def _near_miss(path: Path) -> str | None:
+    if path.is_dir() and (path / "samples").is_dir() and not table_folders(path):
+        return "it has samples/ as nuScenes has, but no folder of tables (v1.0-mini/sample_data.json …)"
+    return None
+
+
+def _scene_names(path: Path) -> tuple[str, ...]:
+    from sceneloom.formats.nuscenes.selection import scene_names
+
+    return scene_names(path)
+
 
 _NO_PLACE = dropped("the tables have no place for it")
 _NEW = converted("the tables say it anew, what nuScenes has no such fields for is dropped")
@@ -15,7 +49,7 @@ _OWN_FRAME = converted("points are in the sensor's own frame")
 _POSED = ("sensors.lidar", "sensors.radar", "sensors.camera")
 _SWEPT = ("sensors.lidar", "sensors.radar")
 
-HOLDS: Holds = MappingProxyType(
+SUPPORTS: Supports = MappingProxyType(
     {
         "": _NO_PLACE,
         "sensors.order": converted("lidars, radars, cameras, each by name"),
@@ -67,4 +101,18 @@ HOLDS: Holds = MappingProxyType(
         "metadata": converted("what was read from such tables is written again"),
     }
 )
-"""What becomes of each field."""
+
+FORMAT = FormatSpec(
+    name="nuscenes",
+    title="nuScenes",
+    looks_like="a folder with v1.0-mini/sample_data.json and the other tables of the nuScenes schema",
+    sniff=_sniff,
+    near_miss=_near_miss,
+    drives=_scene_names,
+    reader="sceneloom.formats.nuscenes.scene_from_tables:open_nuscenes",
+    read_options=("lenient", "sequence", "keyframes"),
+    writer="sceneloom.formats.nuscenes.writing:write_nuscenes",
+    write_options=("version", "keyframe_rate_hz", "pictures", "channel", "trajectory"),
+    supports=SUPPORTS,
+    along_trajectory=True,
+)

@@ -1,0 +1,56 @@
+"""PandaSet: drives as folders of pickled sweeps and cuboids, JPEG images and JSON. Only read."""
+
+import re
+from functools import partial
+from itertools import islice
+from pathlib import Path
+
+from sceneloom.formats.spec import FormatSpec, any_drive, drives_in
+
+_FRAME = re.compile(r"\d+\.pkl(\.gz)?")
+_MOST_LOOKED_AT = 50
+
+
+def numbered_files(folder: Path, pattern: str) -> list[Path]:
+    """The files of a folder that are named by numbers, in their order.
+
+    Args:
+        folder: may be missing.
+        pattern: of the whole name, after the number.
+    """
+    if not folder.is_dir():
+        return []
+    name = re.compile(rf"\d+{pattern}")
+    found = [file for file in folder.iterdir() if name.fullmatch(file.name)]
+    return sorted(found, key=lambda file: int(file.name.partition(".")[0]))
+
+
+def is_drive(path: Path) -> bool:
+    """Whether a folder holds a drive, be it half a one: pickled sweeps, or pickled cuboids."""
+    return any(
+        _FRAME.fullmatch(file.name)
+        for folder in (path / "lidar", path / "annotations" / "cuboids")
+        if folder.is_dir()
+        for file in islice(folder.iterdir(), _MOST_LOOKED_AT)
+    )
+
+
+def _near_miss(path: Path) -> str | None:
+    """Say what a folder lacks that has the cameras of a drive."""
+    if path.is_dir() and (path / "camera" / "front_camera" / "poses.json").is_file():
+        return "it has camera/front_camera/ as PandaSet has, but no lidar/00.pkl.gz"
+    return None
+
+
+FORMAT = FormatSpec(
+    name="pandaset",
+    title="PandaSet",
+    looks_like="a folder with lidar/00.pkl.gz, lidar/poses.json and camera/",
+    suffixes=(".pandaset",),
+    sniff=partial(any_drive, is_drive=is_drive),
+    near_miss=_near_miss,
+    drives=partial(drives_in, is_drive=is_drive),
+    reader="sceneloom.formats.pandaset.scene_from_folder:open_pandaset",
+    read_options=("lenient", "sequence"),
+    instead="PandaSet is only read; write a scene file (drive.sfs) or a recording (a folder) in its place",
+)

@@ -1,0 +1,133 @@
+"""The recording format of Spectacular AI: a folder of JSON lines, videos, a calibration and lidar binaries."""
+
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import msgspec
+
+from sceneloom.formats.files import open_file
+from sceneloom.formats.loss import KEPT, converted, dropped
+from sceneloom.formats.spec import FormatSpec, begins
+
+DATA_FILE = "data.jsonl"
+
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+_ZIP = b"PK\x03\x04"
+_LONGEST_FIRST_LINE = 1 << 18
+_LEADING_LINES = 20
+
+
+def _sniff(path: Path) -> bool:
+    """Whether a path is a folder with a `data.jsonl`, a file of such lines, or a zip archive of a folder."""
+    if path.is_dir():
+        return (path / DATA_FILE).is_file()
+    return path.is_file() and (path.name == DATA_FILE or _is_log(path) or _is_zipped(path))
+
+
+def _is_log(path: Path) -> bool:
+    """Whether a file is lines of JSON as a recording or the output of a method has them: one of the first is known."""
+    try:
+        with open_file(path) as file:
+            for _ in range(_LEADING_LINES):
+                line = _object(file.readline(_LONGEST_FIRST_LINE).removeprefix(_BYTE_ORDER_MARK))
+                if line is None or _is_known(line):
+                    return line is not None
+    except OSError:
+        pass
+    return False
+
+
+def _object(text: bytes) -> dict[str, Any] | None:
+    """A line's object, {} for a blank one; None where it is none, so that files of other kinds are not read on."""
+    if not text.startswith((b"{", b" ", b"\t", b"\r", b"\n")):
+        return None
+    try:
+        line = msgspec.json.decode(text) if text.strip() else {}
+    except (msgspec.MsgspecError, ValueError, RecursionError):
+        return None
+    return line if isinstance(line, dict) else None
+
+
+def _is_known(line: dict[str, Any]) -> bool:
+    if "time" not in line:
+        return False
+    from sceneloom.formats.recording.line_shapes import RECORD_KEYS
+
+    values = (line, *line.values())
+    is_pose = any(isinstance(value, dict) and isinstance(value.get("position"), dict) for value in values)
+    return is_pose or bool(RECORD_KEYS & line.keys())
+
+
+def _is_zipped(path: Path) -> bool:
+    if not begins(path, _ZIP):
+        return False
+    from sceneloom.formats.recording.zipped import holds_recording
+
+    return holds_recording(path, DATA_FILE)
+
+
+def _near_miss(path: Path) -> str | None:
+    """Say what keeps a path from being a recording, where it nearly is one; None where it is something else."""
+    if not path.is_dir():
+        return _damage(path)
+    names = sorted(entry.name for entry in path.iterdir())
+    packed = [name for name in names if name.lower().startswith(DATA_FILE + ".")]
+    if packed:
+        return f"there is {packed[0]}: unpack it to {DATA_FILE}"
+    logs = [name for name in names if name.lower().endswith(".jsonl")]
+    return f"there is {logs[0]}: is it the recording's {DATA_FILE}?" if logs else None
+
+
+def _damage(path: Path) -> str | None:
+    if not begins(path, _ZIP):
+        return None
+    from sceneloom.formats.recording.zipped import damage_of_zip
+
+    return damage_of_zip(path)
+
+
+_NO_PLACE = dropped("the format has none")
+_MOUNTED = ("lidar", "camera", "depth_camera")
+_STREAMS = ("accelerometer", "gyroscope", "magnetometer", "other")
+_SUPPORTS = {
+    "": KEPT,
+    "sensors.radar": _NO_PLACE,
+    "sensors.points": _NO_PLACE,
+    "sensors.plain": _NO_PLACE,
+    **{f"sensors.{kind}.parent_id": _NO_PLACE for kind in (*_MOUNTED, "odometry", "imu", "gnss")},
+    "sensors.lidar.frames.points.colors": _NO_PLACE,
+    "sensors.lidar.frames.points.camera_index": _NO_PLACE,
+    **{
+        f"sensors.{kind}.coordinates": converted("places are told by the mounting and the ego's way")
+        for kind in _MOUNTED
+    },
+    "sensors.camera.video": converted("packets are copied into a file of another kind"),
+    "sensors.camera.pictures.encoded": dropped("pictures are written as a video, or as PNG"),
+    "sensors.depth_camera.video": converted("encoded anew as FFV1, which loses nothing"),
+    **{
+        f"{kind}.file_seconds": converted("written anew where they do not say the exact times")
+        for kind in (*(f"sensors.imu.streams.{name}" for name in _STREAMS), "sensors.gnss", "trajectories")
+    },
+    "sensors.odometry.id": converted("the name of a trajectory"),
+    "sensors.odometry.poses": converted("written as a trajectory"),
+    "annotations": _NO_PLACE,
+    "trajectories.covariances": _NO_PLACE,
+    "attributes": _NO_PLACE,
+    "time_offset_ns": converted("times are written whole"),
+}
+
+FORMAT = FormatSpec(
+    name="recording",
+    title="a recording",
+    looks_like="a folder with a data.jsonl, a zip file of one, or a file of such lines",
+    sniff=_sniff,
+    near_miss=_near_miss,
+    reader="sceneloom.formats.recording.scene_from_recording:open_recording",
+    read_options=("lenient", "altitude", "camera_shift", "image_index"),
+    examiner="sceneloom.formats.recording.examination:examine_recording",
+    writer="sceneloom.formats.recording.writer:write_recording",
+    write_options=("pictures",),
+    output_check="sceneloom.formats.recording.writer:check_outside_recordings",
+    supports=MappingProxyType(_SUPPORTS),
+)

@@ -1,0 +1,38 @@
+"""Own data: a folder of clouds, images and tables that a manifest `rig.toml` describes. Read only."""
+
+from pathlib import Path
+
+from sceneloom.formats.spec import FormatSpec
+
+MANIFEST = "rig.toml"
+"""Name of the manifest in a folder."""
+
+
+def manifest_path(path: Path) -> Path:
+    """The manifest of a folder, or the file itself."""
+    return path / MANIFEST if path.is_dir() else path
+
+
+def _looks_like_manifest(path: Path) -> bool:
+    """Whether a path is a folder with a `rig.toml`, that file, or another TOML file with sensors in it."""
+    manifest = manifest_path(path)
+    if not manifest.is_file() or manifest.suffix.lower() != ".toml":
+        return False
+    if manifest.name == MANIFEST:
+        return True
+    from sceneloom.formats.rig.manifest import has_sensors
+
+    return has_sensors(manifest)
+
+
+FORMAT = FormatSpec(
+    name="rig",
+    title="a rig",
+    looks_like="a folder with a rig.toml, which `sceneloom formats --template rig.toml --from FOLDER` writes",
+    suffixes=(".toml",),
+    sniff=_looks_like_manifest,
+    reader="sceneloom.formats.rig.scene_from_rig:open_rig",
+    read_options=("lenient", "assume_model"),
+    instead="a rig is only read; write a scene file (drive.sfs) or a recording (a folder) in its place, or begin a "
+    "manifest with `sceneloom formats --template rig.toml`",
+)

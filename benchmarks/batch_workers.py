@@ -1,4 +1,4 @@
-"""Processes that work for this one, found and killed by what Linux tells of them."""
+"""Processes that work for this one, found and killed by what Linux reports them."""
 
 import os
 import random
@@ -50,35 +50,35 @@ def processor_seconds() -> float:
     return sum(one.ru_utime + one.ru_stime for one in used)
 
 
-def alone(work: str, places: list[str], folder: str, pipe) -> None:
-    """Work without anything of a batch, once the other side says so; tell what it took by clock and processor [s]."""
+def alone(work: str, locations: list[str], folder: str, pipe) -> None:
+    """Work without anything of a batch, once the other side says so; report what it took by clock and processor [s]."""
     from benchmarks.batch import fuse_job
     from sceneloom.batch.working import run_task
 
     out = Path(folder)
-    job = fuse_job([Path(place) for place in places])
+    job = fuse_job([Path(location) for location in locations])
 
-    def fuse(place: str, k: int) -> None:
+    def fuse(location: str, k: int) -> None:
         draft = out / f"{k}" / "made.sfs"
-        task = Task(number=k, attempt=1, call=job.call, place=place, draft=draft, options=job.options)
+        task = Task(number=k, attempt=1, call=job.call, location=location, draft=draft, options=job.options)
         assert not run_task(task).error
 
-    def plain(place: str, k: int) -> None:
+    def plain(location: str, k: int) -> None:
         values = np.random.default_rng(k + 1).random(1 << 20)
         for _ in range(3):
             values = np.sort(np.sin(values))
-        shutil.copyfile(place, out / f"{k}.copy")
+        shutil.copyfile(location, out / f"{k}.copy")
 
     do = {"fuse": fuse, "plain": plain}[work]
-    do(places[0], -1)  # imports and first touches
+    do(locations[0], -1)  # imports and first touches
     pipe.send(None)
     pipe.recv()
     begun, busy = time.perf_counter(), time.process_time()
-    for k, place in enumerate(places):
-        do(place, k)
+    for k, location in enumerate(locations):
+        do(location, k)
     pipe.send((time.perf_counter() - begun, time.process_time() - busy))
 
 
-def touch(_place, output, _options):
+def touch(_location, output, _options):
     """Do nothing with a drive: a verb of `batch`."""
     output.touch()

@@ -1,7 +1,7 @@
 """How near repaired calibrations come to the truth: `python -m benchmarks.calibration [--starts N] [--seeds N]`.
 
 Simulated drives have exact truth; of kitti_drive (under `SCENELOOM_DATA`) the published calibration counts as it.
-Starts are random turns of one degree; the simulated ones are 0.5 degrees, 5 cm and 30 ms off.
+Starts are random rotations of one degree; the simulated ones are 0.5 degrees, 5 cm and 30 ms off.
 
 `--coverage N` alone counts how often the 95 % intervals of N simulated drives hold the truth, and fails beyond 92 to
 98 %.
@@ -37,8 +37,8 @@ def main() -> None:
     given = parser.parse_args()
     if given.coverage is not None:
         sys.exit(_coverage(given.coverage))
-    print("simulated drives, 20 frames, planted 0.5 deg / 5 cm / 30 ms")
-    print("seed  verdict  turn [deg]  shift [cm]  time [ms]  inside 95 %  CPU [s]")
+    print("simulated drives, 20 frames, injected 0.5 deg / 5 cm / 30 ms")
+    print("seed  verdict  rotate [deg]  shift [cm]  time [ms]  inside 95 %  CPU [s]")
     for seed in range(given.seeds):
         _simulated(21 + seed)
     folder = DATA / "recordings" / "kitti_drive"
@@ -55,9 +55,9 @@ def _repaired(seed: int) -> tuple[Refinement, np.ndarray, float]:
     """Repair a drive; give the errors that are left of seven numbers [rad, m, s] and the CPU time."""
     drive = simulate_street(seed, frames=20)
     rng = np.random.default_rng(seed)
-    turn, shift = (size * _direction(rng) for size in (0.5, 0.05))
+    rotation, shift = (size * _direction(rng) for size in (0.5, 0.05))
     wrong = SensorFaults(
-        rotation_deg=tuple(turn.tolist()), shift=tuple(shift.tolist()), time_offset_ns=30_000_000
+        rotation_deg=tuple(rotation.tolist()), shift=tuple(shift.tolist()), time_offset_ns=30_000_000
     )
     frames = calibration_frames(plant(drive, Faults({"camera0": wrong})).scene)
     found, seconds = _refined(frames)
@@ -112,10 +112,11 @@ def _kitti(folder: Path, starts: int) -> None:
         found, _ = _refined(tuple(replace(frame, camera_from_lidar=stated) for frame in frames))
         errors.append(np.degrees(step_between(truth, found.camera_from_lidar)[:3]))
         verdicts.append(str(found.verdict))
-    turns, yaws = np.linalg.norm(errors, axis=1), np.abs(np.array(errors)[:, 1])
+    rotations, yaws = np.linalg.norm(errors, axis=1), np.abs(np.array(errors)[:, 1])
     print(f"kitti_drive, {starts} starts of 1 deg: {verdicts.count('refined')} refined")
     print(
-        f"turn: median {np.median(turns):.2f}, 90 % within {np.quantile(turns, 0.9):.2f} deg, worst {turns.max():.2f}"
+        f"rotate: median {np.median(rotations):.2f}, 90 % within {np.quantile(rotations, 0.9):.2f} deg, worst "
+        f"{rotations.max():.2f}"
     )
     print(f"yaw: median {np.median(yaws):.2f}, 90 % within {np.quantile(yaws, 0.9):.2f} deg")
 

@@ -1,6 +1,6 @@
-"""How often the check of a calibration is right: planted turns on a real drive, planted faults on simulated ones.
+"""How often the check of a calibration is right: injected rotates on a real drive, injected faults on simulated ones.
 
-python -m benchmarks.calibration_health [--data ../shared/data] [--turns 20] [--most 12] [--seeds 4]
+python -m benchmarks.calibration_health [--data ../shared/data] [--rotates 20] [--most 12] [--seeds 4]
 """
 
 import argparse
@@ -36,9 +36,9 @@ FAULTS = {
 }
 
 
-def turned(frames: Frames, turn_deg: np.ndarray) -> Frames:
-    """Frames whose stated camera is turned."""
-    error = RigidTransform.nearest(Change.turn(np.radians(turn_deg)).camera_from_lidar(np.eye(4)))[0]
+def rotated(frames: Frames, rotation_deg: np.ndarray) -> Frames:
+    """Frames whose stated camera is rotated."""
+    error = RigidTransform.nearest(Change.rotation(np.radians(rotation_deg)).camera_from_lidar(np.eye(4)))[0]
     return tuple(replace(frame, camera_from_lidar=error @ frame.camera_from_lidar) for frame in frames)
 
 
@@ -46,29 +46,29 @@ def row(name: str, healths: list[CalibrationHealth], errors: list[float] | None 
     """Print how often each verdict was given."""
     counts = Counter(health.verdict for health in healths)
     cells = "  ".join(f"{verdict} {counts[verdict]:3d}" for verdict in Verdict)
-    found = f"  median error of the turn {np.median(errors):.2f} deg" if errors else ""
+    found = f"  median error of the rotation {np.median(errors):.2f} deg" if errors else ""
     print(f"{name:32s} {cells}{found}", flush=True)
 
 
-def turn_error(health: CalibrationHealth, turn_deg: np.ndarray) -> float:
-    """How far the turn that was found is from undoing the planted one [deg]."""
-    return float(np.linalg.norm(np.degrees(health.change[:3]) + turn_deg))
+def rotation_error(health: CalibrationHealth, rotation_deg: np.ndarray) -> float:
+    """How far the rotation that was found is from undoing the injected one [deg]."""
+    return float(np.linalg.norm(np.degrees(health.change[:3]) + rotation_deg))
 
 
-def real_drive(path: Path, turns: int, most: int) -> None:
-    """Plant turns about random axes in a real drive."""
+def real_drive(path: Path, rotations: int, most: int) -> None:
+    """Plant rotates about random axes in a real drive."""
     with sceneloom.open(path) as scene:
         frames = calibration_frames(scene, most=most)
     generator = np.random.default_rng(0)
     row(f"{path.name} as stated", [check_frames(frames)])
     for size in (1.0, 0.5):
         healths, errors = [], []
-        for _ in range(turns):
+        for _ in range(rotations):
             axis = generator.normal(size=3)
-            turn = size * axis / np.linalg.norm(axis)
-            healths.append(check_frames(turned(frames, turn)))
-            errors.append(turn_error(healths[-1], turn))
-        row(f"{path.name} turned by {size:g} deg", healths, errors)
+            rotation = size * axis / np.linalg.norm(axis)
+            healths.append(check_frames(rotated(frames, rotation)))
+            errors.append(rotation_error(healths[-1], rotation))
+        row(f"{path.name} rotated by {size:g} deg", healths, errors)
 
 
 def simulated_drives(seeds: range) -> None:
@@ -93,13 +93,13 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--turns", type=int, default=20)
+    parser.add_argument("--rotations", type=int, default=20)
     parser.add_argument("--most", type=int, default=12)
     parser.add_argument("--seeds", type=int, default=4)
     options = parser.parse_args()
     recordings = options.data / "recordings"
     if recordings.is_dir():
-        real_drive(recordings / "kitti_drive", options.turns, options.most)
+        real_drive(recordings / "kitti_drive", options.rotations, options.most)
         stated(recordings / "pandaset")
     simulated_drives(range(60, 60 + options.seeds))
 

@@ -1,10 +1,12 @@
-"""How fast lenses project points and unproject pixels, each model on one thread, against OpenCV where it has the model.
+"""How fast camera models project points and unproject pixels, each model on one thread.
+
+Against OpenCV where it has the model.
 
 Run with `python -m benchmarks.cameras [--points 200000] [--repetitions 15]`. The pixels are spread evenly over the
-picture, the points lie on their rays at 1 to 50 m. Both sides take and give arrays as their callers have them; ours
-decide for each point, too, whether the lens sees it at all. All take turns; figures are medians of processor time,
-which other programs on the machine do not stretch. The residual says how many pixels the rays are off, at most, when
-they are projected again: OpenCV as it comes, and with its iterations told to go on to 1e-10.
+image, the points lie on their rays at 1 to 50 m. Both sides take and give arrays as their callers have them; ours
+decide for each point, too, whether the camera model sees it at all. All take rotates; figures are medians of processor
+time, which other programs on the machine do not stretch. The residual says how many pixels the rays are off, at most,
+when they are projected again: OpenCV as it comes, and with its iterations reported to go on to 1e-10.
 """
 
 import os
@@ -27,7 +29,7 @@ RATIONAL = (0.4461, -0.1213, 1.7e-4, -2.5e-4, 0.0035, 0.8021, -0.0771, 0.0110)
 PRISM_AND_TILT = (1e-3, -2e-4, -1.5e-3, 3e-4, 0.02, -0.03)
 ASYMMETRIC = (0.01, 0.002, 1e-3, 0.5, 0.3, -0.2, 0.1, 4e-3, -2e-3, 1e-3, 0.2, 0.3, -0.2, 0.1)
 
-LENSES: Mapping[str, Camera] = {
+CAMERA_MODELS: Mapping[str, Camera] = {
     "pinhole": Camera("pinhole", *SIZE),
     "brown_conrady, 5": Camera("brown_conrady", *SIZE, (-0.3437, 0.1402, 3.1e-4, -8.2e-4, -0.0271)),
     "brown_conrady, 8": Camera("brown_conrady", *SIZE, RATIONAL),
@@ -72,8 +74,8 @@ class Peer:
 
     Attributes:
         project: pixels of points.
-        unproject: places on the plane z = 1 of pixels; as it comes.
-        exactly: the same with the iterations told to go on, None where it cannot be told.
+        unproject: locations on the plane z = 1 of pixels; as it comes.
+        exactly: the same with the iterations reported to go on, None where it cannot be reported.
     """
 
     project: Job
@@ -128,7 +130,10 @@ PEERS: Mapping[str, Callable[[Camera, np.ndarray, np.ndarray], Peer]] = {
 
 
 def make_points(camera: Camera, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels all over what the lens sees of the picture, (count, 2) [px], and points on their rays, (count, 3) [m]."""
+    """Pixels all over what the camera model sees of the image, (count, 2) [px], and points on their rays, (count.
+
+    3) [m].
+    """
     random = np.random.default_rng(0)
     pixels = random.uniform((-0.5, -0.5), (camera.width - 0.5, camera.height - 0.5), (2 * count, 2))
     rays = unproject(camera, pixels)
@@ -136,7 +141,7 @@ def make_points(camera: Camera, count: int) -> tuple[np.ndarray, np.ndarray]:
     return pixels[seen], rays[seen] * random.uniform(1.0, 50.0, (len(seen), 1))
 
 
-def take_turns(jobs: Mapping[str, Job], repetitions: int) -> dict[str, float]:
+def take_rotations(jobs: Mapping[str, Job], repetitions: int) -> dict[str, float]:
     """Median seconds of each, run one after the other, again and again."""
     times: dict[str, list[float]] = {name: [] for name in jobs}
     for repetition in range(repetitions + 1):
@@ -148,9 +153,9 @@ def take_turns(jobs: Mapping[str, Job], repetitions: int) -> dict[str, float]:
     return {name: float(np.median(values)) for name, values in times.items()}
 
 
-def residual_px(camera: Camera, rays_or_places: np.ndarray, pixels: np.ndarray) -> float:
-    """How far off the pixels are that rays, or places on the plane z = 1, fall on, at most."""
-    found = rays_or_places.reshape(len(pixels), -1)
+def residual_px(camera: Camera, rays_or_locations: np.ndarray, pixels: np.ndarray) -> float:
+    """How far off the pixels are that rays, or locations on the plane z = 1, fall on, at most."""
+    found = rays_or_locations.reshape(len(pixels), -1)
     if found.shape[1] == 2:
         found = np.column_stack([found, np.ones(len(found))])
     off = np.hypot(*(project_unbounded(camera, found) - pixels).T)
@@ -158,7 +163,7 @@ def residual_px(camera: Camera, rays_or_places: np.ndarray, pixels: np.ndarray) 
 
 
 def measure(name: str, camera: Camera, count: int, repetitions: int) -> None:
-    """Print the row of one lens."""
+    """Print the row of one camera model."""
     pixels, points = make_points(camera, count)
     jobs: dict[str, Job] = {
         "project": lambda: project_unbounded(camera, points),
@@ -168,7 +173,7 @@ def measure(name: str, camera: Camera, count: int, repetitions: int) -> None:
     if peer is not None:
         jobs |= {"their project": peer.project, "their unproject": peer.unproject}
         jobs |= {"their exact unproject": peer.exactly} if peer.exactly is not None else {}
-    seconds = take_turns(jobs, repetitions)
+    seconds = take_rotations(jobs, repetitions)
     rate = {job: count / median / 1e6 for job, median in seconds.items()}
     ours_px = residual_px(camera, unproject(camera, pixels), pixels)
     row = f"{name:22} {rate['project']:8.1f} {rate['unproject']:10.1f} {ours_px:10.1e}"
@@ -195,17 +200,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--points", type=int, default=200_000)
     parser.add_argument("--repetitions", type=int, default=15)
-    said = parser.parse_args()
+    stated = parser.parse_args()
     cv2.setNumThreads(1)
     print(
-        f"{said.points} points, one thread; million points a second, and pixels that rays are off; OpenCV's; ratios"
+        f"{stated.points} points, one thread; million points a second, and pixels that rays are off; OpenCV's; ratios"
     )
     print(
         f"{'':22} {'project':>8} {'unproject':>10} {'residual':>10} | {'project':>8} {'unproject':>10} "
-        f"{'residual':>10} | {'project, unproject, unproject told to go on':>6}"
+        f"{'residual':>10} | {'project, unproject, unproject reported to go on':>6}"
     )
-    for name, camera in LENSES.items():
-        measure(name, camera, said.points, said.repetitions)
+    for name, camera in CAMERA_MODELS.items():
+        measure(name, camera, stated.points, stated.repetitions)
 
 
 if __name__ == "__main__":

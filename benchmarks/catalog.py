@@ -1,8 +1,9 @@
 """How fast a catalogue of 2 million boxes answers, and how long the update of one scene takes.
 
-Run with `python -m benchmarks.catalog [--scenes 200] [--boxes 2000000] [--keep DIR]`. Made-up drives of 20 s at 10 Hz
+Run with `python -m benchmarks.catalog [--scenes 200] [--boxes 2000000] [--keep DIR]`. Synthetic drives of 20 s at 10 Hz
 with fixes, each with as many objects as it takes; one drive is a scene file, which is written anew and updated. Each
-query is told twice: as one call does it, the catalogue opened before, and asked of a catalogue that is open already;
+query is reported twice: as one call does it, the catalogue opened before, and asked of a catalogue that is open
+    already;
 the least of several runs, by the wall and, since DuckDB uses all processors, by the processor; beside it what pyarrow
 takes for a part of it, from the same files. Below 200 ms is what a query may take, 1 s what an update may.
 """
@@ -33,7 +34,7 @@ from sceneloom.scene import (
     CuboidPath,
     GnssSensor,
     OdometrySensor,
-    PosePath,
+    Poses,
     Scene,
 )
 
@@ -42,8 +43,8 @@ LABELS = ("car", "truck", "bus", "pedestrian.adult", "pedestrian.child", "bicycl
 QUERIES: dict[str, str | Selection] = {
     "label, distance, speed": Selection(labels=("pedestrian*",), distance=(0.0, 15.0), speed=(5.0, 20.0)),
     "label, count": Selection(labels=("bus",), count=10),
-    "place": Selection(near=(48.15, 11.5, 2000.0)),
-    "place, label, time": Selection(near=(48.15, 11.5, 2000.0), labels=("truck",), start=5.0, stop=15.0),
+    "location": Selection(near=(48.15, 11.5, 2000.0)),
+    "location, label, time": Selection(near=(48.15, 11.5, 2000.0), labels=("truck",), start=5.0, stop=15.0),
     "attribute of the scene": Selection(labels=("bicycle",), attributes=(("weather", "rain"),)),
     "attribute of the box": Selection(
         labels=("car",), attributes=(("parked", "true"),), distance=(0.0, 10.0)
@@ -54,14 +55,14 @@ QUERIES: dict[str, str | Selection] = {
 
 
 def make_scene(seed: int, objects: int) -> Scene:
-    """A drive through one of many places, objects along its way."""
+    """A drive through one of many locations, objects along its trajectory."""
     rng = np.random.default_rng(seed)
     times = np.arange(FRAMES, dtype=np.int64) * 100_000_000
     t = times / 1e9
     points = np.stack([rng.uniform(0, 25) * t, np.sin(t), 0 * t], axis=-1)
     origin = (48.0 + rng.uniform(0, 0.3), 11.3 + rng.uniform(0, 0.4), 500.0)
     unknown = np.full(FRAMES, np.nan)
-    turns = np.tile([0.0, 0.0, 0.0, 1.0], (FRAMES, 1))
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (FRAMES, 1))
     parked = AttributePath("parked", ("true",), static=True)
     boxes = []
     for number in range(objects):
@@ -71,11 +72,13 @@ def make_scene(seed: int, objects: int) -> Scene:
         values[:, 3] += rng.normal(0, 5) * t
         values[:, 6:] = 0.0, 0.0, rng.uniform(-180, 180)
         label = LABELS[int(rng.integers(len(LABELS)))]
-        said = (parked,) if rng.uniform() < 0.2 else ()
-        boxes.append(CuboidAnnotation(f"{seed}-{number}", CuboidPath(times, values), label, attributes=said))
+        stated = (parked,) if rng.uniform() < 0.2 else ()
+        boxes.append(
+            CuboidAnnotation(f"{seed}-{number}", CuboidPath(times, values), label, attributes=stated)
+        )
     weather = AttributePath("weather", ("rain" if rng.uniform() < 0.2 else "dry",), static=True)
     gnss = GnssSensor("gnss", times, geodetic_from_enu(points, origin), unknown, unknown)
-    ego = OdometrySensor("ego", PosePath(times, points, turns))
+    ego = OdometrySensor("ego", Poses(times, points, rotations))
     return Scene(sensors=(gnss, ego), annotations=tuple(boxes), attributes=(weather,))
 
 
@@ -191,16 +194,16 @@ def main() -> None:
     parser.add_argument("--keep", type=Path)
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
-        place = chosen.keep or Path(temporary)
-        place.mkdir(exist_ok=True)
-        folder, objects = place / "catalogue", chosen.boxes // chosen.scenes // FRAMES
+        location = chosen.keep or Path(temporary)
+        location.mkdir(exist_ok=True)
+        folder, objects = location / "catalogue", chosen.boxes // chosen.scenes // FRAMES
         fill(folder, chosen.scenes, objects)
         ((count,),) = query(folder, "SELECT count(*) FROM annotations").rows
         files = len([*folder.rglob("*.parquet")])
         print(f"{count} boxes in {chosen.scenes} scenes, {files} files")
         ask(folder, chosen.runs)
-        change(folder, place / "drive.sfs", chosen.scenes, objects, chosen.runs)
-        nothing = least(lambda: update(folder, [place / "drive.sfs"]), chosen.runs)
+        change(folder, location / "drive.sfs", chosen.scenes, objects, chosen.runs)
+        nothing = least(lambda: update(folder, [location / "drive.sfs"]), chosen.runs)
         print(f"update where nothing changed: {cell(nothing)}")
 
 

@@ -1,12 +1,13 @@
-"""How well offsets and skews between clocks are found on made-up streets, and whether their uncertainty is true.
+"""How well offsets and skews between clocks are found on synthetic streets, and whether their uncertainty is true.
 
 Run with `python -m benchmarks.clock [--seeds 20] [--only NAME]`. In every drive the clock of one stream is set off by
 -1 to 1 s (a third of them by nothing) and made up to 200 ppm too fast or slow. Errors are those of the offset in the
-middle of the drive. z: root mean square of the errors in standard deviations as told, 1 where they are true. alarms:
-streams in step that were called off, of those that were. within 2: share of the errors within two standard deviations
-as told, 95 % where they are true. bound: what no unbiased estimate can be better than (Cramer 1946, Rao 1945), as root
-mean square over the drives, for fixes with white noise against a trajectory without errors whose place and heading
-on earth, antenna and skew are not known. The peer is plain cross-correlation of turn rates' magnitude
+middle of the drive. z: root mean square of the errors in standard deviations as reported, 1 where they are true.
+alarms: streams in step that were called off, of those that were. within 2: share of the errors within two standard
+    deviations
+as reported, 95 % where they are true. bound: what no unbiased estimate can be better than (Cramer 1946, Rao 1945), as
+root mean square over the drives, for fixes with white noise against a trajectory without errors whose location and
+heading on earth, antenna and skew are not known. The peer is plain cross-correlation of yaw rates' magnitude
 (of speeds for ways) at the slower stream's samples, its peak between samples by a parabola, without any skew.
 """
 
@@ -20,10 +21,10 @@ import numpy as np
 from sceneloom.cameras import Camera
 from sceneloom.editing.retiming import ClockCorrection, retimed_scene
 from sceneloom.geometry.rotations import multiply_quaternions, quaternion_from_rotation_vector
+from sceneloom.motion.clock.rotating import RotationCurve
 from sceneloom.motion.clock.scene_clocks import compare_streams
 from sceneloom.motion.clock.streams import Stream, StreamKind, streams_of
-from sceneloom.motion.clock.turning import TurningCurve
-from sceneloom.motion.clock.ways import Fixes, TrajectoryWay
+from sceneloom.motion.clock.trajectories import Fixes, TrajectoryCurve
 from sceneloom.scene import Scene
 from sceneloom.scene.types import key_of
 from sceneloom.simulate import CameraSpec, GnssSpec, LidarSpec, PathSpec, simulate_street
@@ -39,7 +40,7 @@ class Row:
     make: Callable[[int], Scene]
     lever: float = 1.0
     sigma: float | None = None
-    """Noise of the fixes [m], where the bound is told."""
+    """Noise of the fixes [m], where the bound is reported."""
 
 
 def plain(
@@ -54,19 +55,19 @@ def plain(
 def shaken(seed: int, sigma: float, hz: float) -> Scene:
     """A drive whose trajectory has white errors of rotation [rad] at a rate."""
     scene = plain(seed, trajectory_hz=hz)
-    way = scene.trajectories["groundTruth"]
-    turns = sigma * np.random.default_rng(seed).standard_normal((len(way.timestamps_ns), 3))
-    turned = multiply_quaternions(way.quaternions_xyzw, quaternion_from_rotation_vector(turns))
-    return replace(scene, trajectories={"groundTruth": replace(way, quaternions_xyzw=turned)})
+    trajectory = scene.trajectories["groundTruth"]
+    rotations = sigma * np.random.default_rng(seed).standard_normal((len(trajectory.timestamps_ns), 3))
+    rotated = multiply_quaternions(trajectory.quaternions_xyzw, quaternion_from_rotation_vector(rotations))
+    return replace(scene, trajectories={"groundTruth": replace(trajectory, quaternions_xyzw=rotated)})
 
 
 def seen(seed: int, readout_ns: int) -> Scene:
-    """A drive with pictures."""
-    lens = Camera(
+    """A drive with images."""
+    camera_model = Camera(
         "brown_conrady", 480, 300, 300.0, 300.0, 239.5, 149.5, (-0.1, 0.03, 0.0004, -0.0003, -0.004)
     )
-    camera = CameraSpec(lens, supersampling=2, readout_ns=readout_ns)
-    return plain(seed, seconds=12, cameras=(camera,), path=PathSpec(turn_rate=0.4))
+    camera = CameraSpec(camera_model, supersampling=2, readout_ns=readout_ns)
+    return plain(seed, seconds=12, cameras=(camera,), path=PathSpec(yaw_rate=0.4))
 
 
 def swept(seed: int) -> Scene:
@@ -123,16 +124,19 @@ def bound(scene: Scene, row: Row) -> float:
     """The least standard deviation of an offset of fixes against the trajectory [s]."""
     fixes = Fixes.of_receiver(scene.sensor("gnss"))
     origin_ns = int(fixes.timestamps_ns[0])
-    way = TrajectoryWay(scene.trajectories["groundTruth"], origin_ns)
+    trajectory = TrajectoryCurve(scene.trajectories["groundTruth"], origin_ns)
     seconds = (fixes.timestamps_ns - origin_ns) * 1e-9
-    told = way.at((0.0, 0.0), seconds)
-    known = np.isfinite(told.places)
-    places, since = told.places[known] - told.places[known].mean(), seconds[known] - seconds[known].mean()
+    reported = trajectory.at((0.0, 0.0), seconds)
+    known = np.isfinite(reported.locations)
+    locations, since = (
+        reported.locations[known] - reported.locations[known].mean(),
+        seconds[known] - seconds[known].mean(),
+    )
     # the skew is drawn within 200 ppm, whose deviation is 115
-    priors = [(told.velocities[known] * since, 115e-6)]
+    priors = [(reported.velocities[known] * since, 115e-6)]
     if row.lever:
-        priors += [(axis, row.lever) for axis in told.axes[known].T]
-    free = [told.velocities[known], np.ones_like(places), 1j * np.ones_like(places), 1j * places]
+        priors += [(axis, row.lever) for axis in reported.axes[known].T]
+    free = [reported.velocities[known], np.ones_like(locations), 1j * np.ones_like(locations), 1j * locations]
     columns = np.stack([*free, *(column * sigma for column, sigma in priors)], axis=1) / row.sigma
     lengths = np.linalg.norm(columns, axis=0) + 1e-300
     rows = np.vstack([columns.real, columns.imag])
@@ -143,16 +147,17 @@ def bound(scene: Scene, row: Row) -> float:
 
 def peer(reference: Stream, stream: Stream) -> float:
     """The offset by plain cross-correlation [s]."""
-    told = reference.told(), stream.told()
+    reported = reference.reported(), stream.reported()
     steps = [
-        np.median(np.diff(t.turning.timestamps_ns if t.turning else t.fixes.timestamps_ns)) for t in told
+        np.median(np.diff(t.rotating.timestamps_ns if t.rotating else t.fixes.timestamps_ns))
+        for t in reported
     ]
     step = max(steps) * 1e-9
     origin_ns = max(s.span_ns[0] for s in (reference, stream))
     length = min(s.span_ns[1] for s in (reference, stream)) - origin_ns
     edges = np.arange(0.0, length * 1e-9, step)
-    by_turning = told[0].turning is not None and told[1].turning is not None
-    a, b = (_turning(t, origin_ns, edges) if by_turning else _speeds(t, origin_ns, edges) for t in told)
+    by_rotation = reported[0].rotating is not None and reported[1].rotating is not None
+    a, b = (_rotating(t, origin_ns, edges) if by_rotation else _speeds(t, origin_ns, edges) for t in reported)
     known = np.isfinite(a) & np.isfinite(b)
     a, b = (np.where(known, x - x[known].mean(), 0.0) for x in (a, b))
     products = np.correlate(b, a, "full")
@@ -163,17 +168,17 @@ def peer(reference: Stream, stream: Stream) -> float:
     return (k - middle + 0.5 * (before - after) / (before - 2 * at + after)) * step
 
 
-def _turning(told: object, origin_ns: int, edges: np.ndarray) -> np.ndarray:
-    turns = TurningCurve(told.turning, origin_ns).turns(edges[:-1], edges[1:])
-    return np.linalg.norm(turns, axis=1)
+def _rotating(reported: object, origin_ns: int, edges: np.ndarray) -> np.ndarray:
+    rotations = RotationCurve(reported.rotating, origin_ns).rotations(edges[:-1], edges[1:])
+    return np.linalg.norm(rotations, axis=1)
 
 
-def _speeds(told: object, origin_ns: int, edges: np.ndarray) -> np.ndarray:
-    if told.fixes is None:
-        way = told.way(origin_ns)
-        return np.abs(way.at((float(edges[0]), float(edges[-1])), edges[:-1]).velocities)
-    places = np.interp(edges, (told.fixes.timestamps_ns - origin_ns) * 1e-9, told.fixes.places)
-    return np.abs(np.diff(places)) / np.diff(edges)
+def _speeds(reported: object, origin_ns: int, edges: np.ndarray) -> np.ndarray:
+    if reported.fixes is None:
+        trajectory = reported.trajectory(origin_ns)
+        return np.abs(trajectory.at((float(edges[0]), float(edges[-1])), edges[:-1]).velocities)
+    locations = np.interp(edges, (reported.fixes.timestamps_ns - origin_ns) * 1e-9, reported.fixes.locations)
+    return np.abs(np.diff(locations)) / np.diff(edges)
 
 
 def row_of(row: Row, seeds: int) -> str:

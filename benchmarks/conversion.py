@@ -1,9 +1,9 @@
 """Conversion of large drives between scene files and MCAP: speed and memory, against plain file access.
 
-Run with `python -m benchmarks.conversion [--megabytes 2000] [--runs 2] [--folder DIR]`. Sweeps and pictures are written
+Run with `python -m benchmarks.conversion [--megabytes 2000] [--runs 2] [--folder DIR]`. Sweeps and images are written
 to a scene file and to an MCAP file without compression, and each is converted to both. A conversion runs in a process
 of its own, after a small one that imports what is needed. The plain sides read the source and write a file of as many
-bytes; all take turns in one run, so that a busy machine slows them alike. Then folders of data sets are opened, where
+bytes; all take rotates in one run, so that a busy machine slows them alike. Then folders of data sets are opened, where
 `SCENELOOM_PANDASET` and `SCENELOOM_NUSCENES` name some.
 """
 
@@ -21,16 +21,16 @@ import numpy as np
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
-from sceneloom.formats.encoded_pictures import EncodedPicture
-from sceneloom.formats.sfs.write_pictures import encode_jpeg
+from sceneloom.formats.encoded_images import EncodedImage
+from sceneloom.formats.sfs.write_images import encode_jpeg
 from sceneloom.scene import (
+    CameraImage,
     CameraSensor,
     LazyFrames,
     LidarFrame,
     LidarPoints,
     LidarSensor,
-    Picture,
-    PosePath,
+    Poses,
     Scene,
     Trajectory,
 )
@@ -60,14 +60,14 @@ with sceneloom.open(sys.argv[1]) as scene:
     for sensor in scene.lidars:
         sensor.frames[0].points.positions
     for sensor in scene.cameras:
-        sensor.pictures[0].camera
+        sensor.images[0].camera
 print(time.perf_counter() - begun, time.process_time() - busy)
 """
 """Opens a folder and looks at the first frames; prints wall and processor seconds, imports of the format included."""
 
 
 class Drive:
-    """Sweeps and pictures that come again and again."""
+    """Sweeps and images that come again and again."""
 
     def __init__(self, frames: int) -> None:
         """Make a few of each."""
@@ -85,33 +85,33 @@ class Drive:
         self.jpegs = [
             encode_jpeg(np.roll(smooth, k, axis=1).repeat(8, axis=0).repeat(8, axis=1)) for k in range(4)
         ]
-        self.lens = Camera("pinhole", WIDTH, HEIGHT, 1000.0, 1000.0, 959.5, 539.5)
-        self.stamps = np.arange(frames, dtype=np.int64) * PERIOD_NS
+        self.camera_model = Camera("pinhole", WIDTH, HEIGHT, 1000.0, 1000.0, 959.5, 539.5)
+        self.timestamps = np.arange(frames, dtype=np.int64) * PERIOD_NS
 
     def sweep(self, k: int) -> LidarFrame:
         """One sweep; its points were measured one after the other."""
         points = self.sweeps[k % 4]
         assert points.timestamps_ns is not None
-        start = int(self.stamps[k])
-        stamped = LidarPoints(
+        start = int(self.timestamps[k])
+        timestamped = LidarPoints(
             points.positions, points.intensities, None, points.timestamps_ns + start, points.rings
         )
-        return LidarFrame(start, stamped)
+        return LidarFrame(start, timestamped)
 
-    def picture(self, k: int) -> Picture:
-        """One picture."""
-        picture = EncodedPicture(self.jpegs[k % 4], "jpeg", WIDTH, HEIGHT)
-        return Picture(int(self.stamps[k]), self.lens, picture, encoded=picture.encoded)
+    def image(self, k: int) -> CameraImage:
+        """One image."""
+        image = EncodedImage(self.jpegs[k % 4], "jpeg", WIDTH, HEIGHT)
+        return CameraImage(int(self.timestamps[k]), self.camera_model, image, encoded=image.encoded)
 
     def scene(self) -> Scene:
         """The drive."""
-        count = len(self.stamps)
+        count = len(self.timestamps)
         still = np.tile([0.0, 0, 0, 1], (count, 1))
-        path = PosePath(self.stamps, np.zeros((count, 3)), still)
-        lidar = LidarSensor("top", LazyFrames(self.stamps, self.sweep), path)
-        camera = CameraSensor("front", self.lens, LazyFrames(self.stamps, self.picture), path)
-        way = Trajectory("way", self.stamps, path.positions, path.quaternions_xyzw)
-        return Scene((lidar, camera), trajectories={"way": way})
+        path = Poses(self.timestamps, np.zeros((count, 3)), still)
+        lidar = LidarSensor("top", LazyFrames(self.timestamps, self.sweep), path)
+        camera = CameraSensor("front", self.camera_model, LazyFrames(self.timestamps, self.image), path)
+        trajectory = Trajectory("trajectory", self.timestamps, path.positions, path.quaternions_xyzw)
+        return Scene((lidar, camera), trajectories={"trajectory": trajectory})
 
 
 def read_plainly(path: Path) -> None:
@@ -158,7 +158,7 @@ def measure(folder: Path, megabytes: int, runs: int) -> None:
         size = (folder / f"large{suffix}").stat().st_size
         for target in (".sfs", ".mcap"):
             rounds = [one_round(folder, suffix, target, size) for _ in range(runs)]
-            print(f"{suffix[1:]} to {target[1:]}, {size / 1e6:.0f} MB: {told(rounds)}")
+            print(f"{suffix[1:]} to {target[1:]}, {size / 1e6:.0f} MB: {reported(rounds)}")
         (folder / f"large{suffix}").unlink()
 
 
@@ -182,7 +182,7 @@ def one_round(folder: Path, suffix: str, target: str, size: int) -> Round:
     return Round(plain, (seconds, busy), memory)
 
 
-def told(rounds: list[Round]) -> str:
+def reported(rounds: list[Round]) -> str:
     """The best of the rounds: times of both sides, their ratios, and the most memory."""
     wall, busy = (min(r.ours[k] for r in rounds) for k in (0, 1))
     plain_wall, plain_busy = (min(r.plain[k] for r in rounds) for k in (0, 1))

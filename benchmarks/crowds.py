@@ -1,7 +1,7 @@
 """How long a moment with many boxes takes: fusing and tracking, on one thread.
 
 Run with `python -m benchmarks.crowds [--boxes 500] [--moments 20]`. As many boxes come from a sweep as from its
-picture; three in four of them are of the same things. Rows: the first moment of a drive; a crowd that is looked at
+image; three in four of them are of the same things. Rows: the first moment of a drive; a crowd that is looked at
 again and again; and moments each of which shows other things than the one before, whose objects are followed on for a
 while. Times are processor times of a moment, median over all of them [ms]. The aim is 20 ms at 500 boxes.
 """
@@ -64,10 +64,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--boxes", type=int, default=500)
     parser.add_argument("--moments", type=int, default=20)
-    told = parser.parse_args()
-    times_of([make_pair(told.boxes, 0)])
-    print(f"{told.boxes} + {told.boxes} boxes{'fusing':>12s}{'tracking':>12s}{'both':>10s}{'objects':>10s}")
-    for name, some in drives(told.boxes, told.moments):
+    reported = parser.parse_args()
+    times_of([make_pair(reported.boxes, 0)])
+    print(
+        f"{reported.boxes} + {reported.boxes} boxes{'fusing':>12s}{'tracking':>12s}{'both':>10s}{'objects':>10s}"
+    )
+    for name, some in drives(reported.boxes, reported.moments):
         found = [times_of(drive) for drive in some]
         fusing, tracking = (np.concatenate([row[k] for row in found]) for k in range(2))
         both, count = float(np.median(fusing + tracking)), found[-1][2]

@@ -1,18 +1,18 @@
 """Dense depth images: how exact, how fast, and whether the confidence means what it says.
 
     python -m benchmarks.depth rings DATA      # real sweeps: half the rings in, the other half as truth
-    python -m benchmarks.depth window DATA     # the same, hidden points told by a window of pixels
+    python -m benchmarks.depth window DATA     # the same, hidden points reported by a window of pixels
     python -m benchmarks.depth simulated       # simulated streets: every pixel's truth
     python -m benchmarks.depth confidence DATA # share of right pixels by confidence
     python -m benchmarks.depth fit             # the tables of `sceneloom.depth.confidence`
 
 `rings`: of each frame of the KITTI object set in DATA, rings 0, 2, 4, … from the top go in, seen from the camera with
 what is hidden taken out as `fuse` does it; truth are the points of the other rings that the camera sees, as the whole
-sweep tells, in their nearest pixels. `window`: of both halves, each by itself, what has anything nearer by more than
+sweep reports, in their nearest pixels. `window`: of both halves, each by itself, what has anything nearer by more than
 1 m and 5 % within 10 columns and 7 rows is left out; with this reading of "visibility-filtered" the peers here come to
 the figures that others state for them. RMSE, MAE [mm] and iRMSE [1/km] are over the truth pixels that a method fills,
 "shared" is the RMSE over those that all methods fill. Milliseconds are processor time of one thread, the least of
-several runs, from the samples (or the sparse image) to the picture filled.
+several runs, from the samples (or the sparse image) to the image filled.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring import FusedView, LidarWay, view_points
+from sceneloom.colouring import FusedView, LidarTrajectory, view_points
 from sceneloom.depth import complete_depth
 from sceneloom.depth.completion import METHODS
 from sceneloom.depth.confidence import (
@@ -47,9 +47,9 @@ WINDOW, NEARER, NEARER_SHARE = (15, 21), 1.0, 0.05  # rows and columns; metres
 
 @dataclass(frozen=True)
 class Case:
-    """A picture with what goes in, and what is true."""
+    """An image with what goes in, and what is true."""
 
-    raw: np.ndarray  # all points that fall into the picture, hidden ones too
+    raw: np.ndarray  # all points that fall into the image, hidden ones too
     view: FusedView
     truth: np.ndarray
 
@@ -64,11 +64,11 @@ def drawn(pixels: np.ndarray, depths: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def view_of(
-    points: np.ndarray, camera: Camera, world_from_camera: RigidTransform, rgb: np.ndarray, way
+    points: np.ndarray, camera: Camera, world_from_camera: RigidTransform, rgb: np.ndarray, trajectory
 ) -> FusedView:
     return view_points(
         np.ascontiguousarray(points, np.float64), camera, world_from_camera, rgb, camera_id="camera",
-        timestamp_ns=0, way=way,
+        timestamp_ns=0, trajectory=trajectory,
     )  # fmt: skip
 
 
@@ -115,14 +115,14 @@ def halved(points, ring, camera, world_from_camera, rgb, ends, fractions, *, win
     even = ring % 2 == 0
     if window:
         one, other = (
-            view_of(points[half], camera, world_from_camera, rgb, LidarWay(ends, fractions[half]))
+            view_of(points[half], camera, world_from_camera, rgb, LidarTrajectory(ends, fractions[half]))
             for half in (even, ~even)
         )
         kept = through_window(other)
         truth = drawn(kept.pixels[kept.visible], kept.depths[kept.visible], camera)
         return Case(drawn(one.pixels, one.depths, camera), through_window(one), truth)
-    whole = view_of(points, camera, world_from_camera, rgb, LidarWay(ends, fractions))
-    view = view_of(points[even], camera, world_from_camera, rgb, LidarWay(ends, fractions[even]))
+    whole = view_of(points, camera, world_from_camera, rgb, LidarTrajectory(ends, fractions))
+    view = view_of(points[even], camera, world_from_camera, rgb, LidarTrajectory(ends, fractions[even]))
     judged = whole.visible & ~even[whole.point_ids]
     truth = drawn(whole.pixels[judged], whole.depths[judged], camera)
     return Case(drawn(view.pixels, view.depths, camera), view, truth)
@@ -152,7 +152,7 @@ def ip_basic(sparse: np.ndarray) -> np.ndarray:
     """Hole filling by morphology in the published manner, written from the paper's description.
 
     Source: Ku, Harakeh and Waslander 2018, "In Defense of Classical Image Processing", section III, with the full
-    extent of its fills and Gaussian blur; depths are turned to 100 m minus depth.
+    extent of its fills and Gaussian blur; depths are rotated to 100 m minus depth.
     """
     import cv2
 
@@ -186,8 +186,8 @@ def inverse_distance(view: FusedView, *, nearest: int = 8) -> np.ndarray:
     from scipy.spatial import cKDTree
 
     rows, columns = np.mgrid[: view.camera.height, : view.camera.width]
-    places = np.stack([columns.ravel(), rows.ravel()], axis=1)
-    distances, near = cKDTree(view.pixels[view.visible]).query(places, k=nearest)
+    locations = np.stack([columns.ravel(), rows.ravel()], axis=1)
+    distances, near = cKDTree(view.pixels[view.visible]).query(locations, k=nearest)
     weights = 1 / np.maximum(distances, 0.3) ** 2
     depths = (weights * view.depths[view.visible][near]).sum(1) / weights.sum(1)
     return depths.reshape(rows.shape).astype(np.float32)
@@ -260,19 +260,19 @@ def show_confidence(title: str, cases: list[Case], *, sky: bool) -> None:
     borders = np.array([0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.01])
     print(title)
     for method in METHODS:
-        total, good, said = np.zeros(6), np.zeros(6), np.zeros(6)
+        total, good, stated = np.zeros(6), np.zeros(6), np.zeros(6)
         for case in cases:
             dense = complete_depth(case.view, method=method)
             among = (dense.depths > 0) if sky else (dense.depths > 0) & (case.truth > 0)
             at = np.searchsorted(borders, dense.confidence[among], "right") - 1
             total += np.bincount(at, minlength=6)
             good += np.bincount(at, right(dense.depths, case.truth)[among], minlength=6)
-            said += np.bincount(at, dense.confidence[among], minlength=6)
+            stated += np.bincount(at, dense.confidence[among], minlength=6)
         cells = [
-            f"{100 * said[k] / total[k]:.0f}: {100 * good[k] / total[k]:.1f} ({100 * total[k] / total.sum():.0f})"
+            f"{100 * stated[k] / total[k]:.0f}: {100 * good[k] / total[k]:.1f} ({100 * total[k] / total.sum():.0f})"
             if total[k] else "-" for k in range(6)
         ]  # fmt: skip
-        print(f"  {method:8} said: right % (of all %)  " + "   ".join(cells))
+        print(f"  {method:8} stated: right % (of all %)  " + "   ".join(cells))
 
 
 def bins(method: str, view: FusedView) -> tuple[np.ndarray, np.ndarray]:
@@ -330,28 +330,28 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("what", choices=["rings", "window", "simulated", "confidence", "fit"])
     parser.add_argument("data", nargs="?", type=Path, help="the folder of real data")
-    said = parser.parse_args()
-    if said.what == "fit":
+    stated = parser.parse_args()
+    if stated.what == "fit":
         fit()
-    if said.what == "simulated":
+    if stated.what == "simulated":
         compare(
             "simulated streets, 64 beams, every pixel that is no sky",
             [simulated(seed) for seed in range(20, 24)],
         )
-    if said.what == "confidence":
+    if stated.what == "confidence":
         show_confidence(
             "simulated streets, whole sweeps", [simulated(seed) for seed in range(20, 24)], sky=True
         )
-    if said.what in ("rings", "window", "confidence"):
-        if said.data is None:
-            parser.error("say where the real data are")
+    if stated.what in ("rings", "window", "confidence"):
+        if stated.data is None:
+            parser.error("state where the real data are")
         for title, names in ROWS.items():
             folder, heading = (
-                said.data / "real" / "kitti_object",
+                stated.data / "real" / "kitti_object",
                 f"KITTI object {title}, every other ring in",
             )
-            cases = [kitti(folder, name, window=said.what == "window") for name in names]
-            if said.what == "confidence":
+            cases = [kitti(folder, name, window=stated.what == "window") for name in names]
+            if stated.what == "confidence":
                 show_confidence(heading, cases, sky=False)
             else:
                 compare(heading, cases)

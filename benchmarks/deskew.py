@@ -1,10 +1,10 @@
-"""How far deskewed points are from where they truly were, by what they were deskewed, on made-up streets.
+"""How far deskewed points are from where they truly were, by what they were deskewed, on synthetic streets.
 
 Run with `python -m benchmarks.deskew [--sweeps 60]`. Every row is a drive; the lidar has no noise of range, so that
 what is left is what deskewing left. A point is compared with the surface that it truly came from, seen from where the
 lidar truly was in the middle of the sweep: mean, 95th percentile and largest distance [m] over all points.
 
-nothing: the points as measured. imu: the turning alone. lidar: odometry. truth: the true trajectory at 100 Hz.
+nothing: the points as measured. imu: the rotating alone. lidar: odometry. truth: the true trajectory at 100 Hz.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from sceneloom.simulate import LidarSpec, PathSpec, SimulatedDrive, simulate_str
 from sceneloom.simulate.inertial import ImuSpec
 from sceneloom.simulate.warp import Stop
 
-WAYS = {"nothing": "identity", "imu": "imu", "lidar": "lidar", "truth": "groundTruth"}
+TRAJECTORIES = {"nothing": "identity", "imu": "imu", "lidar": "lidar", "truth": "groundTruth"}
 
 
 @dataclass(frozen=True)
@@ -34,13 +34,13 @@ class Row:
     sweeps: int = 1
 
 
-TIGHT, BIASED = {"speeds": (2.5, 3.5), "turn_rate": 0.8}, 1.0
+TIGHT, BIASED = {"speeds": (2.5, 3.5), "yaw_rate": 0.8}, 1.0
 ROWS = (
     Row("town, 5 to 10.5 m/s", PathSpec()),
-    Row("fast road, 20 to 25 m/s", PathSpec(speeds=(20.0, 25.0), turn_rate=0.05)),
-    Row("tight turns at 3 m/s", PathSpec(**TIGHT)),
+    Row("fast road, 20 to 25 m/s", PathSpec(speeds=(20.0, 25.0), yaw_rate=0.05)),
+    Row("tight rotations at 3 m/s", PathSpec(**TIGHT)),
     Row("the same, gyroscope's bias 1 deg/s an axis", PathSpec(**TIGHT), BIASED),
-    Row("the same, standing for 3 s in between", PathSpec(**TIGHT, stops=(Stop(4.0, 3.0),)), BIASED, 2),
+    Row("the same, stationary for 3 s in between", PathSpec(**TIGHT, stops=(Stop(4.0, 3.0),)), BIASED, 2),
 )
 
 
@@ -71,8 +71,8 @@ def main() -> None:
     parser.add_argument("--sweeps", type=int, default=60)
     parser.add_argument("--seed", type=int, default=2)
     arguments = parser.parse_args()
-    print("| drive | " + " | ".join(WAYS) + " | gyroscope's bias left in [deg/s] |")
-    print("| --- |" + " --- |" * (len(WAYS) + 1))
+    print("| drive | " + " | ".join(TRAJECTORIES) + " | gyroscope's bias left in [deg/s] |")
+    print("| --- |" + " --- |" * (len(TRAJECTORIES) + 1))
     for row in ROWS:
         lidar = LidarSpec(beams=32, steps=900, range_sigma=0.0)
         drive = simulate_street(
@@ -85,7 +85,7 @@ def main() -> None:
         )
         scene = in_memory(drive.scene)
         cells = []
-        for trajectory in WAYS.values():
+        for trajectory in TRAJECTORIES.values():
             apart = errors(drive, deskewed_scene(scene, trajectory=trajectory))
             cells.append(f"{apart.mean():.3f}, {np.percentile(apart, 95):.3f}, {apart.max():.3f}")
         found = imu_motion(drive.scene).bias

@@ -1,8 +1,9 @@
-"""How many pairs of a sweep and a picture detection fusion takes a second, on one thread.
+"""How many pairs of a sweep and an image detection fusion takes a second, on one thread.
 
 Run with `python -m benchmarks.detection_fusion [--boxes 20] [--pairs 200]`. Three in four boxes have a partner in the
-other sensor, some reach out of the picture; the lens has five distortion coefficients. Times are processor times, which
-other programs on the machine do not stretch; the parts are timed one by one. The aim is 2,000 pairs of 20 and 20 boxes.
+other sensor, some reach out of the image; the camera model has five distortion coefficients. Times are processor times,
+which other programs on the machine do not stretch; the parts are timed one by one. The aim is 2,000 pairs of 20 and 20
+boxes.
 """
 
 import os
@@ -20,7 +21,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.detections import DetectionPair
 from sceneloom.detections.assignment import assign, pair_gains
 from sceneloom.detections.classes import numbers_of
-from sceneloom.detections.outlines import boxes_with_place, project_outlines
+from sceneloom.detections.outlines import boxes_with_position, project_outlines
 from sceneloom.detections.projection import fuse_by_projection
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.detections import Boxes2D, Boxes3D
@@ -34,11 +35,11 @@ LABELS = ("car", "pedestrian", "cyclist", "truck")
 
 def as_numbers(boxes: Boxes3D) -> Float64Array:
     """(N, 7): middles, sizes and headings."""
-    return boxes_with_place(boxes.centers, boxes.sizes_lwh, boxes.yaws)[0]
+    return boxes_with_position(boxes.centers, boxes.sizes_lwh, boxes.yaws)[0]
 
 
 def make_pair(count: int, seed: int) -> DetectionPair:
-    """A street with `count` boxes in the sweep and as many in the picture."""
+    """A street with `count` boxes in the sweep and as many in the image."""
     random = np.random.default_rng(seed)
     ahead = random.uniform(6.0, 80.0, count)
     centers = np.column_stack(
@@ -71,12 +72,12 @@ def milliseconds(
 
 
 def outline(pair: DetectionPair) -> object:
-    """Where the boxes of the sweep are in the picture."""
+    """Where the boxes of the sweep are in the image."""
     return project_outlines(pair.camera, pair.camera_from_lidar, as_numbers(pair.boxes_3d))
 
 
 def pair_up(pair: DetectionPair) -> object:
-    """The best assignment, as if the boxes of the picture were the outlines."""
+    """The best assignment, as if the boxes of the image were the outlines."""
     corners, scores = pair.boxes_2d.corners_xyxy.copy(), pair.boxes_2d.scores.copy()
     classes = numbers_of(pair.boxes_2d.labels, pair.boxes_2d.labels)
     return assign(pair_gains(corners, corners, *classes, scores, scores, least_iou=0.3))
@@ -88,15 +89,17 @@ def main() -> None:
     parser.add_argument("--boxes", type=int, default=20)
     parser.add_argument("--pairs", type=int, default=200)
     parser.add_argument("--repetitions", type=int, default=9)
-    said = parser.parse_args()
-    pairs = [make_pair(said.boxes, seed) for seed in range(said.pairs)]
+    stated = parser.parse_args()
+    pairs = [make_pair(stated.boxes, seed) for seed in range(stated.pairs)]
     found = [fuse_by_projection(pair) for pair in pairs]
     both = np.mean(np.concatenate([(fused.rows_3d >= 0) & (fused.rows_2d >= 0) for fused in found]))
-    print(f"{said.boxes} + {said.boxes} boxes, {100 * both:.0f} % of the objects are seen by both sensors")
-    whole = milliseconds(fuse_by_projection, pairs, said.repetitions)
+    print(
+        f"{stated.boxes} + {stated.boxes} boxes, {100 * both:.0f} % of the objects are seen by both sensors"
+    )
+    whole = milliseconds(fuse_by_projection, pairs, stated.repetitions)
     print(f"fusion      {whole:6.3f} ms, {1e3 / whole:6.0f} pairs a second (aim 2000 of 20 + 20)")
     for name, run in (("outlines", outline), ("assignment", pair_up)):
-        print(f"  {name:10}{milliseconds(run, pairs, said.repetitions):6.3f} ms")
+        print(f"  {name:10}{milliseconds(run, pairs, stated.repetitions):6.3f} ms")
 
 
 if __name__ == "__main__":

@@ -4,17 +4,17 @@ Run with `python -m benchmarks.detections FOLDER`, FOLDER laid out like KITTI's 
 detectors beside the labels. Rows, for each class:
 
 - sweeps: the detector of sweeps alone. noisy-or: 1 - (1 - p)(1 - q) of both scores as they are. match first: boxes with
-  a partner in the picture before those without, each by the sweep's score.
+  a partner in the image before those without, each by the sweep's score.
 - ours: `fuse_by_projection` with the detectors of the package; cross: with numbers fitted to all other sequences (the
   honest row); half: fitted to 0000 0002 0003 0006 0010, scored on the rest; simulated: with the package's default.
 - bound: with numbers fitted to the very pairs that are scored, labels and all: what scores can do with these boxes.
-- tracked: objects followed online, with what they are like by the sweeps and pictures so far; fused as in cross.
-- weak camera: 30 % of the picture's boxes dropped, 4 % of jitter, one false box in each picture; no camera: none.
+- tracked: objects followed online, with what they are like by the sweeps and images so far; fused as in cross.
+- weak camera: 30 % of the image's boxes dropped, 4 % of jitter, one false box in each image; no camera: none.
 
 Columns: the best F1 at an overlap in space of 0.5, average precision (40 points) at 0.7, and calibration error with
 its deviation when sequences are drawn anew, by KITTI's rules for moderate difficulty. Boxes that touch a region in
 which nobody labelled are neither true nor false; `--inside` leaves that to those that lie in it by half, as KITTI does
-in pictures. Then how true covariances are.
+in images. Then how true covariances are.
 """
 
 import argparse
@@ -58,7 +58,7 @@ REGIONS = "DontCare"
 CLASSES = ("Car", "Pedestrian")
 MODERATE = DIFFICULTIES["moderate"]
 DRAWN = 1000
-ALL_TOLD = TrackerSettings(report=0.0)
+ALL_REPORTED = TrackerSettings(report=0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,12 +67,12 @@ class Drive:
 
     name: str
     pairs: tuple[DetectionPair, ...]
-    places: tuple[RigidTransform, ...]
+    locations: tuple[RigidTransform, ...]
     truth: ObjectTable
 
 
 Fuse = Callable[[DetectionPair], tuple[FusedBoxes, Float64Array]]
-"""A rule: objects, and scores in their place."""
+"""A rule: objects, and scores in their location."""
 
 
 def drives_of(folder: Path) -> list[Drive]:
@@ -101,7 +101,7 @@ def drives_of(folder: Path) -> list[Drive]:
             boxes=np.column_stack(placed),
             corners_xyxy=labels.corners_xyxy + CENTRE_TO_CORNER,
         )
-        found.append(Drive(name, pairs, kitti_drive(sequence).places(), truth))
+        found.append(Drive(name, pairs, kitti_drive(sequence).locations(), truth))
     return found
 
 
@@ -114,13 +114,13 @@ def raw(rule: Callable[[Float64Array, Float64Array], Float64Array]) -> Fuse:
     def fuse(pair: DetectionPair) -> tuple[FusedBoxes, Float64Array]:
         fused = fuse_by_projection(pair, settings=PLAIN)
         three, rows = pair.boxes_3d, fused.rows_3d
-        of_picture = np.full(len(rows), np.nan)
+        of_image = np.full(len(rows), np.nan)
         has = fused.rows_2d != NO_BOX
-        of_picture[has] = pair.boxes_2d.scores[fused.rows_2d[has]]
+        of_image[has] = pair.boxes_2d.scores[fused.rows_2d[has]]
         same = replace(
             fused, centers=three.centers[rows], sizes_lwh=three.sizes_lwh[rows], yaws=three.yaws[rows]
         )
-        return same, rule(1.0 / (1.0 + np.exp(-three.scores[rows])), of_picture)
+        return same, rule(1.0 / (1.0 + np.exp(-three.scores[rows])), of_image)
 
     return fuse
 
@@ -207,7 +207,7 @@ def scored(
     frames = 1 + max(int(found.found.frames.max(initial=-1)), int(regions.frames.max(initial=-1)))
     pairs = FramePairs.of(regions.frame_starts(frames), found.found.frame_starts(frames))
     shares = covered_by(found.found, regions.corners_xyxy, pairs)  # type: ignore[arg-type]
-    return replace(found, excused=track_scores.reached_columns(shares, *pairs.places, 1e-6))
+    return replace(found, excused=track_scores.reached_columns(shares, *pairs.locations, 1e-6))
 
 
 def spread_of_calibration(
@@ -221,11 +221,11 @@ def spread_of_calibration(
     counts, gaps = list[list[int]](), list[list[float]]()
     for drive in drives:
         alone = scored({drive.name: results[drive.name]}, [drive], label, 0.5, inside=inside)
-        told = score_detections(alone).calibration
-        if told is not None:
-            counts.append([each.count for each in told.bins])
+        reported = score_detections(alone).calibration
+        if reported is not None:
+            counts.append([each.count for each in reported.bins])
             gaps.append(
-                [each.count * ((each.mean_score or 0.0) - (each.share_true or 0.0)) for each in told.bins]
+                [each.count * ((each.mean_score or 0.0) - (each.share_true or 0.0)) for each in reported.bins]
             )
     drawn = np.random.default_rng(0).integers(len(counts), size=(DRAWN, len(counts)))
     off = np.abs(np.array(gaps)[drawn].sum(axis=1)).sum(axis=1)
@@ -263,11 +263,11 @@ def print_covariances(
     freedom = next(iter(tables.values()))[1]
     for part, columns in (("middle", slice(0, 3)), ("size", slice(3, 6))):
         for shape, degrees in (("Student", freedom), ("Gauss", None)):
-            told = judge_covariances(
+            reported = judge_covariances(
                 errors[:, columns], covariances[:, columns, columns], degrees_of_freedom=degrees
             )
-            shares = "".join(f"{100 * coverage.share:8.1f}" for coverage in told.coverages)
-            print(f"{name:12s}{part:8s}{shape:9s}{shares}{told.log_volume:9.2f}{told.count:8d}")
+            shares = "".join(f"{100 * coverage.share:8.1f}" for coverage in reported.coverages)
+            print(f"{name:12s}{part:8s}{shape:9s}{shares}{reported.log_volume:9.2f}{reported.count:8d}")
 
 
 def fitted_without(columns: Columns, names: Sequence[str]) -> ProjectionSettings:
@@ -297,18 +297,25 @@ def by_settings(settings: ProjectionSettings) -> Fuse:
 def tracked(
     drive: Drive, pairs: Sequence[DetectionPair], settings: ProjectionSettings
 ) -> tuple[ObjectTable, None]:
-    """The objects of a sequence, followed online and told however unlikely they are."""
-    tracker, parts, labels = Tracker(ALL_TOLD), list[tuple[Float64Array, ...]](), list[str]()
+    """The objects of a sequence, followed online and reported however unlikely they are."""
+    tracker, parts, labels = Tracker(ALL_REPORTED), list[tuple[Float64Array, ...]](), list[str]()
     fuse = partial(fuse_by_projection, settings=replace(settings, keep_camera_only=True))
-    for frame, (pair, place) in enumerate(zip(pairs, drive.places, strict=True)):
-        told = tracker.step(Observation.of_pairs({"camera": pair}, place, fuse=fuse))
-        heads = np.column_stack([np.cos(told.yaws), np.sin(told.yaws), np.zeros(len(told))]) @ place.rotation
-        boxes = np.column_stack(
-            [place.inverse().apply(told.centers), told.sizes_lwh, np.arctan2(heads[:, 1], heads[:, 0])]
+    for frame, (pair, location) in enumerate(zip(pairs, drive.locations, strict=True)):
+        reported = tracker.step(Observation.of_pairs({"camera": pair}, location, fuse=fuse))
+        heads = (
+            np.column_stack([np.cos(reported.yaws), np.sin(reported.yaws), np.zeros(len(reported))])
+            @ location.rotation
         )
-        corners = np.nan_to_num(told.corners_xyxy["camera"])
-        parts.append((np.full(len(told), frame, np.float64), corners, boxes, told.scores))
-        labels += told.labels
+        boxes = np.column_stack(
+            [
+                location.inverse().apply(reported.centers),
+                reported.sizes_lwh,
+                np.arctan2(heads[:, 1], heads[:, 0]),
+            ]
+        )
+        corners = np.nan_to_num(reported.corners_xyxy["camera"])
+        parts.append((np.full(len(reported), frame, np.float64), corners, boxes, reported.scores))
+        labels += reported.labels
     frames, corners, boxes, scores = (np.concatenate(column) for column in zip(*parts, strict=True))
     numbers = frames.astype(np.int64)
     return ObjectTable(numbers, np.full(len(numbers), -1), tuple(labels), corners, boxes, scores=scores), None
@@ -337,16 +344,16 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--inside", action="store_true")
     parser.add_argument("--detectors", default=KITTI)
-    told = parser.parse_args()
-    drives = drives_of(told.folder)
+    reported = parser.parse_args()
+    drives = drives_of(reported.folder)
     names = tuple(drive.name for drive in drives)
-    examples = tuple(kitti_examples(told.folder, names))
+    examples = tuple(kitti_examples(reported.folder, names))
     columns = columns_of(examples, overlap=0.5)
     rules: dict[str, Callable[[str], Fuse]] = {
         name: lambda _, rule=rule: rule for name, rule in RULES.items()
     }
     fixed = {
-        "ours": by_settings(ProjectionSettings(detectors=told.detectors, keep_camera_only=False)),
+        "ours": by_settings(ProjectionSettings(detectors=reported.detectors, keep_camera_only=False)),
         "simulated": by_settings(ProjectionSettings(keep_camera_only=False)),
     }
     rules |= {name: lambda _, rule=rule: rule for name, rule in fixed.items()}
@@ -361,22 +368,22 @@ def main() -> None:
             print(f"-- {label} {seeing}")
             for name, rule in rules.items():
                 by_rule = {d.name: table_of(tuple(pairs(d)), rule(d.name)) for d in drives}
-                print_row(name, drives, by_rule, label, inside=told.inside)
+                print_row(name, drives, by_rule, label, inside=reported.inside)
             bound = by_settings(fitted_to(examples, [pair for drive in drives for pair in pairs(drive)]))
             print_row(
                 "bound",
                 drives,
                 {d.name: table_of(tuple(pairs(d)), bound) for d in drives},
                 label,
-                inside=told.inside,
+                inside=reported.inside,
             )
             followed = {d.name: tracked(d, tuple(pairs(d)), others[d.name]) for d in drives}
-            print_row("tracked", drives, followed, label, inside=told.inside)
+            print_row("tracked", drives, followed, label, inside=reported.inside)
             tables = {d.name: table_of(tuple(pairs(d)), halved) for d in rest}
-            print_row("half, on the rest", rest, tables, label, inside=told.inside)
+            print_row("half, on the rest", rest, tables, label, inside=reported.inside)
             for name in ("sweeps", "match first"):
                 plain = {d.name: table_of(tuple(pairs(d)), RULES[name]) for d in rest}
-                print_row(f"{name}, on the rest", rest, plain, label, inside=told.inside)
+                print_row(f"{name}, on the rest", rest, plain, label, inside=reported.inside)
             if not seeing:
                 print(f"{'regions':29s}{'50':>8s}{'90':>8s}{'95':>8s}{'99':>8s}{'log vol':>9s}{'boxes':>8s}")
                 print_covariances("cross", drives, by_rule, label)

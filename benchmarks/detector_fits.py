@@ -33,11 +33,11 @@ from sceneloom.simulate import (
 
 KITTI = "kitti_rrc_pointrcnn"
 NEIGHBOURS = {"Van": "Car", "Person_sitting": "Pedestrian"}
-"""Classes whose objects look like those of another one, and which detectors need not tell apart."""
+"""Classes whose objects look like those of another one, and which detectors need not distinguish."""
 
 
 def kitti_examples(folder: Path, sequences: Sequence[str] | None = None) -> Iterator[LabelledPair]:
-    """Every sweep and picture of KITTI's sequences with their labels; objects of moderate difficulty count."""
+    """Every sweep and image of KITTI's sequences with their labels; objects of moderate difficulty count."""
     drives = open_tracking_folder(folder)
     for name in sequences or drives.sequences:
         drive, labels = drives.sequence(name), read_labels(folder / "label_02" / f"{name}.txt")
@@ -70,19 +70,19 @@ DRIVES, FRAMES, STEP = 12, 120, 10
 
 
 def simulated_examples() -> Iterator[LabelledPair]:
-    """Sweeps and pictures of streets that are made up, and of detectors whose errors are drawn."""
+    """Sweeps and images of streets that are made up, and of detectors whose errors are drawn."""
     for seed in range(DRIVES):
         drive = simulate_street(seed, frames=FRAMES)
         lidar, camera = drive.scene.lidars[0], drive.scene.cameras[0]
         some = range(0, FRAMES, STEP)
         sweeps = detect_3d(drive, Detector3dSpec(seed=seed), frames=some)
-        pictures = detect_2d(drive, spec=Detector2dSpec(seed=seed, amodal=True), frames=some)
-        for sweep, picture in zip(sweeps, pictures, strict=True):
+        images = detect_2d(drive, spec=Detector2dSpec(seed=seed, amodal=True), frames=some)
+        for sweep, image in zip(sweeps, images, strict=True):
             world_from_lidar = _pose(drive, sweep.boxes.timestamp_ns) @ lidar.mount
-            world_from_camera = _pose(drive, picture.boxes.timestamp_ns) @ camera.mount
+            world_from_camera = _pose(drive, image.boxes.timestamp_ns) @ camera.mount
             camera_from_lidar = world_from_camera.inverse() @ world_from_lidar
             yield LabelledPair(
-                DetectionPair(sweep.boxes, picture.boxes, camera.camera, camera_from_lidar),
+                DetectionPair(sweep.boxes, image.boxes, camera.camera, camera_from_lidar),
                 sweep.truth,
                 np.ones(len(sweep.truth), np.bool_),
                 np.zeros(len(sweep.truth), np.bool_),
@@ -104,15 +104,15 @@ def main() -> None:
     parser.add_argument("folder", nargs="?", type=Path)
     parser.add_argument("--sequences", type=lambda text: text.split(","))
     parser.add_argument("-o", "--output", type=Path)
-    told = parser.parse_args()
-    if told.what == "kitti":
-        names = told.sequences or open_tracking_folder(told.folder).sequences
+    reported = parser.parse_args()
+    if reported.what == "kitti":
+        names = reported.sequences or open_tracking_folder(reported.folder).sequences
         found = fit_detectors(
-            kitti_examples(told.folder, names),
+            kitti_examples(reported.folder, names),
             name=KITTI,
             settings=FitSettings(otherwise="car"),
             provenance={
-                "detectors": "RRC in pictures, PointRCNN in sweeps; PointRCNN learned on KITTI",
+                "detectors": "RRC in images, PointRCNN in sweeps; PointRCNN learned on KITTI",
                 "data": f"KITTI tracking, sequences {' '.join(names)}",
                 "fitted_by": "benchmarks/detector_fits.py",
             },
@@ -128,7 +128,7 @@ def main() -> None:
                 "fitted_by": "benchmarks/detector_fits.py",
             },
         )
-    path = told.output or FOLDER / f"{found.name}.toml"
+    path = reported.output or FOLDER / f"{found.name}.toml"
     with replacing(path, overwrite=True) as target:
         target.write_text(format_detectors(found), "utf-8")
 

@@ -2,7 +2,7 @@
 
     python -m benchmarks.evaluation ../shared/data/real/kitti_tracking
 
-Results are the boxes of a detector in pictures, each with the identity of the box that it overlaps most in the frame
+Results are the boxes of a detector in images, each with the identity of the box that it overlaps most in the frame
 before. Times are those of one processor, the least of several runs; TrackEval's include its reading.
 """
 
@@ -24,7 +24,7 @@ LEAST_SCORE, LEAST_OVERLAP = 0.4, 0.3
 
 
 def overlaps(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Intersection over union of (N, 4) and (M, 4) boxes of a picture."""
+    """Intersection over union of (N, 4) and (M, 4) boxes of an image."""
     low = np.maximum(first[:, None, :2], second[None, :, :2])
     high = np.minimum(first[:, None, 2:], second[None, :, 2:])
     common = np.clip(high - low, 0, None).prod(axis=2)
@@ -53,26 +53,26 @@ def followed(detections: np.ndarray, label: str, next_id: int) -> list[str]:
     return lines
 
 
-def write_sides(folder: Path, place: Path) -> None:
+def write_sides(folder: Path, location: Path) -> None:
     """Labels and results as TrackEval wants to find them."""
-    (place / "truth" / "label_02").mkdir(parents=True)
-    (place / "results" / "greedy" / "data").mkdir(parents=True)
+    (location / "truth" / "label_02").mkdir(parents=True)
+    (location / "results" / "greedy" / "data").mkdir(parents=True)
     lengths = []
     for labels in sorted((folder / "label_02").glob("*.txt")):
         text = labels.read_text()
-        (place / "truth" / "label_02" / labels.name).write_text(text)
+        (location / "truth" / "label_02" / labels.name).write_text(text)
         lines: list[str] = []
         for number, label in enumerate(("Car", "Pedestrian")):
             path = folder / "det2d_rrc" / label / labels.name
             detections = np.loadtxt(path, delimiter=",", ndmin=2)
             lines += followed(detections, label, 1000 * number) if detections.size else []
-        (place / "results" / "greedy" / "data" / labels.name).write_text("\n".join(lines) + "\n")
+        (location / "results" / "greedy" / "data" / labels.name).write_text("\n".join(lines) + "\n")
         frames = 1 + max(int(line.split()[0]) for line in [*text.splitlines(), *lines] if line.strip())
         lengths.append(f"{labels.stem} empty 000000 {frames:06d}\n")
-    (place / "truth" / "evaluate_tracking.seqmap.training").write_text("".join(lengths))
+    (location / "truth" / "evaluate_tracking.seqmap.training").write_text("".join(lengths))
 
 
-def by_trackeval(place: Path) -> None:
+def by_trackeval(location: Path) -> None:
     """Let TrackEval compute the same figures."""
     import trackeval
 
@@ -82,7 +82,7 @@ def by_trackeval(place: Path) -> None:
     )
     with contextlib.redirect_stdout(io.StringIO()):
         dataset = trackeval.datasets.Kitti2DBox(
-            {"GT_FOLDER": str(place / "truth"), "TRACKERS_FOLDER": str(place / "results"), **quiet}
+            {"GT_FOLDER": str(location / "truth"), "TRACKERS_FOLDER": str(location / "results"), **quiet}
         )
         metrics = [
             trackeval.metrics.HOTA(),
@@ -105,9 +105,9 @@ def least_seconds(work: Callable[[], object], runs: int) -> float:
 def main(folder: Path) -> None:
     """Measure, and print a line for each."""
     with tempfile.TemporaryDirectory() as name:
-        place = Path(name)
-        write_sides(folder, place)
-        results, truth = place / "results" / "greedy", place / "truth"
+        location = Path(name)
+        write_sides(folder, location)
+        results, truth = location / "results" / "greedy", location / "truth"
         sides = read_both(results, truth)
         frames = sum(1 + int(table.frames.max()) for table in sides.truth.values())
         print(f"{len(sides.truth)} sequences, {frames} frames, cars and pedestrians")
@@ -116,7 +116,7 @@ def main(folder: Path) -> None:
         reading = least_seconds(lambda: read_both(results, truth), 3)
         print(f"tracks, with reading    {ours + reading:8.3f} s")
         with contextlib.suppress(ImportError):
-            theirs = least_seconds(lambda: by_trackeval(place), 2)
+            theirs = least_seconds(lambda: by_trackeval(location), 2)
             print(f"TrackEval               {theirs:8.3f} s   {theirs / (ours + reading):.1f} times as long")
         found = read_both(folder / "det3d_pointrcnn", folder)
         seconds = least_seconds(lambda: evaluate_detection(found.results, found.truth, classes=("car",)), 5)

@@ -1,9 +1,12 @@
-"""How far the way from satellite fixes and IMU is from fixes that were left out, and from the truth of made-up drives.
+"""How far the trajectory from satellite fixes and IMU is from fixes that were left out.
+
+And from the truth of synthetic drives.
 
 Run with `python -m benchmarks.gnss_imu [--seeds 5] [--data ../shared/data]`. Of KITTI's navigation unit (10 Hz) fixes
 are left out, as the table says; the horizontal error at these [m, root of the mean square] stands beside that of
-straight lines between the fixes that were kept. Of made-up drives everything is known: errors of position, heading, and
-roll and pitch, the squared errors in units of the covariance per degree of freedom (NEES, 1 is right), and of biases.
+straight lines between the fixes that were kept. Of synthetic drives everything is known: errors of position, heading,
+and roll and pitch, the squared errors in units of the covariance per degree of freedom (NEES, 1 is right), and of
+biases.
 """
 
 import argparse
@@ -46,12 +49,12 @@ def kitti(path: Path) -> tuple[ImuSensor, GnssSensor]:
 
 def kept_fixes(fixes: GnssSensor, rows: np.ndarray, noise_enu: np.ndarray | None = None) -> GnssSensor:
     """Some of the fixes, with noise added."""
-    places = fixes.positions_lla[rows]
+    locations = fixes.positions_lla[rows]
     if noise_enu is not None:
-        origin = places[0]
-        places = geodetic_from_enu(enu_from_geodetic(places, origin) + noise_enu, origin)
+        origin = locations[0]
+        locations = geodetic_from_enu(enu_from_geodetic(locations, origin) + noise_enu, origin)
     return GnssSensor(
-        "gnss", fixes.timestamps_ns[rows], places, fixes.accuracies[rows], fixes.vertical_accuracies[rows]
+        "gnss", fixes.timestamps_ns[rows], locations, fixes.accuracies[rows], fixes.vertical_accuracies[rows]
     )
 
 
@@ -64,8 +67,10 @@ def errors(
     took = time.perf_counter() - began
     truth = enu_from_geodetic(fixes.positions_lla, run.origin_lla)[left, :2]
     times = fixes.timestamps_ns[left]
-    way = run.trajectory
-    ours = np.stack([np.interp(times, way.timestamps_ns, way.positions[:, k]) for k in range(2)], axis=1)
+    trajectory = run.trajectory
+    ours = np.stack(
+        [np.interp(times, trajectory.timestamps_ns, trajectory.positions[:, k]) for k in range(2)], axis=1
+    )
     known = enu_from_geodetic(kept.positions_lla, run.origin_lla)
     lines = np.stack([np.interp(times, kept.timestamps_ns, known[:, k]) for k in range(2)], axis=1)
     return float(((ours - truth) ** 2).sum(1).mean()), float(((lines - truth) ** 2).sum(1).mean()), took
@@ -137,7 +142,7 @@ DRIVES: dict[str, tuple[ImuSpec, GnssSpec, PathSpec]] = {
         GnssSpec(rate_hz=1.0),
         PathSpec(),
     ),
-    "fast": (ImuSpec(), GnssSpec(rate_hz=5.0), PathSpec(speeds=(15.0, 30.0), turn_rate=0.1)),
+    "fast": (ImuSpec(), GnssSpec(rate_hz=5.0), PathSpec(speeds=(15.0, 30.0), yaw_rate=0.1)),
 }
 
 
@@ -145,30 +150,30 @@ def made_up(
     seed: int, seconds: float, imu: ImuSpec, gnss: GnssSpec, path: PathSpec
 ) -> tuple[EgoPath, ImuTruth, Scene]:
     """A drive with IMU and fixes only, and the truth behind it."""
-    way = plan_path(np.random.default_rng(seed), start_ns=0, duration=seconds, spec=path)
+    trajectory = plan_path(np.random.default_rng(seed), start_ns=0, duration=seconds, spec=path)
     times = [np.arange(round(seconds * rate)) * round(SECOND / rate) for rate in (imu.rate_hz, gnss.rate_hz)]
-    truth = imu_truth(imu, way, times[0] + 1_300_000, seed=seed)
-    sensors = imu_sensor(imu, truth, seed=seed), gnss_sensor(gnss, way, times[1], seed=seed)
-    return way, truth, Scene(sensors, source=f"drive {seed}")
+    truth = imu_truth(imu, trajectory, times[0] + 1_300_000, seed=seed)
+    sensors = imu_sensor(imu, truth, seed=seed), gnss_sensor(gnss, trajectory, times[1], seed=seed)
+    return trajectory, truth, Scene(sensors, source=f"drive {seed}")
 
 
-def judged(run: GnssImuRun, way: EgoPath, truth: ImuTruth, gnss: GnssSpec) -> np.ndarray:
+def judged(run: GnssImuRun, trajectory: EgoPath, truth: ImuTruth, gnss: GnssSpec) -> np.ndarray:
     """Mean square errors of position across and in height, heading, roll and pitch; NEES; errors of the biases."""
-    found, states = run.trajectory, way.at(run.trajectory.timestamps_ns)
+    found, states = run.trajectory, trajectory.at(run.trajectory.timestamps_ns)
     shift = enu_from_geodetic(run.origin_lla, gnss.origin_lla)
     away = found.positions + shift - states.positions
-    turns = rotation_vector_from_quaternion(
+    rotations = rotation_vector_from_quaternion(
         multiply_quaternions(found.quaternions_xyzw, conjugate_quaternion(states.quaternions_xyzw))
     )
-    both = np.hstack([turns, away])
+    both = np.hstack([rotations, away])
     normal = np.linalg.solve(found.covariances, both[:, :, None])[:, :, 0]
     biases = run.biases[len(run.biases) // 2]
     return np.array(
         [
             (away[:, :2] ** 2).sum(1).mean(),
             (away[:, 2] ** 2).mean(),
-            np.degrees(1) ** 2 * (turns[:, 2] ** 2).mean(),
-            np.degrees(1) ** 2 * (turns[:, :2] ** 2).sum(1).mean(),
+            np.degrees(1) ** 2 * (rotations[:, 2] ** 2).mean(),
+            np.degrees(1) ** 2 * (rotations[:, :2] ** 2).sum(1).mean(),
             (both * normal).sum(1).mean() / 6.0,
             ((biases[:3] - truth.gyroscope_bias) ** 2).mean(),
             ((biases[3:] - truth.accelerometer_bias) ** 2).mean(),
@@ -185,11 +190,11 @@ def print_made_up(seeds: int, seconds: float) -> None:
     for name, (imu, gnss, path) in DRIVES.items():
         rows, took = [], []
         for seed in range(seeds):
-            way, truth, scene = made_up(seed, seconds, imu, gnss, path)
+            trajectory, truth, scene = made_up(seed, seconds, imu, gnss, path)
             began = time.perf_counter()
             run = gnss_imu_motion(scene, settings=SmootherSettings(gravity=GRAVITY))
             took.append(time.perf_counter() - began)
-            rows.append(judged(run, way, truth, gnss))
+            rows.append(judged(run, trajectory, truth, gnss))
         mean = np.mean(rows, axis=0)
         mean[[0, 1, 2, 3, 5, 6]] = np.sqrt(mean[[0, 1, 2, 3, 5, 6]])
         print(

@@ -2,14 +2,14 @@
 
 Run with `python -m benchmarks.motion [TABLE ...] [--metres 600] [--seeds 20 21] [--stand 60] [--kitti DIR]`. Tables:
 
-drift: simulated drives with turns and traffic, 64 beams, 120,000 rays a sweep. end: distance from the truth at the
-end, in percent of the way. trans, rot: KITTI's errors of all pieces of 100, 200, … m (Geiger 2012): the mean distance
-in percent of their length, and the mean angle per 100 m. ms: time of this process per sweep, and wall time. Below: the
-squared error at the end in units of its covariance, per degree of freedom (1 is honest).
-lidars: the same for other lidars and ways of driving, over a quarter of the way.
-standing: how far a car that stands among traffic seems to move.
+drift: simulated drives with rotates and traffic, 64 beams, 120,000 rays a sweep. end: distance from the truth at the
+end, in percent of the trajectory. trans, rot: KITTI's errors of all chunks of 100, 200, … m (Geiger 2012): the mean
+distance in percent of their length, and the mean angle per 100 m. ms: time of this process per sweep, and wall time.
+Below: the squared error at the end in units of its covariance, per degree of freedom (1 is honest).
+lidars: the same for other lidars and ways of driving, over a quarter of the trajectory.
+stationary: how far a car that stands among traffic seems to move.
 deskew: distance of the points in the world from where they truly come from, with point times and without.
-kitti: 12 real sweeps: length of the way, mean distance between neighbouring points of consecutive sweeps.
+kitti: 12 real sweeps: length of the trajectory, mean distance between neighbouring points of consecutive sweeps.
 together: odometry and fusion of the same sweeps, one after another.
 """
 
@@ -31,7 +31,7 @@ from sceneloom.motion.deskew import points_to_world
 from sceneloom.motion.odometry.lidar_odometry import LidarOdometry
 from sceneloom.motion.odometry.run import lidar_odometry
 from sceneloom.pipeline import iter_fused
-from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, Picture, PosePath, Scene
+from sceneloom.scene import CameraImage, LazyFrames, LidarFrame, LidarPoints, Poses, Scene
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.simulate import (
     CameraSpec,
@@ -47,15 +47,15 @@ from sceneloom.simulate import (
 
 SPEED = 5.5
 """The simulated ego is seldom slower than that on the mean [m/s], so drives get as long as asked, or longer."""
-PIECES = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
+CHUNKS = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
 BUSY = TrafficSpec(cars=4.0, cyclists=2.0, pedestrians=6.0)
 DENSE = LidarSpec(steps=1875)
-STEPS_BETWEEN_PIECES = 10
+STEPS_BETWEEN_CHUNKS = 10
 
 
 @dataclass
-class Way:
-    """A way that was found, sweep by sweep.
+class SmoothedTrajectory:
+    """A trajectory that was found, sweep by sweep.
 
     Attributes:
         name: of the method.
@@ -132,66 +132,66 @@ def methods() -> list[type]:
     return [Ours, Kiss]
 
 
-def follow(drive: SimulatedDrive, kinds: list[type], mount: Any) -> list[Way]:
+def follow(drive: SimulatedDrive, kinds: list[type], mount: Any) -> list[SmoothedTrajectory]:
     """Feed the sweeps of a drive to every method; each sweep is simulated once."""
-    runs = [(kind(), Way(kind.name)) for kind in kinds]
+    runs = [(kind(), SmoothedTrajectory(kind.name)) for kind in kinds]
     for frame in drive.scene.lidars[0].frames:
         points = mount.apply(frame.points.positions).astype(np.float32)
-        for method, way in runs:
-            way.take(lambda method=method, points=points, frame=frame: method.add(points, frame))
-    for method, way in runs:
-        way.covariance = getattr(method, "covariance", None)
-    return [way for _, way in runs]
+        for method, trajectory in runs:
+            trajectory.take(lambda method=method, points=points, frame=frame: method.add(points, frame))
+    for method, trajectory in runs:
+        trajectory.covariance = getattr(method, "covariance", None)
+    return [trajectory for _, trajectory in runs]
 
 
 @dataclass(frozen=True)
 class Errors:
-    """How far a way is from the truth."""
+    """How far a trajectory is from the truth."""
 
     length: float
     end: float
     end_vector: np.ndarray
-    pieces: np.ndarray
+    chunks: np.ndarray
 
     def row(self) -> str:
         """The table's columns."""
-        if not len(self.pieces):
+        if not len(self.chunks):
             return (
                 f"{self.length:7.0f} m {self.end:7.3f} m = {100 * self.end / self.length:6.3f} %" + " " * 28
             )
-        translation, rotation = self.pieces.mean(axis=0)
+        translation, rotation = self.chunks.mean(axis=0)
         return (
             f"{self.length:7.0f} m {self.end:7.3f} m = {100 * self.end / self.length:6.3f} % "
             f"{translation:9.3f} % {rotation:9.3f} deg"
         )
 
 
-def errors_of(way: Way, drive: SimulatedDrive) -> Errors:
-    """Compare a way with the truth, both relative to their first pose.
+def errors_of(trajectory: SmoothedTrajectory, drive: SimulatedDrive) -> Errors:
+    """Compare a trajectory with the truth, both relative to their first pose.
 
     Source: Geiger, Lenz and Urtasun 2012, section 3.1.
     """
-    truth = drive.truth.world_from_ego(np.array(way.times_ns))
+    truth = drive.truth.world_from_ego(np.array(trajectory.times_ns))
     true_rotations, true_positions = from_first(
         matrix_from_quaternion(truth.quaternions_xyzw), truth.positions
     )
-    rotations, positions = from_first(np.array(way.rotations), np.array(way.positions))
+    rotations, positions = from_first(np.array(trajectory.rotations), np.array(trajectory.positions))
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(true_positions, axis=0), axis=1))])
-    pieces = []
-    for length in PIECES:
-        for first in range(0, len(along), STEPS_BETWEEN_PIECES):
+    chunks = []
+    for length in CHUNKS:
+        for first in range(0, len(along), STEPS_BETWEEN_CHUNKS):
             last = int(np.searchsorted(along, along[first] + length))
             if last >= len(along):
                 break
-            turn = rotations[first].T @ rotations[last]
-            true_turn = true_rotations[first].T @ true_rotations[last]
+            rotation = rotations[first].T @ rotations[last]
+            true_rotation = true_rotations[first].T @ true_rotations[last]
             shift = rotations[first].T @ (positions[last] - positions[first])
             true_shift = true_rotations[first].T @ (true_positions[last] - true_positions[first])
-            cosine = np.clip((np.trace(turn.T @ true_turn) - 1) / 2, -1, 1)
+            cosine = np.clip((np.trace(rotation.T @ true_rotation) - 1) / 2, -1, 1)
             apart = float(np.linalg.norm(shift - true_shift))
-            pieces.append((100 * apart / length, 100 * np.degrees(np.arccos(cosine)) / length))
+            chunks.append((100 * apart / length, 100 * np.degrees(np.arccos(cosine)) / length))
     error = positions[-1] - true_positions[-1]
-    return Errors(float(along[-1]), float(np.linalg.norm(error)), error, np.array(pieces))
+    return Errors(float(along[-1]), float(np.linalg.norm(error)), error, np.array(chunks))
 
 
 def from_first(rotations: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -200,25 +200,29 @@ def from_first(rotations: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray
 
 
 def frames_for(metres: float, spec: PathSpec | None = None) -> int:
-    """About how many sweeps a way takes."""
+    """About how many sweeps a trajectory takes."""
     speed = SPEED if spec is None else 0.45 * sum(spec.speeds)
     return max(20, int(10 * metres / speed))
 
 
-HEADINGS = f"{'':34s}{'way':>9s} {'end':>19s} {'trans':>13s} {'rot/100m':>12s} {'ms cpu':>8s} {'wall':>6s}"
+HEADINGS = (
+    f"{'':34s}{'trajectory':>9s} {'end':>19s} {'trans':>13s} {'rot/100m':>12s} {'ms cpu':>8s} {'wall':>6s}"
+)
 
 
-def print_ways(label: str, drive: SimulatedDrive, mount: Any, kinds: list[type]) -> list[tuple[Way, Errors]]:
+def print_trajectories(
+    label: str, drive: SimulatedDrive, mount: Any, kinds: list[type]
+) -> list[tuple[SmoothedTrajectory, Errors]]:
     """Follow a drive and print a row for each method."""
-    found = [(way, errors_of(way, drive)) for way in follow(drive, kinds, mount)]
-    for way, errors in found:
-        cpu, wall = way.milliseconds()
-        print(f"{label:22s}{way.name:12s}{errors.row()} {cpu:8.1f} {wall:6.1f}", flush=True)
+    found = [(trajectory, errors_of(trajectory, drive)) for trajectory in follow(drive, kinds, mount)]
+    for trajectory, errors in found:
+        cpu, wall = trajectory.milliseconds()
+        print(f"{label:22s}{trajectory.name:12s}{errors.row()} {cpu:8.1f} {wall:6.1f}", flush=True)
     return found
 
 
 def drift(options: argparse.Namespace) -> None:
-    """Long drives with turns and traffic."""
+    """Long drives with rotates and traffic."""
     print("drift\n" + HEADINGS)
     kinds = methods()
     ratios, nees = [], []
@@ -226,7 +230,7 @@ def drift(options: argparse.Namespace) -> None:
         drive = simulate_street(
             seed, frames=frames_for(options.metres), lidar=DENSE, cameras=(), traffic=BUSY
         )
-        found = print_ways(f"seed {seed}", drive, DENSE.mount, kinds)
+        found = print_trajectories(f"seed {seed}", drive, DENSE.mount, kinds)
         nees.append(squared_error(*found[0]))
         if len(found) == 2:
             ratios.append(found[1][0].milliseconds()[1] / found[0][0].milliseconds()[1])
@@ -235,10 +239,10 @@ def drift(options: argparse.Namespace) -> None:
     print(f"squared error at the end over its covariance, per degree of freedom: {np.round(nees, 2)}\n")
 
 
-def squared_error(way: Way, errors: Errors) -> float:
+def squared_error(trajectory: SmoothedTrajectory, errors: Errors) -> float:
     """The final shift's error in units of its covariance, per degree of freedom."""
-    assert way.covariance is not None
-    return float(errors.end_vector @ np.linalg.solve(way.covariance[3:, 3:], errors.end_vector)) / 3
+    assert trajectory.covariance is not None
+    return float(errors.end_vector @ np.linalg.solve(trajectory.covariance[3:, 3:], errors.end_vector)) / 3
 
 
 LIDARS: dict[str, tuple[Any, PathSpec | None]] = {
@@ -247,7 +251,7 @@ LIDARS: dict[str, tuple[Any, PathSpec | None]] = {
     "128 beams": (LidarSpec(beams=128, elevations_deg=(-25.0, 15.0)), None),
     "solid state, raster": (SolidStateSpec(), None),
     "solid state, rosette": (SolidStateSpec(pattern=Rosette()), None),
-    "64 beams, 60 deg/s": (DENSE, PathSpec(turn_rate=1.05, speeds=(4.0, 10.0))),
+    "64 beams, 60 deg/s": (DENSE, PathSpec(yaw_rate=1.05, speeds=(4.0, 10.0))),
     "64 beams, 20-33 m/s": (DENSE, PathSpec(speeds=(20.0, 33.0))),
     "64 beams, stops": (DENSE, PathSpec(stops=(Stop(4.0, 3.0), Stop(15.0, 3.0)), ramp=2.0)),
 }
@@ -261,23 +265,23 @@ def lidars(options: argparse.Namespace) -> None:
         drive = simulate_street(
             options.seeds[0], frames=frames, lidar=spec, cameras=(), traffic=BUSY, path=path
         )
-        print_ways(label, drive, spec.mount, methods())
+        print_trajectories(label, drive, spec.mount, methods())
     print()
 
 
-def standing(options: argparse.Namespace) -> None:
+def stationary(options: argparse.Namespace) -> None:
     """A car that stands among traffic."""
-    print("standing: distance from the first pose [cm], at the end and at most")
+    print("stationary: distance from the first pose [cm], at the end and at most")
     path = PathSpec(stops=(Stop(0.0, options.stand + 10.0),))
     for beams in (16, 64):
         spec = LidarSpec(beams=beams, elevations_deg=(-15.0, 15.0) if beams == 16 else (-24.8, 2.0))
         drive = simulate_street(
             options.seeds[0], frames=int(10 * options.stand), lidar=spec, cameras=(), traffic=BUSY, path=path
         )
-        for way in follow(drive, methods(), spec.mount):
-            _, positions = from_first(np.array(way.rotations), np.array(way.positions))
+        for trajectory in follow(drive, methods(), spec.mount):
+            _, positions = from_first(np.array(trajectory.rotations), np.array(trajectory.positions))
             apart = 100 * np.linalg.norm(positions, axis=1)
-            print(f"{beams} beams {way.name:12s} {apart[-1]:6.2f} {apart.max():6.2f}", flush=True)
+            print(f"{beams} beams {trajectory.name:12s} {apart[-1]:6.2f} {apart.max():6.2f}", flush=True)
     print()
 
 
@@ -314,7 +318,8 @@ def kitti(options: argparse.Namespace) -> None:
         print(f"kitti: {options.kitti} is not there\n")
         return
     print(
-        "kitti: way [m] from the middle of the first sweep to that of the last; mean distance to the nearest point of"
+        "kitti: trajectory [m] from the middle of the first sweep to that of the last; mean distance to the nearest "
+        "point of"
     )
     print("the sweep before [cm], all points; those with a partner within 0.5 m")
     with sceneloom.open(options.kitti) as scene:
@@ -324,25 +329,27 @@ def kitti(options: argparse.Namespace) -> None:
         for kind in methods()[1:]:
             paths[kind.name] = path_of(kind(), frames, lidar.mount)
         for name, path in paths.items():
-            print(f"{name:12s} {way_between(path, frames):6.3f} " + neighbours(frames, path, lidar.mount))
+            print(
+                f"{name:12s} {trajectory_between(path, frames):6.3f} " + neighbours(frames, path, lidar.mount)
+            )
     print()
 
 
-def path_of(method: Any, frames: list[LidarFrame], mount: Any) -> PosePath:
+def path_of(method: Any, frames: list[LidarFrame], mount: Any) -> Poses:
     """The path that another method finds."""
     poses = [method.add(mount.apply(frame.points.positions), frame) for frame in frames]
     times, rotations, positions = zip(*poses, strict=True)
-    return PosePath(np.array(times), np.array(positions), quaternion_from_matrix(np.array(rotations)))
+    return Poses(np.array(times), np.array(positions), quaternion_from_matrix(np.array(rotations)))
 
 
-def way_between(path: PosePath, frames: list[LidarFrame]) -> float:
-    """Length of the way from the middle of the first sweep to that of the last [m]."""
+def trajectory_between(path: Poses, frames: list[LidarFrame]) -> float:
+    """Length of the trajectory from the middle of the first sweep to that of the last [m]."""
     middles = np.array([int(np.median(frame.points.timestamps_ns)) for frame in frames])
     positions = path.interpolate(middles, reach_ns=200_000_000).positions
     return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
 
 
-def neighbours(frames: list[LidarFrame], path: PosePath, mount: Any) -> str:
+def neighbours(frames: list[LidarFrame], path: Poses, mount: Any) -> str:
     """Mean distances between the neighbouring points of consecutive sweeps in the world."""
     source = PoseSource(path, mount, reach_ns=200_000_000)
     clouds = [points_to_world(frame, source)[0] for frame in frames]
@@ -351,7 +358,7 @@ def neighbours(frames: list[LidarFrame], path: PosePath, mount: Any) -> str:
 
 
 def together(options: argparse.Namespace) -> None:
-    """Odometry and fusion of the same sweeps and pictures, held in memory."""
+    """Odometry and fusion of the same sweeps and images, held in memory."""
     print("together: time per sweep, odometry and fusion one after another")
     drive = simulate_street(options.seeds[0], frames=40, lidar=DENSE, cameras=(CameraSpec(),), traffic=BUSY)
     scene = in_memory(drive.scene)
@@ -371,15 +378,15 @@ def together(options: argparse.Namespace) -> None:
 
 
 def in_memory(scene: Scene) -> Scene:
-    """The same scene with its sweeps and pictures made already."""
+    """The same scene with its sweeps and images made already."""
 
     def held(frames: Any, made: Callable[[Any], Any] = lambda frame: frame) -> Any:
         return LazyFrames.of([made(frame) for frame in frames], frames.timestamps_ns.tolist())
 
     def sensors() -> Iterator[Any]:
         for sensor in scene.sensors:
-            if hasattr(sensor, "pictures"):
-                yield replace(sensor, pictures=held(sensor.pictures, Picture.loaded))
+            if hasattr(sensor, "images"):
+                yield replace(sensor, images=held(sensor.images, CameraImage.loaded))
             elif hasattr(sensor, "frames"):
                 yield replace(sensor, frames=held(sensor.frames))
             else:
@@ -392,7 +399,7 @@ TABLES = {
     "kitti": kitti,
     "together": together,
     "deskew": deskew,
-    "standing": standing,
+    "stationary": stationary,
     "lidars": lidars,
     "drift": drift,
 }
@@ -404,7 +411,7 @@ def main() -> None:
     parser.add_argument("tables", nargs="*", choices=[[], *TABLES], help="all by default")
     parser.add_argument("--metres", type=float, default=600.0)
     parser.add_argument("--seeds", type=int, nargs="+", default=[20, 21])
-    parser.add_argument("--stand", type=float, default=60.0, help="seconds of standing")
+    parser.add_argument("--stand", type=float, default=60.0, help="seconds of stationary")
     data = Path(os.environ.get("SCENELOOM_DATA", "../shared/data")) / "recordings" / "kitti_drive"
     parser.add_argument("--kitti", type=Path, default=data, help="the recording kitti_drive")
     options = parser.parse_args()

@@ -83,52 +83,52 @@ def fuse_peer(recording: Path, target: Path) -> dict[str, float]:
     record = np.dtype([("p", "<f4", 3), ("i", "u1"), ("r", "<u2"), ("t", "<f8")])
     lines = [json.loads(line) for line in (recording / "data.jsonl").read_text().splitlines()]
     calibration = json.loads((recording / "calibration.json").read_text())
-    lens = calibration["cameras"][0]
-    camera_from_ego = np.array(lens["imuToCamera"])
+    camera_model = calibration["cameras"][0]
+    camera_from_ego = np.array(camera_model["imuToCamera"])
     ego_from_lidar = np.linalg.inv(np.array(calibration["lidars"][0]["imuToLidar"]))
     matrix = np.array(
         [
-            [lens["focalLengthX"], 0, lens["principalPointX"]],
-            [0, lens["focalLengthY"], lens["principalPointY"]],
+            [camera_model["focalLengthX"], 0, camera_model["principalPointX"]],
+            [0, camera_model["focalLengthY"], camera_model["principalPointY"]],
             [0, 0, 1],
         ]
     )
     poses = [line for line in lines if "groundTruth" in line]
     times = np.array([line["time"] for line in poses])
-    places = np.array([[line["groundTruth"]["position"][k] for k in "xyz"] for line in poses])
-    turns = Slerp(
+    locations = np.array([[line["groundTruth"]["position"][k] for k in "xyz"] for line in poses])
+    rotations = Slerp(
         times, Rotation.from_quat([[line["groundTruth"]["orientation"][k] for k in "xyzw"] for line in poses])
     )
-    stamps = [line["time"] for line in lines if "frames" in line]
-    video, shown, picture = cv2.VideoCapture(str(recording / "data.mkv")), -1, None
+    timestamps = [line["time"] for line in lines if "frames" in line]
+    video, shown, image = cv2.VideoCapture(str(recording / "data.mkv")), -1, None
     meter = Meter()
     with target.open("wb") as out:
         for line in (line for line in lines if "lidar" in line):
             cloud = np.fromfile(recording / line["lidar"]["dataFile"], record)
             at = np.clip(cloud["t"], times[0], times[-1])
             ego = cloud["p"] @ ego_from_lidar[:3, :3].T + ego_from_lidar[:3, 3]
-            world = turns(at).apply(ego) + np.stack(
-                [np.interp(at, times, places[:, k]) for k in range(3)], axis=1
+            world = rotations(at).apply(ego) + np.stack(
+                [np.interp(at, times, locations[:, k]) for k in range(3)], axis=1
             )
-            nearest = int(np.argmin(np.abs(np.array(stamps) - np.median(cloud["t"]))))
+            nearest = int(np.argmin(np.abs(np.array(timestamps) - np.median(cloud["t"]))))
             while shown < nearest:
-                shown, picture = shown + 1, video.read()[1]
-            when = np.clip(stamps[nearest], times[0], times[-1])
-            place = np.array([np.interp(when, times, places[:, k]) for k in range(3)])
-            on_ego = turns(when).inv().apply(world - place)
+                shown, image = shown + 1, video.read()[1]
+            when = np.clip(timestamps[nearest], times[0], times[-1])
+            location = np.array([np.interp(when, times, locations[:, k]) for k in range(3)])
+            on_ego = rotations(when).inv().apply(world - location)
             points = on_ego @ camera_from_ego[:3, :3].T + camera_from_ego[:3, 3]
             front = np.flatnonzero(points[:, 2] > 0.1)
             pixels = cv2.projectPoints(points[front], np.zeros(3), np.zeros(3), matrix, None)[0].reshape(
                 -1, 2
             )
-            height, width = picture.shape[:2]
+            height, width = image.shape[:2]
             columns, rows = np.rint(pixels).astype(int).T
             inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
             columns, rows, front = columns[inside], rows[inside], front[inside]
             depth = np.full((height, width), np.inf, np.float32)
             np.minimum.at(depth, (rows, columns), points[front, 2].astype(np.float32))
             colors = np.full((len(cloud), 3), 255, np.uint8)
-            colors[front] = picture[rows, columns, ::-1]
+            colors[front] = image[rows, columns, ::-1]
             for array in (world.astype(np.float32), colors, cloud["i"], (cloud["t"] * 1e6).astype(np.uint32)):
                 out.write(np.ascontiguousarray(array))
             meter.note()
@@ -149,19 +149,19 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, help="keep the drive there for the next time")
     parser.add_argument("--role", choices=["ours", "peer"], help=argparse.SUPPRESS)
     parser.add_argument("paths", nargs="*", type=Path, help=argparse.SUPPRESS)
-    said = parser.parse_args()
-    if said.role:
-        print(json.dumps({"ours": fuse_ours, "peer": fuse_peer}[said.role](*said.paths)))
+    stated = parser.parse_args()
+    if stated.role:
+        print(json.dumps({"ours": fuse_ours, "peer": fuse_peer}[stated.role](*stated.paths)))
         return
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        if said.keep:
-            said.keep.mkdir(parents=True, exist_ok=True)
-        recording = (said.keep or folder) / f"drive{said.frames}"
-        make_drive(recording, said.frames)
+    with tempfile.TemporaryDirectory() as location:
+        folder = Path(location)
+        if stated.keep:
+            stated.keep.mkdir(parents=True, exist_ok=True)
+        recording = (stated.keep or folder) / f"drive{stated.frames}"
+        make_drive(recording, stated.frames)
         ours = in_own_process("ours", recording, folder / "ours.sfs")
         peer = in_own_process("peer", recording, folder / "peer.bin")
-    print(f"{said.frames} sweeps of 120k rays, one 1242x375 camera")
+    print(f"{stated.frames} sweeps of 120k rays, one 1242x375 camera")
     for name, side in (("ours", ours), ("NumPy + SciPy + OpenCV loop", peer)):
         print(
             f"{name:28} {side['fps']:6.1f} sweeps a second, peak {side['peak_mb']:6.0f} MB, "

@@ -1,10 +1,10 @@
-"""How fast a cloud is fused with one picture: projection, visibility, depth image and colours on one thread.
+"""How fast a cloud is fused with one image: projection, visibility, depth image and colours on one thread.
 
 Run with `python -m benchmarks.projection [--points 250000] [--repetitions 15]`. The cloud is a simulated street seen by
 a dense lidar 0.6 m above a 1920x1080 camera with five distortion coefficients; nearly all its points fall into the
-picture. Peers do the same work: the textbook in NumPy, `cv2.projectPoints` with NumPy for the rest, and for the
-visibility rule a NumPy version that takes the same decisions; "with way" it is also known from where the lidar
-measured. All take turns; figures are medians of processor time, which other programs on the machine do not stretch.
+image. Peers do the same work: the textbook in NumPy, `cv2.projectPoints` with NumPy for the rest, and for the
+visibility rule a NumPy version that takes the same decisions; "with trajectory" it is also known from where the lidar
+measured. All take rotates; figures are medians of processor time, which other programs on the machine do not stretch.
 """
 
 import os
@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.street import CAMERA_WORLD, LIDAR_WORLD, make_street
 from benchmarks.visibility_in_numpy import find_visible_in_numpy
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring import LidarWay, ViewRequest, VisibilitySettings, fuse_by_projection
+from sceneloom.colouring import LidarTrajectory, ViewRequest, VisibilitySettings, fuse_by_projection
 from sceneloom.geometry.rigid import RigidTransform
 
 WIDTH, HEIGHT = 1920, 1080
@@ -31,7 +31,7 @@ Fusion = Callable[[], tuple[np.ndarray, np.ndarray]]
 
 
 def distort(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The five-coefficient lens, as textbooks write it."""
+    """The five-coefficient camera model, as textbooks write it."""
     k1, k2, p1, p2, k3 = CAMERA.coefficients
     s, xy = x * x + y * y, x * y
     radial = 1 + s * (k1 + s * (k2 + s * k3))
@@ -40,16 +40,16 @@ def distort(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return u, v
 
 
-def inside_picture(u: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Ids of the points in front of the camera whose pixel is in the picture."""
+def inside_image(u: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Ids of the points in front of the camera whose pixel is in the image."""
     return np.flatnonzero((z > 0) & (u >= -0.5) & (u < WIDTH - 0.5) & (v >= -0.5) & (v < HEIGHT - 0.5))
 
 
 def project_with_numpy(points: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Ids, pixel numbers and depths of the points in the picture."""
+    """Ids, pixel numbers and depths of the points in the image."""
     x, y, z = (points @ matrix[:3, :3].T + matrix[:3, 3]).T
     u, v = distort(x / z, y / z)
-    ids = inside_picture(u, v, z)
+    ids = inside_image(u, v, z)
     return (
         ids,
         np.floor(v[ids] + 0.5).astype(np.int64) * WIDTH + np.floor(u[ids] + 0.5).astype(np.int64),
@@ -62,11 +62,13 @@ def project_with_cv2(points: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray
     import cv2
 
     cv2.setNumThreads(1)
-    lens = np.array([[CAMERA.fx, 0, CAMERA.cx], [0, CAMERA.fy, CAMERA.cy], [0, 0, 1]])
+    camera_model = np.array([[CAMERA.fx, 0, CAMERA.cx], [0, CAMERA.fy, CAMERA.cy], [0, 0, 1]])
     rotation = cv2.Rodrigues(matrix[:3, :3])[0]
-    u, v = cv2.projectPoints(points, rotation, matrix[:3, 3], lens, np.array(CAMERA.coefficients))[0][:, 0].T
+    u, v = cv2.projectPoints(points, rotation, matrix[:3, 3], camera_model, np.array(CAMERA.coefficients))[0][
+        :, 0
+    ].T
     z = points @ matrix[2, :3] + matrix[2, 3]
-    ids = inside_picture(u, v, z)
+    ids = inside_image(u, v, z)
     return (
         ids,
         np.floor(v[ids] + 0.5).astype(np.int64) * WIDTH + np.floor(u[ids] + 0.5).astype(np.int64),
@@ -96,7 +98,7 @@ def draw(
     return image.reshape(HEIGHT, WIDTH), colors
 
 
-def take_turns(contenders: dict[str, Fusion], repetitions: int) -> dict[str, float]:
+def take_rotations(contenders: dict[str, Fusion], repetitions: int) -> dict[str, float]:
     """Median milliseconds of each, run one after the other, again and again."""
     times: dict[str, list[float]] = {name: [] for name in contenders}
     for repetition in range(repetitions + 1):
@@ -109,7 +111,7 @@ def take_turns(contenders: dict[str, Fusion], repetitions: int) -> dict[str, flo
 
 
 def agreement(ours: tuple[np.ndarray, np.ndarray], theirs: tuple[np.ndarray, np.ndarray]) -> str:
-    """In words: equal decisions (unseen points have the colour 255, which the picture lacks), colours, depths."""
+    """In words: equal decisions (unseen points have the colour 255, which the image lacks), colours, depths."""
     both = (ours[0] > 0) & (theirs[0] > 0)
     only_one = ((ours[0] > 0) != (theirs[0] > 0)).sum()
     equal = (ours[1] == theirs[1]).all(axis=1).mean()
@@ -126,8 +128,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--points", type=int, default=250_000)
     parser.add_argument("--repetitions", type=int, default=15)
-    said = parser.parse_args()
-    points = make_street(said.points)
+    stated = parser.parse_args()
+    points = make_street(stated.points)
     rgb = np.random.default_rng(1).integers(0, 255, (HEIGHT, WIDTH, 3), np.uint8)
     pose = RigidTransform(CAMERA_FROM_BODY, -CAMERA_FROM_BODY @ CAMERA_WORLD).inverse()
     matrix = pose.inverse().matrix
@@ -135,14 +137,14 @@ def main() -> None:
         camera_id="front", camera_index=0, camera=CAMERA, timestamp_ns=0, world_from_camera=pose, rgb=rgb
     )
 
-    way = LidarWay(np.tile(LIDAR_WORLD, (2, 1)), np.zeros(len(points), np.float32))
+    trajectory = LidarTrajectory(np.tile(LIDAR_WORLD, (2, 1)), np.zeros(len(points), np.float32))
 
     def ours(*, enabled: bool) -> tuple[np.ndarray, np.ndarray]:
         fused = fuse_by_projection(points, [request], VisibilitySettings(enabled=enabled))
         return fused.views[0].depth_image, fused.colors
 
-    def ours_with_way() -> tuple[np.ndarray, np.ndarray]:
-        fused = fuse_by_projection(points, [request], VisibilitySettings(), way=way)
+    def ours_with_trajectory() -> tuple[np.ndarray, np.ndarray]:
+        fused = fuse_by_projection(points, [request], VisibilitySettings(), trajectory=trajectory)
         return fused.views[0].depth_image, fused.colors
 
     def windowed_in_numpy() -> tuple[np.ndarray, np.ndarray]:
@@ -153,21 +155,21 @@ def main() -> None:
     contenders: dict[str, Fusion] = {
         "plain": lambda: ours(enabled=False),
         "windowed": lambda: ours(enabled=True),
-        "with way": ours_with_way,
+        "with trajectory": ours_with_trajectory,
         "textbook NumPy": lambda: draw(*project_with_numpy(points, matrix), rgb, len(points), None),
         "cv2 + NumPy": lambda: draw(*project_with_cv2(points, matrix), rgb, len(points), None),
         "windowed in NumPy": windowed_in_numpy,
     }
-    medians = take_turns(contenders, said.repetitions)
+    medians = take_rotations(contenders, stated.repetitions)
     results = {name: run() for name, run in contenders.items()}
     share = len(project_with_numpy(points, matrix)[0]) / len(points)
-    print(f"{len(points)} points, {100 * share:.0f} % of them in a {WIDTH}x{HEIGHT} picture, one thread")
+    print(f"{len(points)} points, {100 * share:.0f} % of them in a {WIDTH}x{HEIGHT} image, one thread")
     for name, peer, aim in (
         ("plain", "textbook NumPy", 0.25),
         ("plain", "cv2 + NumPy", 0.12),
         ("windowed", "windowed in NumPy", 0.15),
         ("windowed", "plain", 2.0),
-        ("with way", "plain", 2.0),
+        ("with trajectory", "plain", 2.0),
     ):
         ratio = medians[name] / medians[peer]
         print(

@@ -1,20 +1,20 @@
-"""How fast recordings are read and written: lines and columns, video into pictures, lidar files into points.
+"""How fast recordings are read and written: lines and columns, video into images, lidar files into points.
 
 Run with `python -m benchmarks.recording [lines|writing|video|lidar …] [--lines 1000000] [--repetitions 5]`; orjson is
-in the extra `bench`. Both sides of each comparison take turns, and the least time of each counts. A ratio of 1.2 means
-that the other side takes 1.2 times as long.
+in the extra `bench`. Both sides of each comparison take rotates, and the least time of each counts. A ratio of 1.2
+means that the other side takes 1.2 times as long.
 
-Lines: a drive with accelerometer and gyroscope at 200 Hz, ground truth at 100 Hz, pictures of two cameras at 20 Hz and
+Lines: a drive with accelerometer and gyroscope at 200 Hz, ground truth at 100 Hz, images of two cameras at 20 Hz and
 fixes at 1 Hz, all numbers with the digits that a 64-bit number needs. The other side is a plain loop of `orjson.loads`
 that checks nothing and fills the same arrays. The peak is what reading allocates at most, beside the arrays that it
 ends with.
 
-Writing: such a drive without pictures, from the scene to the folder, against a plain loop of `orjson.dumps` over the
+Writing: such a drive without images, from the scene to the folder, against a plain loop of `orjson.dumps` over the
 same arrays in the order of their times. Ours finds the exact number of each time and the order of its lines besides.
 
-Video: 1080p H.264, against a bare loop of PyAV as it decodes by itself (one thread for pictures of one slice), against
+Video: 1080p H.264, against a bare loop of PyAV as it decodes by itself (one thread for images of one slice), against
 one that asks it for red, green and blue, too, by its fast converter, which is a level dark, and against a bare loop
-whose decoder works on several pictures at once, as it does here.
+whose decoder works on several images at once, as it does here.
 
 Lidar: files of 23-byte records, let go one by one, against `numpy.fromfile`, which leaves records as they are. Reading
 here maps a file and checks the time of every record, and nothing more: fields are taken out of the records at their
@@ -36,17 +36,17 @@ from sceneloom.formats.recording.lidar_files import XYZIRT, read_points
 from sceneloom.formats.video.reader import open_video
 
 LIDAR_FILES, LIDAR_POINTS = 36, 120_000
-PICTURES = 240
+IMAGES = 240
 
 
 def write_video(path: Path) -> None:
-    """Write a textured picture with a little noise that moves."""
+    """Write a textured image with a little noise that moves."""
     random = np.random.default_rng(0)
     texture = np.kron(random.integers(0, 255, (60, 120, 3)), np.ones((40, 40, 1), np.int64))
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=30, options={"crf": "20", "preset": "veryfast"})
         stream.width, stream.height, stream.pix_fmt = 1920, 1080, "yuv420p"
-        for k in range(PICTURES):
+        for k in range(IMAGES):
             part = texture[5 * k : 5 * k + 1080, 8 * k : 8 * k + 1920]
             noisy = np.clip(part + random.integers(-6, 6, (1080, 1920, 1)), 0, 255).astype(np.uint8)
             container.mux(stream.encode(av.VideoFrame.from_ndarray(noisy, format="rgb24")))
@@ -54,7 +54,7 @@ def write_video(path: Path) -> None:
 
 
 def decode_barely(path: Path, *, colours: bool = False, at_once: bool = False) -> int:
-    """Decode all pictures, and throw them away."""
+    """Decode all images, and throw them away."""
     count = 0
     with av.open(str(path)) as container:
         if at_once:
@@ -66,8 +66,8 @@ def decode_barely(path: Path, *, colours: bool = False, at_once: bool = False) -
     return count
 
 
-def read_pictures(path: Path) -> int:
-    """Read all pictures here."""
+def read_images(path: Path) -> int:
+    """Read all images here."""
     with open_video(path) as video:
         for k in range(video.count):
             video.rgb(k)
@@ -81,9 +81,9 @@ def measure_video(folder: Path, given: argparse.Namespace) -> None:
         "PyAV, bare": lambda: decode_barely(path),
         "PyAV, with its colours": lambda: decode_barely(path, colours=True),
         "PyAV, bare, AUTO": lambda: decode_barely(path, at_once=True),
-        "here": lambda: read_pictures(path),
+        "here": lambda: read_images(path),
     }
-    show(f"video: {PICTURES} pictures of 1080p", "PyAV, bare", measure(sides, given.repetitions))
+    show(f"video: {IMAGES} images of 1080p", "PyAV, bare", measure(sides, given.repetitions))
 
 
 def write_lidar(folder: Path) -> list[Path]:

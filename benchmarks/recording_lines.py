@@ -22,13 +22,13 @@ from sceneloom.scene import GnssSensor, ImuSensor
 Arrays = dict[str, tuple[Any, ...]]
 
 
-def write_lines(path: Path, count: int, *, pictures: bool = True) -> None:
+def write_lines(path: Path, count: int, *, images: bool = True) -> None:
     """Write a drive of so many lines, in the order of time."""
     random = np.random.default_rng(0)
     written, tick = 0, 0
     with path.open("wb") as file:
         while written < count:
-            lines = [line for line in _lines_of_tick(tick, random) if pictures or "frames" not in line]
+            lines = [line for line in _lines_of_tick(tick, random) if images or "frames" not in line]
             file.writelines(orjson.dumps(line, option=orjson.OPT_APPEND_NEWLINE) for line in lines)
             written, tick = written + len(lines), tick + 1
 
@@ -40,8 +40,8 @@ def _lines_of_tick(tick: int, random: np.random.Generator) -> list[dict[str, Any
         for sensor in ("accelerometer", "gyroscope")
     ]
     if tick % 2 == 0:
-        position, turn = random.normal(size=3).tolist(), random.normal(size=4)
-        orientation = dict(zip("xyzw", (turn / np.linalg.norm(turn)).tolist(), strict=True))
+        position, rotation = random.normal(size=3).tolist(), random.normal(size=4)
+        orientation = dict(zip("xyzw", (rotation / np.linalg.norm(rotation)).tolist(), strict=True))
         pose = {"position": dict(zip("xyz", position, strict=True)), "orientation": orientation}
         lines.append({"groundTruth": pose, "time": seconds})
     if tick % 10 == 0:
@@ -69,11 +69,19 @@ def read_plainly(path: Path) -> Arrays:
                 columns[1].extend(sensor["values"])
             elif "groundTruth" in line:
                 pose = line["groundTruth"]
-                place, turn = pose["position"], pose["orientation"]
+                location, rotation = pose["position"], pose["orientation"]
                 columns = arrays.setdefault("groundTruth", (array("d"), array("d")))
                 columns[0].append(line["time"])
                 columns[1].extend(
-                    (place["x"], place["y"], place["z"], turn["x"], turn["y"], turn["z"], turn["w"])
+                    (
+                        location["x"],
+                        location["y"],
+                        location["z"],
+                        rotation["x"],
+                        rotation["y"],
+                        rotation["z"],
+                        rotation["w"],
+                    )
                 )
             elif "frames" in line:
                 columns = arrays.setdefault("frames", (array("d"), array("q"), array("q"), array("d")))
@@ -158,9 +166,9 @@ def arrays_of(scene: sceneloom.Scene) -> dict[str, tuple[Any, Any]]:
     assert isinstance(imu, ImuSensor)
     assert isinstance(gnss, GnssSensor)
     fixes = np.column_stack([gnss.positions_lla, gnss.accuracies])
-    turns = np.column_stack([truth.positions, truth.quaternions_xyzw])
+    rotations = np.column_stack([truth.positions, truth.quaternions_xyzw])
     streams = {name: (stream.file_seconds, stream.values) for name, stream in imu.streams.items()}
-    return {**streams, "groundTruth": (truth.file_seconds, turns), "gps": (gnss.file_seconds, fixes)}
+    return {**streams, "groundTruth": (truth.file_seconds, rotations), "gps": (gnss.file_seconds, fixes)}
 
 
 def write_plainly(scene: sceneloom.Scene, path: Path) -> None:
@@ -172,10 +180,10 @@ def write_plainly(scene: sceneloom.Scene, path: Path) -> None:
         rows.append(stream[1].tolist())
     order = np.argsort(np.concatenate(times), kind="stable")
     which = np.repeat(np.arange(len(names)), [len(stream) for stream in times])[order].tolist()
-    place = np.concatenate([np.arange(len(stream)) for stream in times])[order].tolist()
+    location = np.concatenate([np.arange(len(stream)) for stream in times])[order].tolist()
     seconds = [stream.tolist() for stream in times]
     with path.open("wb") as file:
-        for stream, row in zip(which, place, strict=True):
+        for stream, row in zip(which, location, strict=True):
             name, values, time_s = names[stream], rows[stream][row], seconds[stream][row]
             line: dict[str, Any]
             if name == "groundTruth":
@@ -194,7 +202,7 @@ def write_plainly(scene: sceneloom.Scene, path: Path) -> None:
 def measure_writing(folder: Path, given: argparse.Namespace) -> None:
     drive, ours, theirs = folder / "drive", folder / "ours", folder / "theirs.jsonl"
     drive.mkdir()
-    write_lines(drive / "data.jsonl", given.lines, pictures=False)
+    write_lines(drive / "data.jsonl", given.lines, images=False)
     scene = sceneloom.open(drive)
 
     def write_here() -> None:

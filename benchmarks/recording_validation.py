@@ -1,8 +1,8 @@
 """How long `sceneloom validate --quick` takes on an hour's recording, against reading its lines alone.
 
 Run with `python -m benchmarks.recording_validation [--minutes 60]`. The recording has an accelerometer and a gyroscope
-at 100 Hz each, pictures at 20 Hz in a video that is counted and not decoded, poses at 10 Hz and fixes at 1 Hz: an hour
-is 720 000 lines of the IMU and 72 000 of pictures. The variants take turns; figures are medians.
+at 100 Hz each, images at 20 Hz in a video that is counted and not decoded, poses at 10 Hz and fixes at 1 Hz: an hour
+is 720 000 lines of the IMU and 72 000 of images. The variants take rotates; figures are medians.
 """
 
 import argparse
@@ -21,9 +21,9 @@ from sceneloom.formats.recording.lines import read_lines
 
 Line = dict[str, object]
 IMU_HZ = 100
-PICTURES_EVERY, POSES_EVERY, FIXES_EVERY = 5, 10, 100
+IMAGES_EVERY, POSES_EVERY, FIXES_EVERY = 5, 10, 100
 TARGET = 3.0
-LENS = {
+CAMERA_MODEL = {
     "model": "pinhole",
     "focalLengthX": 20.0,
     "focalLengthY": 20.0,
@@ -40,17 +40,17 @@ def make_lines(minutes: float) -> Iterator[Line]:
     random = np.random.default_rng(0)
     for tick in range(round(minutes * 60 * IMU_HZ)):
         time_s = tick / IMU_HZ
-        pull, turn = random.normal((0.0, 0.0, 9.81), 0.05), random.normal(scale=0.01, size=3)
+        pull, rotation = random.normal((0.0, 0.0, 9.81), 0.05), random.normal(scale=0.01, size=3)
         yield {"sensor": {"type": "accelerometer", "values": pull.tolist()}, "time": time_s}
-        yield {"sensor": {"type": "gyroscope", "values": turn.tolist()}, "time": time_s}
-        if tick % PICTURES_EVERY == 0:
-            picture = time_s + 0.0037
-            entry = {"cameraInd": 0, "time": picture}
-            yield {"frames": [entry], "number": tick // PICTURES_EVERY, "time": picture}
+        yield {"sensor": {"type": "gyroscope", "values": rotation.tolist()}, "time": time_s}
+        if tick % IMAGES_EVERY == 0:
+            image = time_s + 0.0037
+            entry = {"cameraInd": 0, "time": image}
+            yield {"frames": [entry], "number": tick // IMAGES_EVERY, "time": image}
         if tick % POSES_EVERY == 0:
             position = {"x": 10.0 * time_s, "y": 0.0, "z": 0.0}
-            turned = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
-            yield {"groundTruth": {"position": position, "orientation": turned}, "time": time_s + 0.004}
+            rotated = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+            yield {"groundTruth": {"position": position, "orientation": rotated}, "time": time_s + 0.004}
         if tick % FIXES_EVERY == 0:
             north = (0.5 * random.normal() + 10.0 * time_s) / 111_400
             fix = {"latitude": 50.0 + north, "longitude": 25.0, "altitude": 10.0, "accuracy": 0.5}
@@ -58,18 +58,18 @@ def make_lines(minutes: float) -> Iterator[Line]:
 
 
 def make_recording(folder: Path, minutes: float) -> Path:
-    """Write the lines, the calibration, and a video that shows one picture again and again."""
+    """Write the lines, the calibration, and a video that shows one image again and again."""
     folder.mkdir()
     with (folder / "data.jsonl").open("w") as file:
         for line in make_lines(minutes):
             file.write(json.dumps(line, separators=(",", ":")) + "\n")
-    (folder / "calibration.json").write_text(json.dumps({"cameras": [LENS]}))
+    (folder / "calibration.json").write_text(json.dumps({"cameras": [CAMERA_MODEL]}))
     with av.open(str(folder / "data.mkv"), "w") as container:
-        stream = container.add_stream("ffv1", rate=IMU_HZ // PICTURES_EVERY, options={"threads": "1"})
+        stream = container.add_stream("ffv1", rate=IMU_HZ // IMAGES_EVERY, options={"threads": "1"})
         stream.width, stream.height, stream.pix_fmt = 32, 16, "bgr0"
         grey = av.VideoFrame.from_ndarray(np.full((16, 32, 3), 90, np.uint8), format="rgb24")
         [packet] = [*stream.encode(grey.reformat(format="bgr0")), *stream.encode()]
-        for number in range(round(minutes * 60 * IMU_HZ / PICTURES_EVERY)):
+        for number in range(round(minutes * 60 * IMU_HZ / IMAGES_EVERY)):
             again = av.Packet(bytes(packet))
             again.stream, again.pts, again.dts = stream, number, number
             again.time_base, again.is_keyframe = packet.time_base, True
@@ -83,7 +83,7 @@ def parse(folder: Path) -> None:
 
 
 def check(folder: Path) -> None:
-    """All rules but those that look into pictures."""
+    """All rules but those that look into images."""
     report = validate(folder, frames=False)
     assert report.passed, report.findings[:5]
 

@@ -2,7 +2,7 @@
 
 `python -m benchmarks.remote [--only scene|folder|mcap|video] [--frames 600]`: one frame of a scene file of a gigabyte;
 what `sceneloom info` and five seconds of fusion take of a folder with a drive of a minute, beside fetching it whole by
-s3fs; one sweep of an MCAP file of a gigabyte, beside the `mcap` package's reader on a file of fsspec; one picture of
+s3fs; one sweep of an MCAP file of a gigabyte, beside the `mcap` package's reader on a file of fsspec; one image of
 a recording's video, beside PyAV on one.
 """
 
@@ -53,7 +53,7 @@ def write_sparse_scene(path: Path, frames: int) -> None:
 
 
 def counted(bucket: Bucket, work: Callable[[], object]) -> str:
-    """Do something, and say what it took."""
+    """Do something, and state what it took."""
     bucket.begin()
     begun = time.perf_counter()
     work()
@@ -81,12 +81,12 @@ def write_drive(folder: Path, frames: int) -> None:
     from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
     street = simulate_street(
-        0, frames=frames, lidar=LidarSpec(beams=32, steps=900), cameras=(CameraSpec(small_lens()),)
+        0, frames=frames, lidar=LidarSpec(beams=32, steps=900), cameras=(CameraSpec(small_camera_model()),)
     )
     sceneloom.write(replace(street.scene, annotations=()), folder, format="kitti-raw")
 
 
-def small_lens() -> Camera:
+def small_camera_model() -> Camera:
     return Camera("pinhole", 621, 188, 360.0, 360.0, 310.0, 93.5)
 
 
@@ -94,8 +94,8 @@ def measure_folder(folder: Path, frames: int, latency: float) -> None:
     write_drive(folder / "drive", frames)
     files = [path for path in (folder / "drive").rglob("*") if path.is_file()]
     size = sum(path.stat().st_size for path in files)
-    print(f"a folder of {size / 1e6:.0f} MB in {len(files)} files, {frames} sweeps and pictures:")
-    with Bucket(folder, latency) as bucket, TemporaryDirectory() as place:
+    print(f"a folder of {size / 1e6:.0f} MB in {len(files)} files, {frames} sweeps and images:")
+    with Bucket(folder, latency) as bucket, TemporaryDirectory() as location:
         environment = {
             **os.environ,
             "AWS_ACCESS_KEY_ID": "whoever",
@@ -108,12 +108,12 @@ def measure_folder(folder: Path, frames: int, latency: float) -> None:
             subprocess.run([sys.executable, *command], env=environment, check=True, stdout=subprocess.DEVNULL)
 
         def whole_then(*command: str) -> None:
-            copy = Path(place, "whole")
+            copy = Path(location, "whole")
             shutil.rmtree(copy, ignore_errors=True)
             run("-c", f"import s3fs; s3fs.S3FileSystem().get('drives/drive', {str(copy)!r}, recursive=True)")
             run("-m", "sceneloom", command[0], str(copy), *command[1:])
 
-        url, out = "s3://drives/drive", ("-o", str(Path(place, "out.sfs")), "--overwrite", "--quiet")
+        url, out = "s3://drives/drive", ("-o", str(Path(location, "out.sfs")), "--overwrite", "--quiet")
         commands = {"info": ("info",), "5 s fused": ("fuse", *out, "--start", "20", "--stop", "25")}
         for name, command in commands.items():
             ours = counted(bucket, partial(run, "-m", "sceneloom", command[0], url, *command[1:]))
@@ -161,24 +161,27 @@ def read_log(bucket: Bucket, address: str, frames: int) -> None:
     scenes[0].close()
 
 
-def write_film(folder: Path, pictures: int) -> None:
-    """A recording with a video of noise that moves, in groups of 20 pictures."""
+def write_film(folder: Path, images: int) -> None:
+    """A recording with a video of noise that moves, in groups of 20 images."""
     folder.mkdir()
-    lens = {"model": "pinhole", "focalLengthX": 900, "focalLengthY": 900}
-    camera = {"cameraInd": 0, "cameraParameters": {**lens, "principalPointX": 640, "principalPointY": 360}}
-    lines = [json.dumps({"time": k / 10, "number": k, "frames": [camera]}) for k in range(pictures)]
+    camera_model = {"model": "pinhole", "focalLengthX": 900, "focalLengthY": 900}
+    camera = {
+        "cameraInd": 0,
+        "cameraParameters": {**camera_model, "principalPointX": 640, "principalPointY": 360},
+    }
+    lines = [json.dumps({"time": k / 10, "number": k, "frames": [camera]}) for k in range(images)]
     (folder / "data.jsonl").write_text("\n".join(lines) + "\n")
     noise = np.random.default_rng(0).integers(0, 256, (720, 1280, 3), np.uint8)
     with av.open(folder / "data.mp4", "w") as movie:
         stream = movie.add_stream("libx264", rate=10, options={"preset": "ultrafast", "g": "20", "crf": "18"})
         stream.width, stream.height = 1280, 720
-        for k in range(pictures):
+        for k in range(images):
             movie.mux(stream.encode(av.VideoFrame.from_ndarray(np.roll(noise, 3 * k, 1), format="rgb24")))
         movie.mux(stream.encode())
 
 
-def picture_by_peer(address: str, seconds: float) -> None:
-    """One picture by PyAV, on a file of fsspec."""
+def image_by_peer(address: str, seconds: float) -> None:
+    """One image by PyAV, on a file of fsspec."""
     with fsspec.open(address, "rb") as file, av.open(file) as movie:
         (stream,) = movie.streams.video
         movie.seek(int(seconds / stream.time_base), stream=stream)
@@ -190,7 +193,7 @@ def picture_by_peer(address: str, seconds: float) -> None:
 def measure_video(folder: Path, frames: int, latency: float) -> None:
     write_film(folder / "film", frames)
     size = (folder / "film" / "data.mp4").stat().st_size
-    print(f"a recording with an mp4 video of {size / 1e6:.0f} MB, {frames} pictures:")
+    print(f"a recording with an mp4 video of {size / 1e6:.0f} MB, {frames} images:")
     with Bucket(folder, latency) as bucket:
         os.environ |= {
             "AWS_ACCESS_KEY_ID": "whoever",
@@ -202,14 +205,14 @@ def measure_video(folder: Path, frames: int, latency: float) -> None:
         print("  opening    ", counted(bucket, lambda: scenes.append(sceneloom.open("s3://b/film"))))
         middle = frames // 2 + 10  # of a group
         (camera,) = scenes[0].cameras
-        print("  one picture", counted(bucket, lambda: camera.pictures[middle].rgb))
+        print("  one image", counted(bucket, lambda: camera.images[middle].rgb))
         address = f"{bucket.address}/b/film/data.mp4"
         print(
             "  both       ",
-            counted(bucket, lambda: picture_by_peer(address, middle / 10)),
+            counted(bucket, lambda: image_by_peer(address, middle / 10)),
             "by PyAV on fsspec",
         )
-        print("  all        ", counted(bucket, lambda: [picture.rgb.shape for picture in camera.pictures]))
+        print("  all        ", counted(bucket, lambda: [image.rgb.shape for image in camera.images]))
         scenes[0].close()
 
 

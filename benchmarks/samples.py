@@ -19,21 +19,21 @@ _kept = {}
 
 
 def directly(scene):
-    """Read every sweep with its reference time, and every picture."""
-    for frame, picture in zip(scene.lidars[0].frames, scene.cameras[0].pictures, strict=True):
-        _ = frame.reference_ns, picture.rgb
+    """Read every sweep with its reference time, and every image."""
+    for frame, image in zip(scene.lidars[0].frames, scene.cameras[0].images, strict=True):
+        _ = frame.reference_ns, image.rgb
 
 
 def by_samples(scene):
     """Read the same as samples."""
     for sample in scene.samples():
-        _ = sample.sweep, sample.pictures["camera0"].rgb
+        _ = sample.sweep, sample.images["camera0"].rgb
 
 
 def with_poses(scene):
-    """The same, and where the points are in the picture."""
+    """The same, and where the points are in the image."""
     for sample in scene.samples():
-        _ = sample.sweep, sample.pictures["camera0"].rgb, sample.camera_from_points
+        _ = sample.sweep, sample.images["camera0"].rgb, sample.camera_from_points
 
 
 def as_arrays(scene):

@@ -1,9 +1,9 @@
 """The fusion service against a bare gRPC server that is given the same bytes and gives as many back.
 
 Run with `python -m benchmarks.service [--only frames,flat,properties,boxes,soak] [--seconds 60] [--calls 50000]
-[--soak-seconds 60]`. Both servers are asked in turns, so that a busy machine slows both alike.
+[--soak-seconds 60]`. Both servers are asked in rotations, so that a busy machine slows both alike.
 
-- frames: 10 Hz of a 1920x1080x3 raw picture and 250,000 points of a street x 4 float32, from two processes; from
+- frames: 10 Hz of a 1920x1080x3 raw image and 250,000 points of a street x 4 float32, from two processes; from
   the second of a pair sent to its result received. Limit: p99 at most 2.5 times the bare server's, plus the
   fusion's own time.
 - flat: the same as fast as results come. Limit: half of the bare server's pairs a second.
@@ -25,7 +25,7 @@ from benchmarks.service_peers import (
     Boxes,
     Clouds,
     Exchange,
-    Pictures,
+    Images,
     bare,
     connect,
     number_in_bare,
@@ -48,7 +48,7 @@ CALIBRATION = CalibrationData(
     reference_frame=0,
     extrinsic_matrix=FORWARD,
 )
-FRAMES = (Pictures(WIDTH, HEIGHT), Clouds(POINTS))
+FRAMES = (Images(WIDTH, HEIGHT), Clouds(POINTS))
 LISTS = (Boxes(BOXES, sweeps=False), Boxes(BOXES, sweeps=True))
 
 
@@ -105,10 +105,10 @@ def frames(ports, seconds, fusion_s):
             lost[name] += count - len(found)
     p99 = {}
     for name, found in latencies.items():
-        told, p99[name] = percentiles(found)
-        print(f"  {name:5} {told}; {lost[name]} of {count * SLICES} results missing")
-    told, own = percentiles(fusion_s)
-    print(f"  fusion itself, in process: {told}")
+        reported, p99[name] = percentiles(found)
+        print(f"  {name:5} {reported}; {lost[name]} of {count * SLICES} results missing")
+    reported, own = percentiles(fusion_s)
+    print(f"  fusion itself, in process: {reported}")
     ratio, beyond = p99["ours"] / p99["bare"], (p99["ours"] - own) / p99["bare"]
     print(
         f"  p99 {ratio:.2f} times the bare server's, {beyond:.2f} times without the fusion itself (limit 2.5)"
@@ -142,8 +142,8 @@ def properties(ports, calls):
             streaming.replies.cancel()
             thread.join()
     for name, found in parts.items():
-        told, p99[name] = percentiles(found)
-        print(f"  {name:5} {told}")
+        reported, p99[name] = percentiles(found)
+        print(f"  {name:5} {reported}")
     print(f"  p99 {p99['ours'] / p99['bare']:.2f} times the bare server's (limit 3)")
 
 
@@ -177,8 +177,8 @@ def boxes(ports, count):
                     port, LISTS, is_ours=name == "ours", count=count, window=16, streamed=streamed
                 ).run()
                 best[name] = max(best[name], len(found) / taken)
-        told = ", ".join(f"{name} {rate:.0f}" for name, rate in best.items())
-        print(f"  through the service, by {call}: {told} pairs/s (limit 500)")
+        reported = ", ".join(f"{name} {rate:.0f}" for name, rate in best.items())
+        print(f"  through the service, by {call}: {reported} pairs/s (limit 500)")
     taken, _ = in_process(LISTS, count)
     print(f"  {'in process':12} {1.0 / np.median(taken):8.0f} pairs/s (limit 2000)")
 
@@ -199,7 +199,7 @@ def main():
 
 
 def against_bare(wanted, seconds, calls):
-    """What is measured on both servers in turns."""
+    """What is measured on both servers in rotations."""
     fusion_s, result_bytes = in_process(FRAMES, 40)
     _, detections_bytes = in_process(LISTS, 2)
     with ours() as (port, _), bare(result_bytes, detections_bytes) as (bare_port, _):

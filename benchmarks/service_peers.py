@@ -65,18 +65,18 @@ async def _serve_bare(result_bytes, detections_bytes):
     filling = {0: bytes(result_bytes), 1: bytes(detections_bytes)}
 
     async def send(_, context):
-        told = dict(context.invocation_metadata())
-        if "sweep" in told:
-            number, kind = int(told["sweep"]), int(told["kind"])
+        reported = dict(context.invocation_metadata())
+        if "sweep" in reported:
+            number, kind = int(reported["sweep"]), int(reported["kind"])
             queues[kind].put_nowait(number.to_bytes(8, "little") + filling[kind])
         return done
 
     async def send_stream(requests, context):
-        told, number = dict(context.invocation_metadata()), 0
+        reported, number = dict(context.invocation_metadata()), 0
         async for _ in requests:
-            if told["sweeps"] == "1":
-                queues[int(told["kind"])].put_nowait(
-                    number.to_bytes(8, "little") + filling[int(told["kind"])]
+            if reported["sweeps"] == "1":
+                queues[int(reported["kind"])].put_nowait(
+                    number.to_bytes(8, "little") + filling[int(reported["kind"])]
                 )
             number += 1
         return fusion_pb2.SendSummary(accepted=number).SerializeToString()
@@ -118,13 +118,13 @@ def connect(port):
     return grpc.insecure_channel(f"127.0.0.1:{port}", OPTIONS)
 
 
-def stamp(number, period_ns):
+def timestamp(number, period_ns):
     s, ns = divmod(START_NS + number * period_ns, 10**9)
     return fusion_pb2.Timestamp(s=s, ns=ns)
 
 
-class Pictures:
-    """Makes requests with a picture."""
+class Images:
+    """Makes requests with an image."""
 
     sweeps, kind = False, 0
 
@@ -140,7 +140,7 @@ class Pictures:
 
     def request(self, number, period_ns, session=""):
         image = fusion_pb2.ImageData(
-            sensor_id=CAMERA_ID, timestamp=stamp(number, period_ns), seq=number, **self.fields
+            sensor_id=CAMERA_ID, timestamp=timestamp(number, period_ns), seq=number, **self.fields
         )
         return fusion_pb2.SendRequest(image=image, session=session).SerializeToString()
 
@@ -163,13 +163,13 @@ class Clouds:
 
     def request(self, number, period_ns, session=""):
         points = fusion_pb2.PointCloudData(
-            sensor_id=LIDAR_ID, timestamp=stamp(number, period_ns), seq=number, **self.fields
+            sensor_id=LIDAR_ID, timestamp=timestamp(number, period_ns), seq=number, **self.fields
         )
         return fusion_pb2.SendRequest(points=points, session=session).SerializeToString()
 
 
 class Boxes:
-    """Makes requests with boxes; `sweeps` says whether in space or in the picture."""
+    """Makes requests with boxes; `sweeps` says whether in space or in the image."""
 
     kind = 1
 
@@ -177,7 +177,7 @@ class Boxes:
         self.count, self.sweeps = count, sweeps
 
     def request(self, number, period_ns, session=""):
-        time_stamp = stamp(number, period_ns)
+        time_stamp = timestamp(number, period_ns)
         if self.sweeps:
             boxes = [self._box_3d(k, number, time_stamp) for k in range(self.count)]
             listed = fusion_pb2.Boxes3d(sensor_id=LIDAR_ID, seq=number, timestamp=time_stamp, boxes=boxes)
@@ -216,15 +216,15 @@ def _send(port, maker, count, period_s, begun, sent, received, window, ready, *,
         with ready.get_lock():
             ready.value += 1
         if streamed:
-            told = (("kind", str(maker.kind)), ("sweeps", str(int(maker.sweeps))))
+            reported = (("kind", str(maker.kind)), ("sweeps", str(int(maker.sweeps))))
             requests = (maker.request(number, period_ns) for number in due)
-            stub(channel, "SendStream", "stream_unary")(requests, metadata=told)
+            stub(channel, "SendStream", "stream_unary")(requests, metadata=reported)
             return
         send = stub(channel, "Send")
         for number in due:
-            # what our server finds in the message the bare one is told beside it
-            told = (("kind", str(maker.kind)), *((("sweep", str(number)),) if maker.sweeps else ()))
-            send(upcoming, metadata=told)
+            # what our server finds in the message the bare one is reported beside it
+            reported = (("kind", str(maker.kind)), *((("sweep", str(number)),) if maker.sweeps else ()))
+            send(upcoming, metadata=reported)
             upcoming = maker.request(number + 1, period_ns)
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import grpc
 
-from benchmarks.service_peers import SERVICE, Clouds, Pictures, connect, ours, stub
+from benchmarks.service_peers import SERVICE, Clouds, Images, connect, ours, stub
 from sceneloom.fusion.messages.wire import fusion_pb2
 
 WIDTH, HEIGHT, POINTS = 320, 240, 10_000
@@ -36,7 +36,7 @@ def _calibrate(channel, session):
 def never_gets(port, *, gets=False):
     """Send frames for ever; results are fetched only with `gets`."""
     session = "gets" if gets else "never gets"
-    makers = Pictures(WIDTH, HEIGHT), Clouds(POINTS)
+    makers = Images(WIDTH, HEIGHT), Clouds(POINTS)
     with connect(port) as channel:
         _calibrate(channel, session)
         number = 0
@@ -56,7 +56,7 @@ def behaves(port):
 
 def streams(port, salt):
     """Send a stream that does not end; the process is killed in it."""
-    makers = Pictures(WIDTH, HEIGHT), Clouds(POINTS)
+    makers = Images(WIDTH, HEIGHT), Clouds(POINTS)
     session = f"dies {salt % 3}"
 
     def requests():

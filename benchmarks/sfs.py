@@ -1,7 +1,7 @@
 """The container of `.sfs` files: speed and memory, against plain file access and Scale's own codec.
 
 Run with `python -m benchmarks.sfs [--megabytes 500] [--gigabytes 20] [--runs 5]`, and with SCENELOOM_SCALE_PYTHON
-naming an interpreter that has scale-json-binary; without it the peer is left out. What is compared takes turns in one
+naming an interpreter that has scale-json-binary; without it the peer is left out. What is compared takes rotates in one
 run, so that a busy machine slows all of it alike. Printed are best times, their ratios, and the limits.
 """
 
@@ -21,7 +21,7 @@ import numpy as np
 
 from sceneloom import SceneWriter
 from sceneloom.formats.sfs.container import Container
-from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, PointsFrame, PosePath
+from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, PointsFrame, Poses
 
 POINTS = 120_000
 PERIOD_NS = 100_000_000
@@ -95,30 +95,30 @@ def frames_of(sweeps: list[LidarPoints], count: int, *, times: bool) -> list[Lid
     frames = []
     for k in range(count):
         sweep = sweeps[k % len(sweeps)]
-        stamped = sweep.timestamps_ns if times else None
-        points = LidarPoints(sweep.positions, intensities=sweep.intensities, timestamps_ns=stamped)
+        timestamped = sweep.timestamps_ns if times else None
+        points = LidarPoints(sweep.positions, intensities=sweep.intensities, timestamps_ns=timestamped)
         frames.append(LidarFrame(k * PERIOD_NS, points))
     return frames
 
 
 def write_scene(path: Path, frames: list[LidarFrame], *, known: bool) -> None:
     """Write a lidar frame by frame; with the number of frames known before or not."""
-    stamps = np.array([frame.timestamp_ns for frame in frames])
+    timestamps = np.array([frame.timestamp_ns for frame in frames])
     with SceneWriter(path, overwrite=True, frame_count=len(frames) if known else 0) as writer:
         writer.add_sensor(LidarSensor("top", LazyFrames.of([], []), points_frame=PointsFrame.WORLD))
         for frame in frames:
             writer.add_frame("top", frame)
         still = np.tile([0.0, 0, 0, 1], (len(frames), 1))
-        writer.set_poses("top", PosePath(stamps, np.zeros((len(frames), 3)), still))
+        writer.set_poses("top", Poses(timestamps, np.zeros((len(frames), 3)), still))
 
 
 def write_plainly(path: Path, sweeps: list[LidarPoints], frames: int, *, times: bool) -> None:
     """Write the same bytes to a file, array by array, without a sync."""
-    stamps = np.zeros(POINTS, np.uint32)
+    timestamps = np.zeros(POINTS, np.uint32)
     with path.open("wb", buffering=0) as file:
         for k in range(frames):
             sweep = sweeps[k % len(sweeps)]
-            for array in (sweep.positions, sweep.intensities, stamps if times else None):
+            for array in (sweep.positions, sweep.intensities, timestamps if times else None):
                 if array is not None:
                     file.write(array.data)
 
@@ -151,7 +151,7 @@ def seconds_of(work: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
-def in_turns(works: dict[str, Callable[[], object]], runs: int) -> dict[str, float]:
+def in_rotations(works: dict[str, Callable[[], object]], runs: int) -> dict[str, float]:
     """Best wall time of each [s]: a busy machine only ever adds. A first round is not counted."""
     times: dict[str, list[float]] = {name: [] for name in works}
     for run in range(runs + 1):
@@ -179,7 +179,7 @@ def measure_writing(folder: Path, megabytes: int, runs: int) -> None:
     for times, bytes_a_point in ((False, 13), (True, 17)):
         frames = megabytes * 1_000_000 // (POINTS * bytes_a_point)
         shown = frames_of(sweeps, frames, times=times)
-        best = in_turns(
+        best = in_rotations(
             {
                 "plain": anew(plain, write_plainly, sweeps, frames, times=times),
                 "known": anew(ours, write_scene, shown, known=True),
@@ -208,7 +208,7 @@ def measure_many_arrays(folder: Path, peer: str, runs: int) -> None:
         str(arrays): anew(path, write_scene, frames_of(small, arrays // 2, times=False), known=True)
         for arrays in (ARRAYS // 2, ARRAYS)
     }
-    best = in_turns(works, runs)
+    best = in_rotations(works, runs)
     ours = best[str(ARRAYS)]
     growth = ours / best[str(ARRAYS // 2)]
     print(
@@ -243,7 +243,7 @@ def measure_reading(folder: Path, megabytes: int, peer: str, runs: int) -> None:
             end="",
         )
     print()
-    best = in_turns({"plain": lambda: read_plainly(path), "ours": lambda: read_arrays(path)}, runs)
+    best = in_rotations({"plain": lambda: read_plainly(path), "ours": lambda: read_arrays(path)}, runs)
     ours, plain = best["ours"], best["plain"]
     print(
         f"reading every array of {megabytes} MB: {ours * 1e3:.0f} ms, plain {plain * 1e3:.0f} ms: "
@@ -280,7 +280,7 @@ def measure_large(folder: Path, gigabytes: int) -> None:
         frames = write_sparse(path, gigabytes)
     except OSError as error:
         gigabytes = 5
-        print(f"no file of that length here ({error.strerror}); {gigabytes} GB in its place")
+        print(f"no file of that length here ({error.strerror}); {gigabytes} GB in its location")
         frames = write_sparse(path, gigabytes)
     small = folder / "small.sfs"
     for what, command in (

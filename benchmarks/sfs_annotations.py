@@ -3,9 +3,9 @@
 Run with `python -m benchmarks.sfs_annotations [--annotations 20000] [--peer-annotations 4000]`, and with
 SCENELOOM_SCALE_PYTHON naming an interpreter that has scale-sensor-fusion-io; without it the peer is left out. Every
 annotation is a cuboid of 10 keyframes with one attribute of 10 values; all numbers have the digits of a float64.
-Both get the smaller file by turns, ours before and after the peer, and must give the same sums. Figures are medians of
-processor time, which other jobs on the machine change less; imports are not counted. The larger file shows how our time
-grows, and how long `sceneloom.validate` takes for it.
+Both get the smaller file alternately, ours before and after the peer, and must give the same sums. Figures are medians
+of processor time, which other jobs on the machine change less; imports are not counted. The larger file shows how our
+time grows, and how long `sceneloom.validate` takes for it.
 """
 
 import argparse
@@ -31,8 +31,8 @@ begun = time.process_time()
 scene = SFSLoader(sys.argv[1]).load()
 seconds = time.process_time() - begun
 total = sum(float(cuboid.path.values.sum()) for cuboid in scene.annotations)
-said = sum(sum(cuboid.attributes[0].values) for cuboid in scene.annotations)
-print(seconds, len(scene.annotations), total, said)
+stated = sum(sum(cuboid.attributes[0].values) for cuboid in scene.annotations)
+print(seconds, len(scene.annotations), total, stated)
 """
 
 Sums = tuple[int, float, int]
@@ -74,20 +74,20 @@ def read_with_scale(interpreter: str, path: Path) -> tuple[float, Sums]:
     done = subprocess.run(
         [interpreter, "-c", PEER, str(path)], capture_output=True, text=True, check=True, cwd=path.parent
     )
-    seconds, count, total, said = done.stdout.split()[-4:]
-    return float(seconds), (int(count), float(total), int(said))
+    seconds, count, total, stated = done.stdout.split()[-4:]
+    return float(seconds), (int(count), float(total), int(stated))
 
 
 def compare(path: Path, interpreter: str, repetitions: int) -> None:
-    """Read one file with both, by turns."""
+    """Read one file with both, alternately."""
     read_here(path)  # imports what reading needs
     ours, theirs = [read_here(path) for _ in range(5)], []
     for _ in range(repetitions):
         theirs.append(read_with_scale(interpreter, path))
         ours += [read_here(path) for _ in range(5)]
-    count, total, said = ours[0][1]
+    count, total, stated = ours[0][1]
     for _, found in theirs:
-        assert found[::2] == (count, said), found
+        assert found[::2] == (count, stated), found
         np.testing.assert_allclose(found[1], total, rtol=1e-12)  # summed in another order
     here, peer = (float(np.median([seconds for seconds, _ in runs])) for runs in (ours, theirs))
     print(f"{count} annotations of {KEYFRAMES} keyframes, {path.stat().st_size / 1e6:.1f} MB")

@@ -1,4 +1,4 @@
-"""Sides of a comparison that take turns, timed by the clock and by their processors."""
+"""Sides of a comparison that take rotates, timed by the clock and by their processors."""
 
 import resource
 import time

@@ -1,6 +1,6 @@
 """How long a user waits before anything happens: `import sceneloom` and `sceneloom --help`.
 
-Run with `python -m benchmarks.startup [RUNS]`. Each run is a new process; the commands take turns, so that a
+Run with `python -m benchmarks.startup [RUNS]`. Each run is a new process; the commands take rotates, so that a
 busy machine slows all of them alike. Printed are medians.
 """
 

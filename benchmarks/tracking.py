@@ -2,7 +2,7 @@
 
     python -m benchmarks.tracking ../shared/data/real/kitti_tracking
 
-Detections are those of PointRCNN in sweeps and RRC in pictures. What these are like is taken from simulated drives
+Detections are those of PointRCNN in sweeps and RRC in images. What these are like is taken from simulated drives
 ("simulated"), or fitted to the other sequences ("left out", each sequence without itself); "shipped" is the file of the
 package, which was fitted to all of them. The tracker's own numbers were set on `FITTED`; `HELD` was only looked at. The
 shares are those of what RRC's boxes reach with the true identities, at the best threshold for each figure, and of what
@@ -24,18 +24,18 @@ from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.formats.kitti.tracking_folder import KittiTracking, open_tracking_folder
 from sceneloom.pipeline.tracking.files import track_folder
 from sceneloom.pipeline.tracking.job import TrackingSettings
-from sceneloom.tracking import PictureBox
+from sceneloom.tracking import ImageBox
 
 FITTED = ("0000", "0002", "0003", "0006", "0010")
 HELD = ("0012", "0013", "0014", "0016")
 CLASSES = ("car", "pedestrian")
 CEILINGS = {"car": ((85.6, 91.7), (87.5, 94.9)), "pedestrian": ((60.2, None), (66.0, None))}
 """HOTA and MOTA that boxes reach with the true identities: RRC's, and those of both detectors."""
-VARIANTS: Mapping[str, tuple[bool, PictureBox]] = {
-    "online": (False, PictureBox.IMAGE),
-    "online, projected": (False, PictureBox.PROJECTED),
-    "offline": (True, PictureBox.IMAGE),
-    "offline, projected": (True, PictureBox.PROJECTED),
+VARIANTS: Mapping[str, tuple[bool, ImageBox]] = {
+    "online": (False, ImageBox.IMAGE),
+    "online, projected": (False, ImageBox.PROJECTED),
+    "offline": (True, ImageBox.IMAGE),
+    "offline, projected": (True, ImageBox.PROJECTED),
 }
 
 Scores = Mapping[str, Mapping[str, Mapping[str, Any]]]
@@ -52,10 +52,10 @@ class Row(NamedTuple):
     switches: int
 
 
-def fusions(folder: Path, names: tuple[str, ...], told: str) -> dict[str, ProjectionSettings]:
+def fusions(folder: Path, names: tuple[str, ...], reported: str) -> dict[str, ProjectionSettings]:
     """How each sequence's detections are fused."""
-    if told != "left out":
-        detectors = KITTI if told == "shipped" else "simulated"
+    if reported != "left out":
+        detectors = KITTI if reported == "shipped" else "simulated"
         return dict.fromkeys(names, ProjectionSettings(detectors=detectors))
     columns = columns_of(kitti_examples(folder), overlap=FitSettings().overlap)
     return {
@@ -67,11 +67,11 @@ def fusions(folder: Path, names: tuple[str, ...], told: str) -> dict[str, Projec
 
 
 def follow(
-    tracking: KittiTracking, fusion: Mapping[str, ProjectionSettings], variant: str, place: Path
+    tracking: KittiTracking, fusion: Mapping[str, ProjectionSettings], variant: str, location: Path
 ) -> float:
     """Write the results of all sequences, and give the time of a frame [ms]."""
     offline, box2d = VARIANTS[variant]
-    place.mkdir(parents=True)
+    location.mkdir(parents=True)
     seconds, frames = 0.0, 0
     for name, settings in fusion.items():
         with tempfile.TemporaryDirectory() as scratch:
@@ -82,7 +82,7 @@ def follow(
                 box2d=box2d,
                 settings=TrackingSettings(offline=offline, fusion=settings),
             )
-            (place / f"{name}.txt").write_text((Path(scratch) / "out" / f"{name}.txt").read_text())
+            (location / f"{name}.txt").write_text((Path(scratch) / "out" / f"{name}.txt").read_text())
         seconds += sum(drive.seconds for drive in report.drives)
         frames += sum(drive.frames for drive in report.drives)
     return 1e3 * seconds / frames
@@ -153,26 +153,26 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--detectors", nargs="*", default=["simulated", "left out"])
     parser.add_argument("--variants", nargs="*", default=list(VARIANTS)[:3])
-    told = parser.parse_args()
-    tracking = open_tracking_folder(told.folder)
+    reported = parser.parse_args()
+    tracking = open_tracking_folder(reported.folder)
     names = tuple(name for name in tracking.sequences if name in FITTED + HELD)
     heads = ("HOTA", "DetA", "AssA", "MOTA", "IDSW", "% 2D", "% both", "ms")
     widths = (7, 7, 7, 8, 6, 8, 8, 8)
-    for detectors in told.detectors:
-        fusion = fusions(told.folder, names, detectors)
+    for detectors in reported.detectors:
+        fusion = fusions(reported.folder, names, detectors)
         with tempfile.TemporaryDirectory() as scratch:
-            place = Path(scratch)
-            lay_out_truth(told.folder, tracking, place / "truth")
+            location = Path(scratch)
+            lay_out_truth(reported.folder, tracking, location / "truth")
             times = {
-                variant: follow(tracking, fusion, variant, place / "results" / variant / "data")
-                for variant in told.variants
+                variant: follow(tracking, fusion, variant, location / "results" / variant / "data")
+                for variant in reported.variants
             }
-            judged = evaluate(place / "truth", place / "results")
+            judged = evaluate(location / "truth", location / "results")
         print(
             f"\n{detectors:40s}"
             + "".join(f"{head:>{width}}" for head, width in zip(heads, widths, strict=True))
         )
-        for variant in told.variants:
+        for variant in reported.variants:
             print("\n".join(lines(judged[variant], variant, times[variant])))
 
 

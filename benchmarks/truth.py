@@ -1,18 +1,19 @@
-"""How far the fused drive is from what was really there: visibility, depths and colours over many made-up streets.
+"""How far the fused drive is from what was really there: visibility, depths and colours over many synthetic streets.
 
 Run with `python -m benchmarks.truth [ROW ...] [--seeds 10] [--first 0] [--hidden 1000]`. Every row is a lidar pattern,
-a place of the lidar and some cameras; one sweep of each street is fused, and streets are added until `--seeds` of them
-hold `--hidden` hidden points. Only points at least 2 px from the outlines in the true picture count.
+a location of the lidar and some cameras; one sweep of each street is fused, and streets are added until `--seeds` of
+them hold `--hidden` hidden points. Only points at least 2 px from the outlines in the true image count.
 
-hidden: points in the picture behind something else. coloured: how many of them got a colour all the same; "known": of
+hidden: points in the image behind something else. coloured: how many of them got a colour all the same; "known": of
 those whose concealing surface the lidar could see where it conceals (it lies in the lidar's field of view and nothing
-stands before it); "told": of those behind a surface that two lines beside each other met (`benchmarks.truth_edges`).
+stands before it); "reported": of those behind a surface that two lines beside each other met
+(`benchmarks.truth_edges`).
 unseen: which share of the known hidden points lies where no line met what conceals them. The others lie at edges,
 between the last line on a thing and the next, which misses it. lost: points in plain view that got no colour from that
-picture; "told": without those at edges; "least": what a method would lose that is right but at edges, and takes the
+image; "reported": without those at edges; "least": what a method would lose that is right but at edges, and takes the
 best cut there that lets 1 % of the known hidden points pass, the unseen not counted. depth: difference from the true
 depth, 99th percentile, at 2 cm of range noise. colour: share of coloured points whose colour lies within one level of
-the range of the 3x3 true pixels around the place where they truly are.
+the range of the 3x3 true pixels around the location where they truly are.
 """
 
 import argparse
@@ -22,7 +23,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from benchmarks.truth_edges import TOLD_HIDDEN, TOLD_SEEN, shares_of_gaps
+from benchmarks.truth_edges import REPORTED_HIDDEN, REPORTED_SEEN, shares_of_gaps
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import project
 from sceneloom.geometry.rigid import RigidTransform
@@ -55,7 +56,7 @@ UNEVEN = LidarSpec(beams=len(FINE_IN_THE_MIDDLE), elevations_deg=FINE_IN_THE_MID
 
 
 def mount(x: float, y: float, z: float) -> RigidTransform:
-    """A lidar's place on the ego, a little off square."""
+    """A lidar's location on the ego, a little off square."""
     return RigidTransform(rotation_from_angles(*np.radians([0.3, -0.5, 0.8])), np.array([x, y, z]))
 
 
@@ -80,7 +81,7 @@ class Row:
     """A rig."""
 
     lidar: LidarSpec
-    place: RigidTransform
+    location: RigidTransform
     cameras: tuple[CameraSpec, ...]
 
 
@@ -90,9 +91,9 @@ ROWS = {
     "64 above": Row(LIDAR_64, ABOVE, ahead(PINHOLE)),
     "64 beside": Row(LIDAR_64, BESIDE, ahead(PINHOLE)),
     "64 behind": Row(LIDAR_64, BEHIND, ahead(PINHOLE)),
-    "64 roof, long lens": Row(LIDAR_64, ROOF, ahead(LONG)),
-    "64 above, long lens": Row(LIDAR_64, ABOVE, ahead(LONG)),
-    "64 beside, long lens": Row(LIDAR_64, BESIDE, ahead(LONG)),
+    "64 roof, long camera model": Row(LIDAR_64, ROOF, ahead(LONG)),
+    "64 above, long camera model": Row(LIDAR_64, ABOVE, ahead(LONG)),
+    "64 beside, long camera model": Row(LIDAR_64, BESIDE, ahead(LONG)),
     "64 high behind, wide": Row(LIDAR_64, HIGH_BEHIND, ahead(WIDE)),
     "64 high behind, brown": Row(LIDAR_64, HIGH_BEHIND, ahead(BROWN)),
     "64 high behind, fisheye": Row(LIDAR_64, HIGH_BEHIND, ahead(FISHEYE)),
@@ -114,7 +115,7 @@ ROWS = {
 
 
 @dataclass
-class Tally:
+class Statistics:
     """Counts over all streets of a row."""
 
     seeds: int = 0
@@ -125,7 +126,7 @@ class Tally:
     visible: int = 0
     lost: int = 0
     unseen: int = 0
-    told: np.ndarray = field(default_factory=lambda: np.zeros((2, 2), np.int64))
+    reported: np.ndarray = field(default_factory=lambda: np.zeros((2, 2), np.int64))
     gaps: tuple[list[np.ndarray], list[np.ndarray]] = field(default_factory=lambda: ([], []))
     depths: list[np.ndarray] = field(default_factory=list)
     colours: list[np.ndarray] = field(default_factory=list)
@@ -136,9 +137,9 @@ class Tally:
         outside = np.concatenate(self.colours)
         return (
             f"{self.seeds:5} {self.hidden:7} {percent(self.coloured, self.hidden):8.2f} "
-            f"{percent(self.known_coloured, self.known):8.2f} {percent(*self.told[0]):6.2f} "
+            f"{percent(self.known_coloured, self.known):8.2f} {percent(*self.reported[0]):6.2f} "
             f"{percent(self.unseen, self.known):7.2f} "
-            f"{self.visible:9} {percent(self.lost, self.visible):6.2f} {percent(*self.told[1]):6.2f} "
+            f"{self.visible:9} {percent(self.lost, self.visible):6.2f} {percent(*self.reported[1]):6.2f} "
             f"{self.least():6.2f} "
             f"{depth:7.1f} {100 * (outside <= 1).mean():9.2f}"
         )
@@ -206,7 +207,7 @@ def first_surface(
 
 
 def colour_excess(truth: np.ndarray, pixels: np.ndarray, colours: np.ndarray) -> np.ndarray:
-    """By how many levels colours lie outside the range of the 3x3 pixels around exact places, the worst channel."""
+    """By how many levels colours lie outside the range of the 3x3 pixels around exact locations, the worst channel."""
     height, width = truth.shape[:2]
     column, row = np.rint(pixels).astype(int).T
     steps = np.mgrid[-1:2, -1:2].reshape(2, -1)
@@ -217,13 +218,13 @@ def colour_excess(truth: np.ndarray, pixels: np.ndarray, colours: np.ndarray) ->
     return np.maximum(np.maximum(below, above), 0).max(axis=1)
 
 
-def measure(drive: SimulatedDrive, tally: Tally) -> None:
-    """Fuse the first sweep of a drive and add what is right and wrong to the tally."""
-    tally.seeds += 1
+def measure(drive: SimulatedDrive, statistics: Statistics) -> None:
+    """Fuse the first sweep of a drive and add what is right and wrong to the statistics."""
+    statistics.seeds += 1
     fused = next(iter_fused(drive.scene))
     clean = drive.truth.clean_points_world(0)
     for index, view in enumerate(fused.views):
-        truth, pose = drive.truth.picture(view.camera_id, 0), drive.truth.world_from_camera(view.camera_id, 0)
+        truth, pose = drive.truth.image(view.camera_id, 0), drive.truth.world_from_camera(view.camera_id, 0)
         points_world = clean.positions_world[view.point_ids]
         free = drive.truth.visible(view.camera_id, 0, clean.positions_world)[view.point_ids]
         edges = drive.truth.edges(view.camera_id, 0)
@@ -233,35 +234,37 @@ def measure(drive: SimulatedDrive, tally: Tally) -> None:
         times_ns = drive.truth.cameras[view.camera_id].timestamps_ns[:1]
         surface = first_surface(drive, pose.translation, points_world[hidden], times_ns)
         known = seen_by_lidar(drive, surface, view.point_ids[hidden])
-        tally.hidden += int(hidden.sum())
-        tally.coloured += int((hidden & seen).sum())
+        statistics.hidden += int(hidden.sum())
+        statistics.coloured += int((hidden & seen).sum())
         shares = shares_of_gaps(drive, view, points_world)
-        edge = (shares != TOLD_SEEN) & (shares != TOLD_HIDDEN)
+        edge = (shares != REPORTED_SEEN) & (shares != REPORTED_HIDDEN)
         is_known = np.zeros_like(hidden)
         is_known[hidden] = known
-        tally.unseen += int((is_known & (shares == TOLD_SEEN)).sum())
-        ours = (is_known, TOLD_HIDDEN, seen), (plain, TOLD_SEEN, ~seen)
-        for kind, (of_kind, told, wrong) in enumerate(ours):
-            of_told = of_kind & (shares == told)
-            tally.told[kind] += (of_told & wrong).sum(), of_told.sum()
-            tally.gaps[kind].append(shares[of_kind & edge])
-        tally.known += int(known.sum())
-        tally.known_coloured += int((known & seen[hidden]).sum())
-        tally.visible += int(plain.sum())
-        tally.lost += int((plain & ~seen).sum())
+        statistics.unseen += int((is_known & (shares == REPORTED_SEEN)).sum())
+        ours = (is_known, REPORTED_HIDDEN, seen), (plain, REPORTED_SEEN, ~seen)
+        for kind, (of_kind, reported, wrong) in enumerate(ours):
+            of_reported = of_kind & (shares == reported)
+            statistics.reported[kind] += (of_reported & wrong).sum(), of_reported.sum()
+            statistics.gaps[kind].append(shares[of_kind & edge])
+        statistics.known += int(known.sum())
+        statistics.known_coloured += int((known & seen[hidden]).sum())
+        statistics.visible += int(plain.sum())
+        statistics.lost += int((plain & ~seen).sum())
         in_camera = pose.inverse().apply(points_world)
-        tally.depths.append(np.abs(in_camera[:, 2] - view.depths)[plain & seen])
+        statistics.depths.append(np.abs(in_camera[:, 2] - view.depths)[plain & seen])
         mine = plain & seen & (fused.points.camera_index[view.point_ids] == index)
         exact = project(view.camera, in_camera[mine])[0]
         whole = np.isfinite(exact).all(axis=1)
         colours = fused.points.colors[view.point_ids[mine]]
-        tally.colours.append(colour_excess(truth.colors, exact[whole], colours[whole]))
+        statistics.colours.append(colour_excess(truth.colors, exact[whole], colours[whole]))
 
 
 def drives(row: Row, first: int) -> Iterator[SimulatedDrive]:
     """One sweep in each of many streets."""
     for seed in range(first, first + MOST_SEEDS):
-        yield simulate_street(seed, frames=1, lidar=replace(row.lidar, mount=row.place), cameras=row.cameras)
+        yield simulate_street(
+            seed, frames=1, lidar=replace(row.lidar, mount=row.location), cameras=row.cameras
+        )
 
 
 def main() -> None:
@@ -273,20 +276,20 @@ def main() -> None:
     parser.add_argument(
         "--hidden", type=int, default=1000, help="at least so many hidden points, where 60 streets do"
     )
-    said = parser.parse_args()
-    if unknown := [name for name in said.rows if name not in ROWS]:
+    stated = parser.parse_args()
+    if unknown := [name for name in stated.rows if name not in ROWS]:
         parser.error(f"{unknown[0]!r}; rows are {', '.join(ROWS)}")
-    heads = "seeds  hidden coloured    known   told  unseen   visible   lost   told  least   depth    colour"
+    heads = "seeds  hidden coloured    known   reported  unseen   visible   lost   reported  least   depth    colour"
     print(f"{'':24} {heads}\n{'':24} {'':13} {'%':>8} {'%':>8} {'%':>6} {'%':>7} {'':9} {'%':>6} {'%':>6} {'%':>6} "
           f"{'p99 cm':>7} {'within %':>9}")  # fmt: skip
     started = time.perf_counter()
-    for name in said.rows or ROWS:
-        tally = Tally()
-        for drive in drives(ROWS[name], said.first):
-            measure(drive, tally)
-            if tally.seeds >= said.seeds and tally.hidden >= said.hidden:
+    for name in stated.rows or ROWS:
+        statistics = Statistics()
+        for drive in drives(ROWS[name], stated.first):
+            measure(drive, statistics)
+            if statistics.seeds >= stated.seeds and statistics.hidden >= stated.hidden:
                 break
-        print(f"{name:24} {tally.line()}  {tally.misses()}", flush=True)
+        print(f"{name:24} {statistics.line()}  {statistics.misses()}", flush=True)
     print(f"aims: coloured and lost under {AIM_PERCENT} %, depth under {100 * AIM_DEPTH:.0f} cm; "
           f"{time.perf_counter() - started:.0f} s")  # fmt: skip
 

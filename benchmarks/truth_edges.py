@@ -1,8 +1,9 @@
-"""What the lines of a lidar tell of what hides what, and where they end: a bound for `benchmarks.truth`.
+"""What the lines of a lidar report what hides what, and where they end: a bound for `benchmarks.truth`.
 
 A line of sight from the camera to a point passes, at the range of a nearer thing, between two neighbouring lines of the
 lidar. Where both met a surface there, the point is hidden; where neither did, it is seen. Where one did and the other
-looked past, the surface ends somewhere between: at an edge. Nothing in the cloud tells where; as good a guess as any is
+looked past, the surface ends somewhere between: at an edge. Nothing in the cloud reports where; as good a guess as any
+    is
 how far it is from the line that met the surface to the other one.
 """
 
@@ -13,11 +14,11 @@ from sceneloom.colouring import FusedView
 from sceneloom.simulate import SimulatedDrive
 
 REACH = 1.3
-"""How far away in the picture things are looked for that may hide, in spacings of the lines."""
+"""How far away in the image things are looked for that may hide, in spacings of the lines."""
 SURFACE_DISTANCE = 1.3
 """Four fifths of the camera's height [m]: surfaces that pass it farther away do not hide themselves."""
-TOLD_SEEN, TOLD_HIDDEN = 2.0, -1.0
-"""In place of a share, for points that lie at no edge."""
+REPORTED_SEEN, REPORTED_HIDDEN = 2.0, -1.0
+"""Instead of a share, for points that lie at no edge."""
 
 
 def shares_of_gaps(drive: SimulatedDrive, view: FusedView, points_world: np.ndarray) -> np.ndarray:
@@ -27,8 +28,8 @@ def shares_of_gaps(drive: SimulatedDrive, view: FusedView, points_world: np.ndar
         points_world: (M, 3) [m], where the points of the view truly are.
 
     Returns:
-        (M,) 0 at the line that met the nearer surface, 1 at the line that looked past it; `TOLD_HIDDEN` and `TOLD_SEEN`
-        for points at no edge.
+        (M,) 0 at the line that met the nearer surface, 1 at the line that looked past it; `REPORTED_HIDDEN` and
+        `REPORTED_SEEN` for points at no edge.
     """
     eye = drive.truth.world_from_camera(view.camera_id, 0).translation
     apart = points_world - eye
@@ -36,9 +37,9 @@ def shares_of_gaps(drive: SimulatedDrive, view: FusedView, points_world: np.ndar
     rays = apart / ranges[:, None]
     lines = _Lines(drive)
     point, nearer = _pairs(rays, ranges, REACH * np.radians(lines.spacing_deg))
-    places = eye + rays[point] * ranges[nearer][:, None]
+    locations = eye + rays[point] * ranges[nearer][:, None]
     ids = view.point_ids[point]
-    azimuths, elevations, far = lines.seen(places, ids)
+    azimuths, elevations, far = lines.seen(locations, ids)
     upper = np.searchsorted(lines.elevations, elevations)
     within = (upper > 0) & (upper < len(lines.elevations))
     point, upper, azimuths, elevations, far, ids = (
@@ -49,9 +50,9 @@ def shares_of_gaps(drive: SimulatedDrive, view: FusedView, points_world: np.ndar
     )
     low, high = lines.elevations[upper - 1], lines.elevations[upper]
     share = (elevations - low) / (high - low)
-    found = np.where(below, share, np.where(above, 1.0 - share, TOLD_SEEN))
-    found[below & above] = TOLD_HIDDEN
-    shares = np.full(len(points_world), TOLD_SEEN)
+    found = np.where(below, share, np.where(above, 1.0 - share, REPORTED_SEEN))
+    found[below & above] = REPORTED_HIDDEN
+    shares = np.full(len(points_world), REPORTED_SEEN)
     np.minimum.at(shares, point, found)
     return shares
 
@@ -91,9 +92,9 @@ class _Lines:
         sorting = np.argsort(keys)
         self._keys, self._ranges = keys[sorting], self.ranges_of_points[sorting]
 
-    def seen(self, places: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Azimuth, elevation [deg] and range [m] of places, from where the lidar measured the points `ids`."""
-        local = np.einsum("nji,nj->ni", self._rotations[ids], places - self._origins[ids])
+    def seen(self, locations: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Azimuth, elevation [deg] and range [m] of locations, from where the lidar measured the points `ids`."""
+        local = np.einsum("nji,nj->ni", self._rotations[ids], locations - self._origins[ids])
         ranges = np.linalg.norm(local, axis=1)
         return (
             np.degrees(np.arctan2(local[:, 1], local[:, 0])),

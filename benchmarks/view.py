@@ -1,11 +1,11 @@
 """How fast a drive is saved for the viewer, and in how much memory.
 
 Run with `python -m benchmarks.view [--seconds 60] [--keep DIR]`. A simulated drive (120,000 rays a sweep at 10 Hz, six
-cameras of 1280x720 pixels around the ego, IMU, GNSS, boxes) is written as a scene file, whose pictures are JPEG files,
-and as a recording, whose pictures are H.264: what is rendered lasts 2 s and comes again and again, the ego moves on. A
+cameras of 1280x720 pixels around the ego, IMU, GNSS, boxes) is written as a scene file, whose images are JPEG files,
+and as a recording, whose images are H.264: what is rendered lasts 2 s and comes again and again, the ego moves on. A
 process of its own saves each: seconds of the wall and of the processor a second of the drive, the latter below 1; and
-the most memory that it holds, below 1000 MB. Pages of files that are mapped are told beside it: the system takes them
-back when it needs them.
+the most memory that it holds, below 1000 MB. Pages of files that are mapped are reported beside it: the system takes
+them back when it needs them.
 """
 
 import argparse
@@ -30,8 +30,8 @@ def make_drive(folder: Path, seconds: float) -> tuple[Path, Path]:
     scene_file, recording = folder / "drive.sfs", folder / "recording"
     if scene_file.exists() and recording.exists():
         return scene_file, recording
-    lens = Camera("pinhole", 1280, 720, 700.0, 700.0, 639.5, 359.5)
-    cameras = [CameraSpec(lens, camera_mount(yaw_deg=60.0 * k)) for k in range(6)]
+    camera_model = Camera("pinhole", 1280, 720, 700.0, 700.0, 639.5, 359.5)
+    cameras = [CameraSpec(camera_model, camera_mount(yaw_deg=60.0 * k)) for k in range(6)]
     lidar = LidarSpec(steps=1875)
     drawn = simulate_street(3, frames=RENDERED, lidar=lidar, cameras=cameras, traffic=TrafficSpec())
     count = round(seconds * 10)
@@ -46,7 +46,7 @@ def make_drive(folder: Path, seconds: float) -> tuple[Path, Path]:
 
 
 class Repeated:
-    """Frames of a short drive under the stamps of a long one; rendered once."""
+    """Frames of a short drive under the timestamps of a long one; rendered once."""
 
     def __init__(self, frames, timestamps_ns) -> None:
         self.frames, self.timestamps_ns, self.kept = frames, timestamps_ns, {}
@@ -56,10 +56,10 @@ class Repeated:
         if source not in self.kept:
             frame = self.frames[source]
             self.kept[source] = frame.loaded() if hasattr(frame, "loaded") else frame
-        return self.stamped(self.kept[source], int(self.timestamps_ns[k]))
+        return self.timestamped(self.kept[source], int(self.timestamps_ns[k]))
 
     @staticmethod
-    def stamped(frame, time_ns: int):
+    def timestamped(frame, time_ns: int):
         moved = replace(frame, timestamp_ns=time_ns)
         points = getattr(frame, "points", None)
         if points is None or points.timestamps_ns is None:
@@ -73,9 +73,9 @@ def repeated(sensor, drawn):
     from sceneloom.scene import CameraSensor, LazyFrames, LidarSensor
 
     if isinstance(sensor, CameraSensor):
-        times_ns = sensor.pictures.timestamps_ns
-        frames = drawn.sensor(sensor.id).pictures
-        return replace(sensor, pictures=LazyFrames(times_ns, Repeated(frames, times_ns)))
+        times_ns = sensor.images.timestamps_ns
+        frames = drawn.sensor(sensor.id).images
+        return replace(sensor, images=LazyFrames(times_ns, Repeated(frames, times_ns)))
     if isinstance(sensor, LidarSensor):
         times_ns = sensor.frames.timestamps_ns
         frames = drawn.sensor(sensor.id).frames
@@ -138,12 +138,13 @@ def main() -> None:
         for drive in make_drive(folder, chosen.seconds):
             words = [sys.executable, "-m", "benchmarks.view", "--one", str(drive)]
             done = subprocess.run(words, capture_output=True, text=True, check=True)
-            told = json.loads(done.stdout)
-            kept = told["processor"] < 1.0 and told["own_mb"] < 1000
+            reported = json.loads(done.stdout)
+            kept = reported["processor"] < 1.0 and reported["own_mb"] < 1000
             print(
-                f"{drive.name:10s} {told['seconds']:5.1f} s: {told['wall']:.2f} s of the wall and "
-                f"{told['processor']:.2f} s of the processor a second of the drive, {told['own_mb']:.0f} MB and "
-                f"{told['mapped_mb']:.0f} MB of mapped files, file {told['size_mb']:.0f} MB: "
+                f"{drive.name:10s} {reported['seconds']:5.1f} s: {reported['wall']:.2f} s of the wall and "
+                f"{reported['processor']:.2f} s of the processor a second of the drive, {reported['own_mb']:.0f} MB "
+                f"and "
+                f"{reported['mapped_mb']:.0f} MB of mapped files, file {reported['size_mb']:.0f} MB: "
                 f"{'kept' if kept else 'MISSED'}"
             )
 

@@ -15,7 +15,7 @@ def map_directions(points: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, 
     return np.stack([x * scale, y * scale], axis=1), 1 / ranges
 
 
-def place(directions: np.ndarray, cell: float, border: int) -> tuple[np.ndarray, int, int]:
+def location(directions: np.ndarray, cell: float, border: int) -> tuple[np.ndarray, int, int]:
     """Number of each point's cell, columns and rows of the grid."""
     per_cell = np.float32(1 / cell)
     steps = (directions * per_cell + np.float32(2.1) * per_cell).astype(np.int64)
@@ -26,7 +26,7 @@ def place(directions: np.ndarray, cell: float, border: int) -> tuple[np.ndarray,
 
 def measure_spacing(directions: np.ndarray, cell: float, reach: int, samples: int) -> np.ndarray:
     """Typical steps to the next point along the axes at 0, 45, 90 and 135 degrees."""
-    cells, columns, rows = place(directions, cell, reach)
+    cells, columns, rows = location(directions, cell, reach)
     occupied = np.zeros(columns * rows, bool)
     occupied[cells] = True
     dy, dx = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
@@ -86,19 +86,19 @@ def bound(nearest: np.ndarray, border: int, cells: list[tuple[int, int, float]],
 
 
 def find_visible_in_numpy(points: np.ndarray, matrix: np.ndarray, settings: VisibilitySettings) -> np.ndarray:
-    """Tell which of the points are not hidden by others; settings with a measured window only."""
+    """Report which of the points are not hidden by others; settings with a measured window only."""
     directions, inverse = map_directions(points, matrix)
     window, across, along, angle = reach_for(measure_spacing(directions, np.radians(0.1), 25, 256))
-    turn, slope = np.array([np.cos(angle), np.sin(angle)]), 1 / (settings.surface_distance or 0.5)
-    form = np.outer(turn, turn) / across**2 + (np.eye(2) - np.outer(turn, turn)) / along**2
+    rotation, slope = np.array([np.cos(angle), np.sin(angle)]), 1 / (settings.surface_distance or 0.5)
+    form = np.outer(rotation, rotation) / across**2 + (np.eye(2) - np.outer(rotation, rotation)) / along**2
     near = np.sqrt(np.diag(np.linalg.inv(form)))
     cell = max(window / 6, np.radians(0.16))
     border = int(np.ceil(max(window, *near) / cell))
-    cells, columns, rows = place(directions, cell, border)
+    cells, columns, rows = location(directions, cell, border)
     order = np.lexsort((-inverse, cells))
     first = order[np.flatnonzero(np.diff(cells[order], prepend=-1))]
-    nearest, places = np.zeros(rows * columns, np.float32), np.zeros((rows * columns, 2), np.float32)
-    nearest[cells[first]], places[cells[first]] = inverse[first], directions[first]
+    nearest, locations = np.zeros(rows * columns, np.float32), np.zeros((rows * columns, 2), np.float32)
+    nearest[cells[first]], locations[cells[first]] = inverse[first], directions[first]
     image = nearest.reshape(rows, columns)
     around = window_cells((window, window), window, cell)
     beside = window_cells((float(near[0]), float(near[1])), np.inf, cell)
@@ -112,7 +112,7 @@ def find_visible_in_numpy(points: np.ndarray, matrix: np.ndarray, settings: Visi
 
     def hiding(candidates: np.ndarray, steps: list[tuple[int, int, float]]) -> tuple[np.ndarray, ...]:
         there = cells[candidates][:, None] + np.array([dy * columns + dx for dx, dy, _ in steps])
-        x, y = np.moveaxis(places[there] - directions[candidates][:, None], 2, 0)
+        x, y = np.moveaxis(locations[there] - directions[candidates][:, None], 2, 0)
         excess = nearest[there] - threshold[candidates][:, None]
         squared, own = x * x + y * y, (directions[candidates] ** 2).sum(axis=1)
         steepest = np.float32(slope * slope) / np.maximum(1 - np.float32(0.25) * own, np.float32(1e-3))

@@ -1,9 +1,9 @@
-"""Make up a drive and compare what its sensors say with what was really there.
+"""Make up a drive and compare what its sensors state with what was really there.
 
 A simulated drive has two sides. `drive.scene` is what a reader of recordings would give: a lidar whose sweeps are
 bent by the ego's motion, cameras, an inertial unit, a satellite receiver. `drive.truth` knows the exact answer to
 every question about it. Here we bring one sweep into the world by the ground-truth trajectory, measure how far its
-points end from where the laser really hit, and save a picture with its true depth.
+points end from where the laser really hit, and save an image with its true depth.
 
     python examples/01_simulate_a_drive.py [FOLDER]
 """
@@ -41,10 +41,10 @@ def main(folder: Path) -> None:
         print(f"  {label:9s} {np.isin(clean.instances, own).sum():6d} points")
 
     folder.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(camera.pictures[5].rgb).save(folder / "picture.png")
+    Image.fromarray(camera.images[5].rgb).save(folder / "image.png")
     depth = drive.truth.depth("camera0", 5)
     Image.fromarray(np.minimum(depth * 256.0, 65535.0).astype(np.uint16)).save(folder / "depth.png")
-    print(f"picture.png and depth.png (metres times 256) are in {folder}")
+    print(f"image.png and depth.png (metres times 256) are in {folder}")
 
 
 if __name__ == "__main__":

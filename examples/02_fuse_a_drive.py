@@ -2,7 +2,7 @@
 
 A recording is a folder: lines with times, videos, lidar files, a calibration. Here a simulated drive is written as
 one, then fused like any other: every lidar point is moved into the world by the ego's pose at its own time, gets its
-colour from the camera that sees it, and makes a depth in that camera's picture unless something nearer hides it.
+colour from the camera that sees it, and makes a depth in that camera's image unless something nearer hides it.
 
     python examples/02_fuse_a_drive.py [FOLDER]
 """

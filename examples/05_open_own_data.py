@@ -1,7 +1,7 @@
-"""Open a folder of your own clouds and pictures.
+"""Open a folder of your own clouds and images.
 
 One text file, `rig.toml`, says what they are; then the folder opens like any other drive. Here the folder is made up
-first: clouds as NumPy files and pictures as PNG, both named by their time in nanoseconds. For a folder of yours,
+first: clouds as NumPy files and images as PNG, both named by their time in nanoseconds. For a folder of yours,
 `sceneloom formats --template rig.toml --from FOLDER` begins the file.
 
     python examples/05_open_own_data.py [FOLDER]
@@ -29,7 +29,7 @@ id = "front"
 type = "camera"
 files = "front/*.png"
 times = {{ pattern = "{{ns}}" }}
-lens = {{ fx = {lens.fx}, fy = {lens.fy}, cx = {lens.cx}, cy = {lens.cy} }}
+camera_model = {{ fx = {camera model.fx}, fy = {camera model.fy}, cx = {camera model.cx}, cy = {camera model.cy} }}
 extrinsic = {{ to = "base", matrix = {camera} }}
 """
 
@@ -43,13 +43,15 @@ def make_folder(folder: Path) -> None:
     for frame in lidar.frames:
         points, path = frame.points, folder / "top" / f"{frame.timestamp_ns}.npz"
         np.savez(path, points=points.positions, intensity=points.intensities, t=points.timestamps_ns)
-    for picture in camera.pictures:
-        Image.fromarray(picture.rgb).save(folder / "front" / f"{picture.timestamp_ns}.png")
-    way = drive.trajectories["groundTruth"].poses
-    rows = np.column_stack([way.timestamps_ns, way.positions, way.quaternions_xyzw])
+    for image in camera.images:
+        Image.fromarray(image.rgb).save(folder / "front" / f"{image.timestamp_ns}.png")
+    trajectory = drive.trajectories["groundTruth"].poses
+    rows = np.column_stack([trajectory.timestamps_ns, trajectory.positions, trajectory.quaternions_xyzw])
     np.savetxt(folder / "poses.txt", rows, fmt="%d" + 7 * " %.9f")
     mounts = [sensor.mount.matrix.tolist() for sensor in (lidar, camera)]
-    (folder / "rig.toml").write_text(RIG.format(lidar=mounts[0], camera=mounts[1], lens=camera.camera))
+    (folder / "rig.toml").write_text(
+        RIG.format(lidar=mounts[0], camera=mounts[1], camera_model=camera.camera)
+    )
 
 
 if __name__ == "__main__":

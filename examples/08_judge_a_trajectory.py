@@ -1,7 +1,8 @@
 """Judge trajectories: satellite fixes, and what GNSS and IMU give together, against the truth of a simulated drive.
 
-Each is compared after a shift and a turn about the vertical, which is what such methods leave open. The truth goes into
-a TUM file and comes back number for number; `sceneloom eval trajectory` and `sceneloom convert` do the same from files.
+Each is compared after a shift and a rotation about the vertical, which is what such methods leave open. The truth goes
+into a TUM file and comes back number for number; `sceneloom eval trajectory` and `sceneloom convert` do the same from
+files.
 
     python examples/08_judge_a_trajectory.py [FOLDER]
 """

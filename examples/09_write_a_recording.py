@@ -16,8 +16,8 @@ import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.simulate import CameraSpec, ImuSpec, LidarSpec, PathSpec, Stop, camera_mount
 
-LENS = Camera("pinhole", 160, 96, 100.0, 100.0, 79.5, 47.5)
-PAIR = [CameraSpec(LENS, camera_mount(position=(1.5, y, 1.5))) for y in (0.25, -0.25)]
+CAMERA_MODEL = Camera("pinhole", 160, 96, 100.0, 100.0, 79.5, 47.5)
+PAIR = [CameraSpec(CAMERA_MODEL, camera_mount(position=(1.5, y, 1.5))) for y in (0.25, -0.25)]
 
 if __name__ == "__main__":
     where = Path(sys.argv[1] if len(sys.argv) > 1 else "stereo_drive")
@@ -31,15 +31,15 @@ if __name__ == "__main__":
         path=PathSpec(stops=(Stop(0.0, 0.4),)),
     ).scene
     # FFV1 keeps every pixel; "copy", the default, encodes H.264 where a camera has no video of its own
-    for loss in sceneloom.write(drive, where, format="recording", overwrite=True, pictures="ffv1"):
+    for loss in sceneloom.write(drive, where, format="recording", overwrite=True, images="ffv1"):
         print(f"{loss.field}: {loss.what}")
 
     with sceneloom.open(where) as scene:
         print("sensors:", ", ".join(f"{sensor.id} ({sensor.type})" for sensor in scene.sensors))
-        pairs = zip(drive.cameras[0].pictures, scene.cameras[0].pictures, strict=True)
-        print("pictures equal:", all(np.array_equal(a.rgb, b.rgb) for a, b in pairs))
+        pairs = zip(drive.cameras[0].images, scene.cameras[0].images, strict=True)
+        print("images equal:", all(np.array_equal(a.rgb, b.rgb) for a, b in pairs))
         sweeps = zip(drive.lidars[0].frames, scene.lidars[0].frames, strict=True)
         print("points equal:", all(np.array_equal(a.points.positions, b.points.positions) for a, b in sweeps))
     lines = (where / "data.jsonl").read_text("utf-8").splitlines()
-    print(f"{len(lines)} lines; the one of the first pictures:")
+    print(f"{len(lines)} lines; the one of the first images:")
     print(next(line for line in lines if "frames" in line))

@@ -94,15 +94,15 @@ def scale_python() -> str:
 
 
 def _encode_sfs(header: dict[str, Any], *, index_type: type = int, **item_fields: Any) -> bytes:
-    """Write a JSON-binary container the slow, obvious way; `item_fields` replace fields of every item."""
+    """Write a JSON-binary container the slow, obvious trajectory; `item_fields` replace fields of every item."""
     items, blobs = [], bytes(4)
 
-    def place(node: Any, keys: list[Any]) -> Any:
+    def location(node: Any, keys: list[Any]) -> Any:
         nonlocal blobs
         if isinstance(node, dict):
-            return {key: place(value, [*keys, key]) for key, value in node.items()}
+            return {key: location(value, [*keys, key]) for key, value in node.items()}
         if isinstance(node, list):
-            return [place(value, [*keys, index_type(index)]) for index, value in enumerate(node)]
+            return [location(value, [*keys, index_type(index)]) for index, value in enumerate(node)]
         if isinstance(node, np.ndarray):
             content = node.tobytes()
             item = {"keys": keys, "length": len(content), "offset": len(blobs)}
@@ -111,12 +111,12 @@ def _encode_sfs(header: dict[str, Any], *, index_type: type = int, **item_fields
             return ""
         return node
 
-    text = json.dumps({**place(header, []), "$items": items}).encode()
+    text = json.dumps({**location(header, []), "$items": items}).encode()
     return text + b" " * (4 - len(text) % 4) + blobs
 
 
 def _decode_sfs(content: bytes) -> dict[str, Any]:
-    """Read a JSON-binary container the slow, obvious way, checking what every reader relies on."""
+    """Read a JSON-binary container the slow, obvious trajectory, checking what every reader relies on."""
     stop = content.index(b"\0")
     header = json.loads(content[:stop].decode("utf-8"))
     assert content[stop : stop + 4] == bytes(4)

@@ -10,7 +10,7 @@ def python_with(package: str, variable: str) -> str:
     """The interpreter that an environment variable names; who asks is skipped where it names none.
 
     Args:
-        package: what is installed there, as said when it is not.
+        package: what is installed there, as stated when it is not.
         variable: its name.
     """
     interpreter = os.environ.get(variable, "")

@@ -32,7 +32,7 @@ EXAMPLE_LIMIT_S = 240
 FIRST_COMMANDS = ("pip install . && sceneloom demo", "pip install '.[dev]' && pytest")
 
 FENCE = re.compile(r"^```(?P<language>\w*)\n(?P<text>.*?)^```", re.MULTILINE | re.DOTALL)
-LINK = re.compile(r"(?<!!)\[[^\]]*\]\((?P<target>[^)\s]+)\)|!\[[^\]]*\]\((?P<picture>[^)\s]+)\)")
+LINK = re.compile(r"(?<!!)\[[^\]]*\]\((?P<target>[^)\s]+)\)|!\[[^\]]*\]\((?P<image>[^)\s]+)\)")
 SHELL_LANGUAGES = {"", "sh", "shell", "bash", "console", "text"}
 
 
@@ -146,7 +146,7 @@ def test_python_in_the_documentation_can_be_parsed(page):
 def test_python_in_the_documentation_runs(page, run, tmp_path):
     camera = CameraSpec(Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5))
     drive = simulate_street(1, frames=2, lidar=LidarSpec(beams=8, steps=90), cameras=(camera,)).scene
-    sceneloom.write(drive, tmp_path / "drive", pictures="png")
+    sceneloom.write(drive, tmp_path / "drive", images="png")
     if page.name != "README.md":  # which makes it
         sceneloom.write(drive, tmp_path / "drive.sfs")
     for number, text in enumerate(fenced(page, {"python"})):
@@ -172,15 +172,15 @@ def is_there(name: str) -> bool:
 
 @pytest.mark.parametrize("page", PAGES, ids=page_id)
 def test_names_in_the_documentation_are_there(page):
-    told = set(re.findall(r"(?<![\w./\"])sceneloom(?:\.[A-Za-z_]\w*)+", page.read_text("utf-8")))
-    assert not sorted(name for name in told if not OTHER_NAMES.match(name) and not is_there(name))
+    reported = set(re.findall(r"(?<![\w./\"])sceneloom(?:\.[A-Za-z_]\w*)+", page.read_text("utf-8")))
+    assert not sorted(name for name in reported if not OTHER_NAMES.match(name) and not is_there(name))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_id)
 def test_links_lead_somewhere(page):
     broken = []
     for match in LINK.finditer(page.read_text("utf-8")):
-        target = match["target"] or match["picture"]
+        target = match["target"] or match["image"]
         if re.match(r"[a-z]+:", target):
             continue
         name, _, anchor = target.partition("#")
@@ -199,8 +199,8 @@ def test_links_lead_somewhere(page):
     ids=page_id,
 )
 def test_examples_run(example, run, run_alone):
-    told = run_alone(example) if example.name in ALONE else run(example)
-    assert told.strip(), "an example says what it did"
+    reported = run_alone(example) if example.name in ALONE else run(example)
+    assert reported.strip(), "an example says what it did"
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=page_id)
@@ -218,7 +218,7 @@ SHARED_PAGES = dict.fromkeys(("pcd", "ply", "las", "laz", "kitti-bin", "nuscenes
     "ros1": "ros",
     "ros2": "ros",
 }
-"""Formats that are told on one page, and its name."""
+"""Formats that are reported on one page, and its name."""
 
 
 @pytest.mark.parametrize("name", FORMATS)

@@ -17,14 +17,14 @@ from reference import reference_pages
 
 _FRONT_PAGES = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")
 _origins: dict[str, str] = {}
-"""The file of the checkout that each generated page came from, by its place on the site."""
+"""The file of the checkout that each generated page came from, by its location on the site."""
 
 
 def on_files(files: Files, config: Any) -> Files:
     """Add the pages that no file in `docs/` holds, and copies of files that pages link to."""
     _origins.clear()
-    for place, text in _generated().items():
-        files.append(File.generated(config, place, content=text))
+    for location, text in _generated().items():
+        files.append(File.generated(config, location, content=text))
     for file in _linked_files(files):
         copy = (PROJECT / file).read_bytes()
         files.append(File.generated(config, page_of(file), content=copy))
@@ -67,12 +67,12 @@ def _cells(path: Path) -> Iterator[str]:
 
 def _listed_examples(pages: dict[str, str]) -> str:
     rows = []
-    for place, text in sorted(pages.items()):
-        if place.startswith("examples/") and place.count("/") <= 2:
+    for location, text in sorted(pages.items()):
+        if location.startswith("examples/") and location.count("/") <= 2:
             title, _, rest = text.partition("\n\n")
             name = title.removeprefix("# ").strip()
             first = "" if rest.startswith("```") else rest.split("\n")[0]
-            rows.append(f"| [{name}]({place.removeprefix('examples/')}) | {first} |")
+            rows.append(f"| [{name}]({location.removeprefix('examples/')}) | {first} |")
     table = "\n".join(["| example | what it shows |", "| --- | --- |", *rows])
     return f"# Examples\n\nEach runs as it stands, on simulated data, and is run by the tests.\n\n{table}\n"
 
@@ -86,14 +86,14 @@ def _linked_files(files: Files) -> list[str]:
     return sorted(name for name in wanted if page_of(name) not in known)
 
 
-def _origin(place: str) -> str:
-    return _origins.get(place, posixpath.join("docs", place))
+def _origin(location: str) -> str:
+    return _origins.get(location, posixpath.join("docs", location))
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:  # noqa: ARG001 - MkDocs' names
     """Let links lead to pages, and blocks begin where readers see them begin."""
-    place = page.file.src_uri
-    return spaced(with_site_links(markdown, _origin(place), place, lambda _: None))
+    location = page.file.src_uri
+    return spaced(with_site_links(markdown, _origin(location), location, lambda _: None))
 
 
 def on_nav(nav: Any, config: Any, files: Files) -> Any:  # noqa: ARG001 - MkDocs' names
@@ -115,7 +115,7 @@ def on_config(config: Any) -> Any:
 
 
 def _completed(nav: list[Any], pages: list[str], generated: list[str]) -> list[Any]:
-    named = set(_places(nav))
+    named = set(_locations(nav))
     parts = []
     for part in nav:
         ((title, entries),) = part.items()
@@ -137,17 +137,17 @@ def _completed(nav: list[Any], pages: list[str], generated: list[str]) -> list[A
     return parts
 
 
-def _places(nav: Any) -> Iterator[str]:
+def _locations(nav: Any) -> Iterator[str]:
     for part in nav if isinstance(nav, list) else nav.values():
         if isinstance(part, str):
             yield part
         else:
-            yield from _places(part)
+            yield from _locations(part)
 
 
-def _title(place: str) -> str:
-    stem = place.rsplit("/", maxsplit=1)[-1].removesuffix(".md")
-    return stem.replace("-", " ", 1) if place.startswith(("commands/edit-", "commands/eval-")) else stem
+def _title(location: str) -> str:
+    stem = location.rsplit("/", maxsplit=1)[-1].removesuffix(".md")
+    return stem.replace("-", " ", 1) if location.startswith(("commands/edit-", "commands/eval-")) else stem
 
 
 def on_post_build(config: Any) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import click
 
 Pages = dict[str, str]
-"""The text of each page, by its place on the site."""
+"""The text of each page, by its location on the site."""
 
 
 def command_pages(program: click.Group, name: str) -> Pages:
@@ -18,10 +18,10 @@ def command_pages(program: click.Group, name: str) -> Pages:
     """
     pages, rows = {}, []
     for words, command in commands(program):
-        place = f"commands/{'-'.join(words)}.md"
-        pages[place] = _page(command, " ".join((name, *words)))
+        location = f"commands/{'-'.join(words)}.md"
+        pages[location] = _page(command, " ".join((name, *words)))
         rows.append(
-            f"| [`{name} {' '.join(words)}`]({place.removeprefix('commands/')}) | {_cell(_first_line(command))} |"
+            f"| [`{name} {' '.join(words)}`]({location.removeprefix('commands/')}) | {_cell(_first_line(command))} |"
         )
     listing = "\n".join(["| command | what it does |", "| --- | --- |", *rows])
     pages["commands/index.md"] = f"# Commands\n\n{_text(program)}\n\n{listing}\n"
@@ -51,7 +51,7 @@ def _page(command: click.Command, called: str) -> str:
             "[OPTIONS]",
         ]
     )
-    rows = "\n".join(f"| {_names(option)} | {_cell(_said(option))} |" for option in options)
+    rows = "\n".join(f"| {_names(option)} | {_cell(_stated(option))} |" for option in options)
     table = f"\n## Options\n\n| option | what it does |\n| --- | --- |\n{rows}\n" if rows else ""
     return f"# {called}\n\n{_text(command)}\n\n```sh\n{usage}\n```\n{table}"
 
@@ -75,7 +75,7 @@ def _names(option: click.Option) -> str:
     return f"`{names}{value}`{required}"
 
 
-def _said(option: click.Option) -> str:
+def _stated(option: click.Option) -> str:
     text = option.help or ""
     default = option.default
     if option.show_default and isinstance(default, str | int | float):

@@ -38,7 +38,7 @@ def with_site_links(markdown: str, origin: str, page: str, wanted: Callable[[str
         markdown: the page.
         origin: the file that it came from, from the root of the checkout.
         page: where it stands on the site, from its root.
-        wanted: told of each file outside `docs/` that a link leads to.
+        wanted: reported each file outside `docs/` that a link leads to.
     """
     folder = posixpath.dirname(origin)
 

@@ -22,7 +22,7 @@ _OFFERED = (
     "sceneloom.tracking",
     "sceneloom.calibrate",
     "sceneloom.fusion",
-    "sceneloom.pictures",
+    "sceneloom.images",
     "sceneloom.pipeline",
     "sceneloom.simulate",
     "sceneloom.evaluate",
@@ -35,14 +35,14 @@ _OFFERED = (
 
 
 def reference_pages() -> dict[str, str]:
-    """The text of each page, by its place on the site: what mkdocstrings fills in."""
+    """The text of each page, by its location on the site: what mkdocstrings fills in."""
     pages, rows = {}, []
     for name in _OFFERED:
         tree = _tree(name)
         if tree is None:
             continue
-        place = f"reference/{name}.md"
-        pages[place] = f"# {name}\n\n::: {name}\n"
+        location = f"reference/{name}.md"
+        pages[location] = f"# {name}\n\n::: {name}\n"
         first = (ast.get_docstring(tree) or "").split("\n")[0]
         rows.append(f"| [`{name}`]({name}.md) | {first} |")
     listing = "\n".join(["| package | what is in it |", "| --- | --- |", *rows])
@@ -54,6 +54,6 @@ def reference_pages() -> dict[str, str]:
 
 def _tree(name: str) -> ast.Module | None:
     """The syntax of a package's front, or of a module."""
-    place = _SOURCES / Path(*name.split("."))
-    file = next((path for path in (place / "__init__.py", place.with_suffix(".py")) if path.is_file()), None)
+    location = _SOURCES / Path(*name.split("."))
+    file = next((path for path in (location / "__init__.py", location.with_suffix(".py")) if path.is_file()), None)
     return None if file is None else ast.parse(file.read_text("utf-8"))

@@ -7,7 +7,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.colouring.algorithms import ColouredPoints, ViewRequest, fuse_by_projection
-from sceneloom.colouring.lidar_way import LidarWay
+from sceneloom.colouring.lidar_trajectory import LidarTrajectory
 from sceneloom.colouring.visibility import VisibilitySettings
 from sceneloom.detections import DetectionPair, FusedBoxes
 from sceneloom.detections import projection as boxes_by_projection
@@ -22,22 +22,24 @@ def fuse_near(
     visibility: VisibilitySettings,
     /,
     *,
-    way: LidarWay | None = None,
+    trajectory: LidarTrajectory | None = None,
 ) -> ColouredPoints:
-    """Fuse what is near a camera; a point that is not finite is in no picture.
+    """Fuse what is near a camera; a point that is not finite is in no image.
 
-    Called with the points of one sweep, (N, 3) [m], and the pictures that belong to it, for `fusion_type` 0.
+    Called with the points of one sweep, (N, 3) [m], and the images that belong to it, for `fusion_type` 0.
     """
     near = np.zeros(len(points_world), np.bool_)
     for request in requests:
         near |= np.linalg.norm(points_world - request.world_from_camera.translation, axis=1) <= FARTHEST
-    return fuse_by_projection(np.where(near[:, None], points_world, np.nan), requests, visibility, way=way)
+    return fuse_by_projection(
+        np.where(near[:, None], points_world, np.nan), requests, visibility, trajectory=trajectory
+    )
 
 
 def fuse_agreed(pair: DetectionPair, /) -> FusedBoxes:
-    """Keep what the detector of sweeps and that of pictures both saw.
+    """Keep what the detector of sweeps and that of images both saw.
 
-    Called with the boxes of one sweep and one picture, for `fusion_type` 1.
+    Called with the boxes of one sweep and one image, for `fusion_type` 1.
     """
     fused = boxes_by_projection.fuse_by_projection(pair)
     both = np.flatnonzero((fused.rows_3d >= 0) & (fused.rows_2d >= 0))

@@ -1,4 +1,4 @@
-"""Weave every sensor of a drive into one scene.
+"""Align every sensor of a drive into one scene.
 
 ```python
 import sceneloom
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from sceneloom.pipeline.found_objects import fuse_detections, track_objects
     from sceneloom.pipeline.fusing.job import fuse, iter_fused
     from sceneloom.pipeline.syncing import sync
-    from sceneloom.scene.poses import PosePath
+    from sceneloom.scene.poses import Poses
     from sceneloom.scene.scene import Scene
     from sceneloom.service.client import FusionClient
     from sceneloom.simulate.drive import simulate_street
@@ -51,7 +51,7 @@ else:
         __name__,
         {
             "FusionClient": "sceneloom.service.client:FusionClient",
-            "PosePath": "sceneloom.scene.poses:PosePath",
+            "Poses": "sceneloom.scene.poses:Poses",
             "Scene": "sceneloom.scene.scene:Scene",
             "SceneWriter": "sceneloom.formats.sfs.writer:SceneWriter",
             "apply_corrections": "sceneloom.editing.apply:apply_corrections",
@@ -89,7 +89,7 @@ else:
 
 __all__ = [
     "FusionClient",
-    "PosePath",
+    "Poses",
     "Scene",
     "SceneWriter",
     "SceneloomError",

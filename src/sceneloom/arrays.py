@@ -168,7 +168,7 @@ _LEAST_NS, _MOST_NS = -(2**63), 2**63 - 1
 
 
 def check_count(name: str, values: Sequence[Any] | None, count: int) -> None:
-    """Check that a sequence, where there is one, has as many values as there are time stamps.
+    """Check that a sequence, where there is one, has as many values as there are timestamps.
 
     Raises:
         ArrayError: it has more or fewer.
@@ -183,7 +183,7 @@ def _expected(shape: Sequence[int | None], dtype: DTypeLike) -> str:
 
 
 def finite_rows(values: FloatArray) -> BoolArray:
-    """Tell which rows are finite throughout.
+    """Report which rows are finite throughout.
 
     Args:
         values: (N, M) float.

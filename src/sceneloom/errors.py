@@ -3,9 +3,9 @@
 ```
 SceneloomError
 ├── ArrayError            an array has the wrong shape, dtype or values
-├── DataError             a file or folder holds something wrong: file, place, problem
+├── DataError             a file or folder holds something wrong: file, location, problem
 │   └── UnknownFormatError    no reader, or more than one, claims a path
-├── CalibrationError      a lens or a mounting cannot be used
+├── CalibrationError      a camera model or a mounting cannot be used
 ├── PoseError             the poses that a computation needs are missing
 ├── OptionError           a value given by the caller is not one that can be followed
 │   └── UnknownOptionError    an option that the format at hand does not take
@@ -29,21 +29,21 @@ class SceneloomError(Exception):
     """Base of everything that sceneloom raises on purpose.
 
     Attributes:
-        notices: what was assumed, repaired or left out before of the scenes that were read.
+        warnings: what was assumed, repaired or left out before of the scenes that were read.
         passing: whether the cause, a busy server or a connection that was cut, may be gone another time.
         sources: the scenes that were open when it was raised, by the addresses that they were read from.
     """
 
-    notices: tuple[Any, ...] = ()
+    warnings: tuple[Any, ...] = ()
     passing: bool = False
     sources: tuple[str, ...] = ()
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*(redacted(each) if isinstance(each, str) else each for each in arguments))
 
-    def remember(self, notices: tuple[Any, ...]) -> None:
+    def remember(self, warnings: tuple[Any, ...]) -> None:
         """Keep what was noticed before, once, in the order in which it was."""
-        self.notices = (*(notice for notice in notices if notice not in self.notices), *self.notices)
+        self.warnings = (*(warning for warning in warnings if warning not in self.warnings), *self.warnings)
 
     def raised_with(self, source: str) -> None:
         """Note a scene that was open."""
@@ -57,16 +57,16 @@ class SceneloomError(Exception):
             return text
         return ": ".join(part for part in (", ".join(self.sources), text) if part)
 
-    def rename(self, place: str, called: str) -> None:
-        """Say what a place is called by people, where it is a copy of what they named."""
+    def rename(self, location: str, called: str) -> None:
+        """Report what a location is called by people, where it is a copy of what they named."""
         called = redacted(called)
-        self.args = tuple(_renamed(value, place, called) for value in self.args)
+        self.args = tuple(_renamed(value, location, called) for value in self.args)
         for name, value in vars(self).items():
-            setattr(self, name, _renamed(value, place, called))
+            setattr(self, name, _renamed(value, location, called))
 
 
-def _renamed(value: Any, place: str, called: str) -> Any:
-    return value.replace(place, called) if isinstance(value, str) else value
+def _renamed(value: Any, location: str, called: str) -> Any:
+    return value.replace(location, called) if isinstance(value, str) else value
 
 
 class ArrayError(SceneloomError):
@@ -74,16 +74,16 @@ class ArrayError(SceneloomError):
 
 
 class DataError(SceneloomError):
-    """A file holds something wrong; the message names file, place, value and what was expected."""
+    """A file holds something wrong; the message names file, location, value and what was expected."""
 
-    def __init__(self, file: object, place: str, problem: str) -> None:
-        super().__init__(str(file), place, problem)
+    def __init__(self, file: object, location: str, problem: str) -> None:
+        super().__init__(str(file), location, problem)
         self.file: str = self.args[0]
-        self.place: str = self.args[1]
+        self.location: str = self.args[1]
         self.problem: str = self.args[2]
 
     def __str__(self) -> str:
-        return ": ".join(part for part in (self.file, self.place, self.problem) if part)
+        return ": ".join(part for part in (self.file, self.location, self.problem) if part)
 
 
 class UnknownFormatError(DataError):
@@ -91,7 +91,7 @@ class UnknownFormatError(DataError):
 
 
 class CalibrationError(SceneloomError):
-    """A lens or a mounting cannot be used."""
+    """A camera model or a mounting cannot be used."""
 
 
 class PoseError(SceneloomError):
@@ -146,7 +146,7 @@ class MissingExtraError(SceneloomError):
 
 
 def how_to_install(extra: str) -> str:
-    """Say how an extra of this package is installed, from an index or from a checkout of it."""
+    """Report how an extra of this package is installed, from an index or from a checkout of it."""
     return f"pip install 'sceneloom[{extra}]' (in a checkout: pip install '.[{extra}]')"
 
 
@@ -155,7 +155,7 @@ def ignore_warnings_of_extreme_numbers() -> None:
 
     Called by `cli.main.main` and the workers of batches only, never on import: users of the library keep the filters
     and `numpy.seterr` of their own process, and the tests, in which warnings are errors, those of theirs. Filters are
-    used in place of `numpy.seterr`, whose state is that of one thread, while threads decode what is read.
+    used instead of `numpy.seterr`, whose state is that of one thread, while threads decode what is read.
 
     What overflows becomes infinite or no number, and is judged by whoever uses it. Casts of such numbers to integers,
     and sums of integers that overflow, which would give any number, are still warned of. The filter

@@ -59,7 +59,7 @@ def timed() -> Iterator[Mapping[str, float]]:
     """Ask for the stages of what is done inside.
 
     Yields:
-        Seconds by stage; whole once it is left. Who asked around it is told of them, too.
+        Seconds by stage; whole once it is left. Who asked around it is reported them, too.
     """
     clock, around = _Clock(), _CLOCK.get()
     token = _CLOCK.set(clock)
@@ -71,5 +71,5 @@ def timed() -> Iterator[Mapping[str, float]]:
             around.lap()
             for name, seconds in clock.seconds.items():
                 around.seconds[name] += seconds
-            if around.open:  # what was told just now is no time of the stage that is open
+            if around.open:  # what was reported just now is no time of the stage that is open
                 around.seconds[around.open[-1]] -= sum(clock.seconds.values())

@@ -61,8 +61,8 @@ class SourceModule:
     @cache
     def _imported(base: str, name: str) -> str:
         """Give the module that `from base import name` reaches: `base` itself, or a module inside it."""
-        place = SOURCES / base.replace(".", "/") / name
-        return f"{base}.{name}" if place.is_dir() or place.with_suffix(".py").is_file() else base
+        location = SOURCES / base.replace(".", "/") / name
+        return f"{base}.{name}" if location.is_dir() or location.with_suffix(".py").is_file() else base
 
 
 @cache

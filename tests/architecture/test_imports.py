@@ -14,7 +14,7 @@ ROWS = (
     ("service", "view", "report", "catalog"),
     ("batch",),
     ("pipeline", "simulate", "evaluate"),
-    ("pictures",),
+    ("images",),
     ("fusion",),
     ("tracking", "calibrate"),
     ("depth",),
@@ -39,7 +39,7 @@ WRAPPERS = {
     "numba": {"kernels", "cameras"},
     "av": {"formats", "simulate"},
     "simplejpeg": {"formats"},
-    "PIL": {"formats", "pictures", "simulate"},
+    "PIL": {"formats", "images", "simulate"},
     "small_gicp": {"motion"},
     "laspy": {"formats"},
     "lazrs": {"formats"},
@@ -157,7 +157,7 @@ def test_benchmarks_and_examples_import_what_is_there(project, modules):
         ("", "cli", True),
     ],
 )
-def test_the_rule_of_rows_tells_right_from_wrong(importer, imported, allowed):
+def test_the_rule_of_rows_reports_right_from_wrong(importer, imported, allowed):
     assert may_import(importer, imported) is allowed
 
 
@@ -189,7 +189,7 @@ def run_python(program: str) -> str:
 
 LIGHT_STATEMENTS = (
     "import sceneloom",
-    "from sceneloom import PosePath, Scene, SceneloomError, open, write",
+    "from sceneloom import Poses, Scene, SceneloomError, open, write",
     "import sceneloom.scene, sceneloom.formats, sceneloom.cameras, sceneloom.geometry",
 )
 

@@ -85,7 +85,7 @@ def test_a_format_of_the_table_is_what_its_row_says(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_readers_and_writers_take_what_their_formats_say(name: str) -> None:
+def test_readers_and_writers_take_what_their_formats_state(name: str) -> None:
     spec = format_named(name)
     for function, options, first in (
         (spec.reader, spec.read_options, ("path",)),

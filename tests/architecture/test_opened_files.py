@@ -13,9 +13,9 @@ BY_PATH = {
 object with a mode for reading, are others."""
 
 ALLOWED = {
-    ("sceneloom.formats.files", "os.open"): "the one place where files are opened",
-    ("sceneloom.formats.files", "open"): "the one place where files are opened",
-    ("sceneloom.formats.files", "path.open"): "files of remote folders open in their own way",
+    ("sceneloom.formats.files", "os.open"): "the one location where files are opened",
+    ("sceneloom.formats.files", "open"): "the one location where files are opened",
+    ("sceneloom.formats.files", "path.open"): "files of remote folders open in their own trajectory",
     ("sceneloom.formats.output", "os.open"): "the lock in a folder of our own",
     ("sceneloom.formats.output", "read_bytes"): "of the running system",
     ("sceneloom.formats.remote.mirrored_path", "open"): "of files that were fetched into a folder of our own",
@@ -26,7 +26,7 @@ ALLOWED = {
     ): "of files that were fetched into a folder of our own",
     ("sceneloom.formats.remote.stores", "source.open"): "what was written is sent",
     ("sceneloom.formats.sfs.spool", "path.open"): "what was written before is put together",
-    ("sceneloom.formats.encoded_pictures", "Image.open"): "after `check_regular`, or of bytes in memory",
+    ("sceneloom.formats.encoded_images", "Image.open"): "after `check_regular`, or of bytes in memory",
     ("sceneloom.formats.argoverse2.feather", "feather.read_table"): "after `check_regular`",
     ("sceneloom.formats.ros.bags", "sqlite3.connect"): "after `check_regular`",
     ("sceneloom.formats.ros.bags", "YAML"): "of a text",
@@ -67,9 +67,12 @@ def called(node: ast.Call) -> str:
     return f"{function.value.id if isinstance(function.value, ast.Name) else ''}.{function.attr}"
 
 
-def mode_of(node: ast.Call, place: int) -> str | None:
+def mode_of(node: ast.Call, location: int) -> str | None:
     """The mode that a file is opened with, or None where the call says none that can be read here."""
-    given = [*node.args[place : place + 1], *(word.value for word in node.keywords if word.arg == "mode")]
+    given = [
+        *node.args[location : location + 1],
+        *(word.value for word in node.keywords if word.arg == "mode"),
+    ]
     if not given:
         return "r" if {word.arg for word in node.keywords} & {"encoding", "buffering"} else None
     return given[0].value if isinstance(given[0], ast.Constant) and isinstance(given[0].value, str) else None
@@ -104,7 +107,7 @@ def test_files_are_opened_by_the_one_function_that_refuses_pipes_and_devices(mod
     assert set(ALLOWED) <= used, f"no longer needed: {set(ALLOWED) - used}"
 
 
-def test_what_opens_files_is_told_from_what_does_not():
+def test_what_opens_files_is_distinguished_from_what_does_not():
     reading = [
         "p.open('rb')",
         "p.open(encoding='utf-8')",

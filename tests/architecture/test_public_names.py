@@ -11,7 +11,7 @@ def names_on_first_use(tree: ast.Module) -> tuple[dict[str, str], dict[str, str]
 
     Both give `"module:name"` by the name here.
     """
-    seen, said = {}, {}
+    seen, stated = {}, {}
     for node in tree.body:
         if not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"):
             continue
@@ -21,8 +21,8 @@ def names_on_first_use(tree: ast.Module) -> tuple[dict[str, str], dict[str, str]
         for table in (
             found for line in node.orelse for found in ast.walk(line) if isinstance(found, ast.Dict)
         ):
-            said |= ast.literal_eval(table)
-    return seen, said
+            stated |= ast.literal_eval(table)
+    return seen, stated
 
 
 def public_bindings(tree: ast.Module) -> set[str]:
@@ -63,10 +63,10 @@ def test_a_package_offers_exactly_what_it_binds(packages_of_room):
 
 def test_names_on_first_use_are_the_same_for_type_checkers_and_at_run_time(packages_of_room):
     for package in packages_of_room:
-        seen, said = names_on_first_use(package.tree)
-        assert seen == said, package.name
-        taken = [name for name in said if find_spec(f"{package.name}.{name}")]
-        assert not taken, f"{package.name}: modules have these names, and would take their places: {taken}"
+        seen, stated = names_on_first_use(package.tree)
+        assert seen == stated, package.name
+        taken = [name for name in stated if find_spec(f"{package.name}.{name}")]
+        assert not taken, f"{package.name}: modules have these names, and would take their locations: {taken}"
 
 
 def test_every_offered_name_exists(packages_of_room):

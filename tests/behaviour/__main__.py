@@ -38,13 +38,13 @@ def run(command: Command, folder: Path) -> dict[str, Any]:
     """
     out = folder / command.name
     out.mkdir()
-    places = {name: str(folder / name) for name in command.needs} | {"data": str(_DATA), "out": str(out)}
+    locations = {name: str(folder / name) for name in command.needs} | {"data": str(_DATA), "out": str(out)}
     printed: dict[str, Digest] = {}
     with contextlib.ExitStack() as stack:
         if "{address}" in command.words:
-            places["address"] = stack.enter_context(_service(folder))
+            locations["address"] = stack.enter_context(_service(folder))
         for number, words in enumerate(command.words.split("&&")):
-            done = _call([word.format(**places) for word in _now(words)], out)
+            done = _call([word.format(**locations) for word in _now(words)], out)
             with contextlib.suppress(json.JSONDecodeError):
                 for location, value in fields(json.loads(done.stdout)):
                     printed.setdefault(f"{number or ''}{location}", Digest()).take(value)
@@ -86,13 +86,13 @@ def _service(folder: Path) -> Iterator[str]:
     words = [sys.executable, "-m", "sceneloom", *_now("serve --json")]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, cwd=folder) as server:
         assert server.stdout is not None
-        said = ""
+        stated = ""
         for line in server.stdout:
-            said += line.decode()
+            stated += line.decode()
             if line.rstrip() == b"}" or line.rstrip().endswith(b"}"):
                 break
         try:
-            yield json.loads(said)["address"]
+            yield json.loads(stated)["address"]
         finally:
             server.terminate()
 
@@ -134,7 +134,7 @@ def run_all(names: list[str]) -> dict[str, Any]:
 
 
 def differences(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
-    """Say what of one command differs.
+    """Report what of one command differs.
 
     Returns:
         a line each; those that begin with `~` agree within rounding.

@@ -19,7 +19,7 @@ They are applied one after the other to locations of the snapshot that are not f
 
 
 def renamed(text: str) -> str:
-    """Say a name of the snapshot in the words of now."""
+    """Report a name of the snapshot in the words of now."""
     for pattern, word in RENAMED_WORDS:
         text = re.sub(pattern, word, text)
     return text
@@ -108,8 +108,8 @@ COMMANDS: tuple[Command, ...] = (
     ),
     _command("oxts_smoothed", "convert {data}/recordings/kitti_oxts_0000 {out}/drive.tum --trajectory gnss"),
     *(
-        _command(f"from_{name}", f"convert {{to_{name}}}/{place} {{out}}/drive.sfs {more}".strip())
-        for name, place, more in (
+        _command(f"from_{name}", f"convert {{to_{name}}}/{location} {{out}}/drive.sfs {more}".strip())
+        for name, location, more in (
             ("recording", "drive", ""),
             ("mcap", "drive.mcap", ""),
             ("ros1", "drive.bag", ""),
@@ -124,8 +124,8 @@ COMMANDS: tuple[Command, ...] = (
             ("ply", "drive", ""),
             ("las", "drive", ""),
             ("laz", "drive", ""),
-            ("kitti_bin", "drive", "--read-as kitti-bin"),
-            ("nuscenes_bin", "drive", "--read-as nuscenes-bin"),
+            ("kitti_bin", "drive", "--input-format kitti-bin"),
+            ("nuscenes_bin", "drive", "--input-format nuscenes-bin"),
             ("npz", "drive", ""),
         )
     ),
@@ -158,7 +158,7 @@ COMMANDS: tuple[Command, ...] = (
     _command("edit_project", "edit project {inputs}/drive.sfs -o {out}/drive.sfs"),
     _command("edit_simplify", "edit simplify {to_sfs}/drive.sfs -o {out}/drive.sfs"),
     _command("edit_blur", "edit blur {edit_project}/drive.sfs -o {out}/drive.sfs --label car"),
-    _command("edit_relative", "edit relative {to_sfs}/drive.sfs -o {out}/drive.sfs"),
+    _command("edit_relative", "edit anonymise {to_sfs}/drive.sfs -o {out}/drive.sfs"),
     _command("edit_undistort", "edit undistort {to_sfs}/drive.sfs -o {out}/drive.sfs"),
     # judged
     _command("eval_trajectory", "eval trajectory {to_tum}/drive.tum {to_csv}/drive.csv"),
@@ -180,7 +180,7 @@ COMMANDS: tuple[Command, ...] = (
     _command("calibrate_target", "calibrate {inputs}/rotated --target 7x5:0.12:1.1x0.86"),
     _command("edit_apply", "edit apply {calibrate_refine}/drive.sfs -o {out}/drive.sfs"),
     _command("edit_to_sensor", "edit to-sensor {inputs}/drive.sfs -o {out}/drive.sfs"),
-    _command("edit_lens", "edit lens {inputs}/drive.sfs -o {out}/drive.sfs --model fisheye"),
+    _command("edit_camera_model", "edit camera model {inputs}/drive.sfs -o {out}/drive.sfs --model fisheye"),
     # read only, or files of one trajectory
     _command("from_euroc_mav", "convert {inputs}/MH_01 {out}/drive.sfs"),
     _command("from_rig", "convert {inputs}/rig {out}/drive.sfs"),
@@ -208,7 +208,7 @@ COMMANDS: tuple[Command, ...] = (
     _command("template", "formats --template {out}/rig.toml --from {inputs}/rig"),
     _command("doctor", "doctor"),
     *(_command(f"completion_{shell}", f"completion {shell}") for shell in ("bash", "zsh", "fish")),
-    # broken, and mended
+    # broken, and repaired
     _command("salvage", "salvage {inputs}/cut.sfs -o {out}/drive.sfs"),
     _command("validate_cut", "validate {inputs}/cut.sfs"),
     _command("validate_drive", "validate {inputs}/drive.sfs --strict"),
@@ -227,7 +227,8 @@ COMMANDS: tuple[Command, ...] = (
         "track {inputs}/drive.sfs --boxes3d {inputs}/boxes3d.jsonl -o {out}/tracks.sfs --offline",
     ),
     _command(
-        "fuse_drive", "fuse {inputs}/drive.sfs -o {out}/drive.sfs --algorithm blending --pictures {out}/drawn"
+        "fuse_drive",
+        "fuse {inputs}/drive.sfs -o {out}/drive.sfs --algorithm blending --visualize {out}/drawn",
     ),
     _command("fuse_gnss", "fuse {inputs}/drive.sfs -o {out}/drive.sfs --trajectory gnss"),
     # many drives

@@ -37,7 +37,7 @@ _SILENT = frozenset(
         "platform",
     }
     | {
-        "notices",
+        "warnings",
         "message",
         "messages",
         "summary",
@@ -48,7 +48,7 @@ _SILENT = frozenset(
         "version",
         "generator",
     }
-    | {"address", "port", "pid", "per_second", "mtime_ns", "processors", "said"}
+    | {"address", "port", "pid", "per_second", "mtime_ns", "processors", "stated"}
     | {"created", "modified", "progress", "started", "finished"}
 )
 SILENT = _SILENT | {renamed(name) for name in _SILENT}

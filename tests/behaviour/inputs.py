@@ -62,14 +62,14 @@ def make_inputs(folder: Path) -> None:
         path=PathSpec(speeds=(10.0, 12.0)),
     )
     wrong = Faults({"camera0": SensorFaults(rotation_deg=(0.5, -0.6, 0.4))})
-    sceneloom.write(plant(rotated, wrong).scene, folder / "rotated", pictures="png")
+    sceneloom.write(plant(rotated, wrong).scene, folder / "rotated", images="png")
 
     corner = sensor_mount(position=(1.5, 0.6, 0.9), yaw_deg=70.0, pitch_deg=3.0, roll_deg=-4.0)
     lidars = (
         LidarSpec(beams=32, steps=600),
         LidarSpec(beams=16, steps=600, elevations_deg=(-30.0, 10.0), mount=corner),
     )
-    sceneloom.write(simulate_street(3, frames=3, lidars=lidars).scene, folder / "two_lidars", pictures="png")
+    sceneloom.write(simulate_street(3, frames=3, lidars=lidars).scene, folder / "two_lidars", images="png")
 
     write_euroc_mav(folder)
     (folder / "rig").mkdir()

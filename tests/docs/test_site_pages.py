@@ -66,7 +66,7 @@ def test_every_package_with_public_names_that_is_listed_has_a_page(hook):
             "fusion.md",
             "[a](examples/02_fuse_a_drive.md)",
         ),
-        ("![a](docs/pictures/depth.jpg)", "README.md", "index.md", "![a](pictures/depth.jpg)"),
+        ("![a](docs/images/depth.jpg)", "README.md", "index.md", "![a](images/depth.jpg)"),
         ("[a](../LICENSE)", "docs/motion.md", "motion.md", "[a](files/LICENSE)"),
         ("[a](https://x.org/y.md) [b](#c)", "README.md", "index.md", "[a](https://x.org/y.md) [b](#c)"),
         ("```\n[a](docs/motion.md)\n```", "README.md", "index.md", "```\n[a](docs/motion.md)\n```"),

@@ -86,7 +86,7 @@ def test_a_page_can_be_followed_word_for_word(page, demo, tmp_path):
                 wait_for_port(int(words[words.index("--port") + 1]) if "--port" in words else PORT, server)
                 continue
             done = run(line, tmp_path, timeout=LIMIT_S)
-            # 3 to 5 are verdicts of a calibration, which a made-up street of three seconds may leave open
+            # 3 to 5 are verdicts of a calibration, which a synthetic street of three seconds may leave open
             assert done.returncode in ((0, 3, 4, 5) if "--check" in line else (0,)), f"{line}\n{done.stderr}"
     finally:
         if server is not None:

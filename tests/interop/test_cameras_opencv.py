@@ -1,4 +1,4 @@
-"""The lenses that OpenCV knows, against OpenCV."""
+"""The camera models that OpenCV knows, against OpenCV."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ MATRIX = np.array([[901.3, 0.0, 957.2], [0.0, 898.7, 541.9], [0.0, 0.0, 1.0]])
 NUMBERS = (1920, 1080, MATRIX[0, 0], MATRIX[1, 1], MATRIX[0, 2], MATRIX[1, 2])
 DIFFERENCE_PX = 1e-9  # both compute in float64
 
-LENSES = {
+CAMERA_MODELS = {
     "five": (-0.3437, 0.1402, 0.00031, -0.00082, -0.0271),
     "eight": (0.4461, -0.1213, 0.00017, -0.00025, 0.0035, 0.8021, -0.0771, 0.0110),
     "prism": (
@@ -45,7 +45,7 @@ LENSES = {
         -0.047,
     ),
 }
-EACH_LENS = pytest.mark.parametrize("coefficients", LENSES.values(), ids=LENSES)
+EACH_CAMERA_MODEL = pytest.mark.parametrize("coefficients", CAMERA_MODELS.values(), ids=CAMERA_MODELS)
 
 
 def brown_conrady(coefficients: tuple[float, ...]) -> Camera:
@@ -56,19 +56,19 @@ def brown_conrady(coefficients: tuple[float, ...]) -> Camera:
 
 @pytest.fixture(scope="module")
 def points() -> np.ndarray:
-    """Points in front of the camera, up to 40 degrees off its axis and a little outside the picture."""
+    """Points in front of the camera, up to 40 degrees off its axis and a little outside the image."""
     z = np.random.default_rng(0).uniform(1, 80, (2000, 1))
     return np.hstack([np.random.default_rng(1).uniform(-1, 1, (2000, 2)) * (1.05, 0.6) * z, z])
 
 
-@EACH_LENS
+@EACH_CAMERA_MODEL
 def test_brown_conrady_projects_as_opencv_does(points, coefficients):
     expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), MATRIX, np.array(coefficients))
     found = project_unbounded(brown_conrady(coefficients), points)
     assert np.abs(found - expected[:, 0]).max() < DIFFERENCE_PX
 
 
-@EACH_LENS
+@EACH_CAMERA_MODEL
 def test_brown_conrady_finds_the_points_that_opencv_projected(points, coefficients):
     pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), MATRIX, np.array(coefficients))
     rays = unproject(brown_conrady(coefficients), pixels[:, 0])
@@ -121,7 +121,7 @@ def test_omnidir_projects_as_opencv_does_behind_the_camera_too(points_all_around
     camera = Camera("omnidir", *NUMBERS, coefficients)
     found = project_unbounded(camera, points_all_around)
     assert np.abs(found - expected[0]).max() < DIFFERENCE_PX
-    if skew == 0:  # the same lens in the words of the Sensor Fusion Scene format
+    if skew == 0:  # the same camera model in the words of the Sensor Fusion Scene format
         same = Camera("omnidirectional", *NUMBERS, (k1, k2, 0, 0, p1, p2, xi))
         assert np.abs(project_unbounded(same, points_all_around) - expected[0]).max() < DIFFERENCE_PX
 

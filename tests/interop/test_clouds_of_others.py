@@ -55,16 +55,16 @@ def test_ply_files_of_trimesh_are_read_exactly(tmp_path, encoding):
 
 
 def written_by_us(folder, kind, **options):
-    stamp_ns = 1_700_000_000_000_000_000
+    timestamp_ns = 1_700_000_000_000_000_000
     points = LidarPoints(
         positions=RNG.normal(scale=30.0, size=(COUNT, 3)).astype(np.float32),
         intensities=RNG.integers(0, 256, COUNT).astype(np.uint8),
         colors=RNG.integers(0, 256, (COUNT, 3)).astype(np.uint8),
-        timestamps_ns=stamp_ns + RNG.integers(0, 10**8, COUNT),
+        timestamps_ns=timestamp_ns + RNG.integers(0, 10**8, COUNT),
         rings=np.repeat(np.arange(50), COUNT // 50).astype(np.uint16),
         extras={"range": RNG.uniform(0, 90, COUNT)},
     )
-    lidar = LidarSensor("lidar", LazyFrames.of([LidarFrame(stamp_ns, points)], [stamp_ns]))
+    lidar = LidarSensor("lidar", LazyFrames.of([LidarFrame(timestamp_ns, points)], [timestamp_ns]))
     write_scene(Scene((lidar,)), folder, format=kind, **options)
     return points, next(iter(folder.iterdir()))
 
@@ -81,8 +81,8 @@ def test_pypcd4_reads_our_pcd_files(tmp_path, encoding):
     points, file = written_by_us(tmp_path / "o", "pcd", encoding=encoding)
     found = pypcd4.PointCloud.from_path(file)
     columns = {name: found.pc_data[name] for name in found.fields}
-    places = np.stack([columns[axis] for axis in "xyz"], axis=1)
-    np.testing.assert_array_equal(places, points.positions)
+    locations = np.stack([columns[axis] for axis in "xyz"], axis=1)
+    np.testing.assert_array_equal(locations, points.positions)
     same_measurements(columns, points)
     np.testing.assert_array_equal(pypcd4.PointCloud.decode_rgb(columns["rgb"]), points.colors)
 

@@ -9,8 +9,8 @@ from sceneloom.motion.clock.corners import Pyramid, find_corners, followed
 
 
 @pytest.fixture(scope="module")
-def pictures():
-    """A picture of smooth noise, and the same moved, turned a little and darker."""
+def images():
+    """An image of smooth noise, and the same moved, rotated a little and darker."""
     draw = np.random.default_rng(0)
     noise = cv2.GaussianBlur(draw.uniform(0, 255, (300, 400)).astype(np.float32), (0, 0), 2.5)
     first = np.clip(128 + 6 * (noise - noise.mean()), 20, 235)
@@ -22,8 +22,8 @@ def pictures():
     return [np.repeat(x.astype(np.uint8)[:, :, None], 3, axis=2) for x in (first, second)], move
 
 
-def test_strengths_of_corners_are_opencvs(pictures):
-    grey = pictures[0][0][:, :, 0].astype(np.float32)
+def test_strengths_of_corners_are_opencvs(images):
+    grey = images[0][0][:, :, 0].astype(np.float32)
     ours = np.empty_like(grey)
     corner_strengths(grey, 2, ours)
     theirs = cv2.cornerMinEigenVal(grey, blockSize=5, ksize=-1)
@@ -32,8 +32,8 @@ def test_strengths_of_corners_are_opencvs(pictures):
     assert np.corrcoef(ours[inside].ravel(), theirs[inside].ravel())[0, 1] > 0.97
 
 
-def test_corners_are_followed_as_well_as_opencv_follows_them(pictures):
-    (first, second), move = pictures
+def test_corners_are_followed_as_well_as_opencv_follows_them(images):
+    (first, second), move = images
     pyramids = Pyramid.of(first), Pyramid.of(second)
     corners = find_corners(pyramids[0])
     ours, found = followed(*pyramids, corners)
@@ -47,6 +47,6 @@ def test_corners_are_followed_as_well_as_opencv_follows_them(pictures):
     their_errors = np.linalg.norm(theirs[:, 0] - truth, axis=1)[both]
     assert len(corners) > 200
     assert both.mean() > 0.8
-    # whole grey levels and a turning window leave some hundredths of a pixel
+    # whole grey levels and a rotating window leave some hundredths of a pixel
     assert np.median(errors) < max(1.2 * np.median(their_errors), 0.03)
     assert np.quantile(errors, 0.95) < 0.2

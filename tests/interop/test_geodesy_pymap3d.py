@@ -1,4 +1,4 @@
-"""Places on the earth against pymap3d, which goes from earth-centred to geodetic by another method."""
+"""Locations on the earth against pymap3d, which goes from earth-centred to geodetic by another method."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ pymap3d = pytest.importorskip("pymap3d", reason="needs pymap3d")
 
 METRES, RADIANS = 1e-8, 1e-13  # rounding at the earth's radius: 1e-9 m, 2e-16 rad
 
-ODD_PLACES = [
+ODD_LOCATIONS = [
     (latitude, longitude, height)
     for latitude in (-90.0, -89.9999999, -1e-12, 0.0, 45.0, 89.9999999, 90.0)
     for longitude in (-180.0, -179.9999999, 0.0, 90.0, 179.9999999, 180.0)
@@ -26,33 +26,33 @@ ODD_PLACES = [
 ]
 
 
-def places() -> np.ndarray:
+def locations() -> np.ndarray:
     rng = np.random.default_rng(0)
     anywhere = rng.uniform((-90, -180, -11_000), (90, 180, 50_000), (20_000, 3))
-    return np.vstack([anywhere, ODD_PLACES])
+    return np.vstack([anywhere, ODD_LOCATIONS])
 
 
-def assert_same_places(found, expected):
+def assert_same_locations(found, expected):
     apart = np.abs(found - expected)
-    turns = (apart[:, 1] + 180) % 360 - 180  # at the antimeridian -180 is 180
+    rotations = (apart[:, 1] + 180) % 360 - 180  # at the antimeridian -180 is 180
     assert np.radians(apart[:, 0]).max() < RADIANS
-    assert np.radians(np.abs(turns)).max() < RADIANS
+    assert np.radians(np.abs(rotations)).max() < RADIANS
     assert apart[:, 2].max() < METRES
 
 
 def test_earth_centred_positions_are_the_same():
-    lla = places()
+    lla = locations()
     assert np.abs(ecef_from_geodetic(lla) - np.stack(pymap3d.geodetic2ecef(*lla.T), -1)).max() < METRES
 
 
 def test_latitude_longitude_and_height_are_the_same():
-    ecef = np.stack(pymap3d.geodetic2ecef(*places().T), -1)
-    assert_same_places(geodetic_from_ecef(ecef), np.stack(pymap3d.ecef2geodetic(*ecef.T), -1))
+    ecef = np.stack(pymap3d.geodetic2ecef(*locations().T), -1)
+    assert_same_locations(geodetic_from_ecef(ecef), np.stack(pymap3d.ecef2geodetic(*ecef.T), -1))
 
 
 @pytest.mark.parametrize("height", [-5e6, 2e7, 4e8])
-def test_places_deep_in_the_earth_and_far_out_come_back_where_the_other_method_has_left_its_domain(height):
-    lla = places()[:5000] * [1, 1, 0] + [0, 0, height]
+def test_locations_deep_in_the_earth_and_far_out_come_back_where_the_other_method_has_left_its_domain(height):
+    lla = locations()[:5000] * [1, 1, 0] + [0, 0, height]
     # float64 resolves 6e-8 m at 4e8 m
     back = geodetic_from_ecef(np.stack(pymap3d.geodetic2ecef(*lla.T), -1))
     assert np.radians(np.abs(back - lla)[:, 0]).max() < RADIANS
@@ -69,7 +69,7 @@ def test_east_north_and_up_are_the_same_and_lead_back(origin_lla):
     ecef = np.stack(pymap3d.enu2ecef(*enu.T, *origin_lla), -1)
     assert np.abs(enu_from_ecef(ecef, origin_lla) - enu).max() < METRES
     assert np.abs(ecef_from_enu(enu, origin_lla) - ecef).max() < METRES
-    assert_same_places(geodetic_from_enu(enu, origin_lla), lla)
+    assert_same_locations(geodetic_from_enu(enu, origin_lla), lla)
     expected = np.stack(pymap3d.geodetic2enu(*lla.T, *origin_lla), -1)
     assert np.abs(enu_from_geodetic(lla, origin_lla) - expected).max() < METRES
     ned = np.stack(pymap3d.geodetic2ned(*lla.T, *origin_lla), -1)

@@ -1,4 +1,4 @@
-"""Folders that we write, read by pykitti: the same points, pictures, times, places and calibrations."""
+"""Folders that we write, read by pykitti: the same points, images, times, locations and calibrations."""
 
 import json
 import subprocess
@@ -20,8 +20,8 @@ drive = pykitti.raw(sys.argv[1], sys.argv[2], sys.argv[3])
 print(json.dumps({
     "times": [t.strftime("%Y-%m-%d %H:%M:%S.%f") for t in drive.timestamps],
     "points": [drive.get_velo(k).tolist() for k in range(len(drive.velo_files))],
-    "picture": __import__("numpy").asarray(drive.get_cam2(1)).tolist(),
-    "way": [o.T_w_imu.tolist() for o in drive.oxts],
+    "image": __import__("numpy").asarray(drive.get_cam2(1)).tolist(),
+    "trajectory": [o.T_w_imu.tolist() for o in drive.oxts],
     "K": drive.calib.K_cam2.tolist(), "cam2_velo": drive.calib.T_cam2_velo.tolist(),
     "velo_imu": drive.calib.T_velo_imu.tolist(), "accelerations": [o.packet.az for o in drive.oxts],
 }))
@@ -35,7 +35,7 @@ drive = pykitti.odometry(sys.argv[1], sys.argv[2])
 print(json.dumps({
     "times": [t.total_seconds() for t in drive.timestamps],
     "points": [drive.get_velo(k).tolist() for k in range(len(drive.velo_files))],
-    "picture": __import__("numpy").asarray(drive.get_cam2(1)).tolist(),
+    "image": __import__("numpy").asarray(drive.get_cam2(1)).tolist(),
     "poses": [p.tolist() for p in drive.poses],
     "K": drive.calib.K_cam2.tolist(), "cam2_velo": drive.calib.T_cam2_velo.tolist(),
 }))
@@ -62,10 +62,10 @@ def run(python, program, *arguments):
 
 def check_common(found, back):
     lidar, camera = back.lidars[0], back.cameras[0]
-    for told, frame in zip(found["points"], lidar.frames, strict=True):
-        np.testing.assert_array_equal(np.array(told, np.float32)[:, :3], frame.points.positions)
-        np.testing.assert_allclose(np.array(told)[:, 3] * 255, frame.points.intensities, atol=1e-4)
-    np.testing.assert_array_equal(found["picture"], camera.pictures[1].rgb)
+    for reported, frame in zip(found["points"], lidar.frames, strict=True):
+        np.testing.assert_array_equal(np.array(reported, np.float32)[:, :3], frame.points.positions)
+        np.testing.assert_allclose(np.array(reported)[:, 3] * 255, frame.points.intensities, atol=1e-4)
+    np.testing.assert_array_equal(found["image"], camera.images[1].rgb)
     np.testing.assert_allclose(found["K"], camera.camera.matrix, atol=1e-12)
     camera_from_lidar = camera.mount.inverse() @ lidar.mount
     np.testing.assert_allclose(found["cam2_velo"], camera_from_lidar.matrix, atol=1e-12)
@@ -81,18 +81,18 @@ def test_raw_drives_are_read_there(pykitti_python, drive, tmp_path):
     back = open_scene(tmp_path / "out")
     found = run(pykitti_python, RAW, tmp_path / "out", "1970_01_01", "0001")
     check_common(found, back)
-    way = back.trajectories["oxts"]
+    trajectory = back.trajectories["oxts"]
     times = np.array(found["times"], "datetime64[us]").astype(np.int64)
-    np.testing.assert_array_equal(times, way.timestamps_ns // 1000)
+    np.testing.assert_array_equal(times, trajectory.timestamps_ns // 1000)
     np.testing.assert_allclose(found["velo_imu"], back.lidars[0].mount.inverse().matrix, atol=1e-12)
     np.testing.assert_array_equal(
         found["accelerations"], back.sensor("imu").streams["accelerometer"].values[:, 2]
     )
-    poses = way.poses.interpolate(way.timestamps_ns)
-    for told, position in zip(found["way"], poses.positions, strict=True):
+    poses = trajectory.poses.interpolate(trajectory.timestamps_ns)
+    for reported, position in zip(found["trajectory"], poses.positions, strict=True):
         # theirs is a Mercator projection on a sphere: 0.7 % off the ellipsoid's metres at the equator
         np.testing.assert_allclose(
-            np.array(told)[:3, 3], position, atol=0.01 * (1 + np.linalg.norm(position))
+            np.array(reported)[:3, 3], position, atol=0.01 * (1 + np.linalg.norm(position))
         )
 
 
@@ -104,7 +104,7 @@ def test_odometry_sequences_are_read_there(pykitti_python, drive, tmp_path):
     check_common(found, back)
     np.testing.assert_allclose(found["times"], back.lidars[0].frames.timestamps_ns / 1e9, atol=1e-6)
     camera_from_lidar = (back.cameras[0].mount.inverse() @ back.lidars[0].mount).matrix
-    way = back.trajectories["groundTruth"].poses.interpolate(back.lidars[0].frames.timestamps_ns)
-    for told, position in zip(found["poses"], way.positions, strict=True):
-        lidar_pose = np.linalg.inv(camera_from_lidar) @ np.array(told) @ camera_from_lidar
+    trajectory = back.trajectories["groundTruth"].poses.interpolate(back.lidars[0].frames.timestamps_ns)
+    for reported, position in zip(found["poses"], trajectory.positions, strict=True):
+        lidar_pose = np.linalg.inv(camera_from_lidar) @ np.array(reported) @ camera_from_lidar
         np.testing.assert_allclose(lidar_pose[:3, 3], position, atol=1e-9)

@@ -25,7 +25,7 @@ print(json.dumps({"success": result.success, "types": sorted(str(a.type.value) f
 """
 
 
-def a_turning_car(times_ns):
+def a_rotating_car(times_ns):
     count = len(times_ns)
     yaws = np.linspace(2.5, 3.9, count)
     return Track(
@@ -47,7 +47,7 @@ def a_turning_car(times_ns):
 def test_labels_load_and_validate_there(scale_python, tmp_path):
     camera = CameraSpec(Camera("pinhole", 320, 200, 180.0, 180.0, 159.5, 99.5))
     drive = simulate_street(2, frames=4, lidar=LidarSpec(beams=16, steps=360), cameras=(camera,))
-    track = a_turning_car(drive.truth.lidar.timestamps_ns + 50_000_000)
+    track = a_rotating_car(drive.truth.lidar.timestamps_ns + 50_000_000)
     bare = sceneloom.scene.Scene(drive.scene.sensors, trajectories=drive.scene.trajectories)
     labelled = label_tracks(bare, Tracks((track,)))
     sceneloom.write(labelled.scene, tmp_path / "labels.sfs", profile="scale")
@@ -58,7 +58,7 @@ def test_labels_load_and_validate_there(scale_python, tmp_path):
     found = json.loads(done.stdout)
     assert found["success"]
     assert found["types"] == sorted(annotation.type for annotation in labelled.scene.annotations)
-    # its rows are x y z yaw pitch roll dx dy dz; a car that turns evenly needs its first state and its last
+    # its rows are x y z yaw pitch roll dx dy dz; a car that rotations evenly needs its first state and its last
     rows = np.array(found["rows"])
     assert len(rows) == 2
     assert np.diff(rows[:, 3])[0] == np.float64(rows[1, 3] - rows[0, 3])

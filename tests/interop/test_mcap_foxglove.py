@@ -11,7 +11,7 @@ import pytest
 import simplejpeg
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
-from tests.properties.planted import planted_scene
+from tests.properties.injected import injected_scene
 
 import sceneloom
 from sceneloom.errors import DataError
@@ -33,19 +33,19 @@ RGB = np.random.default_rng(3).integers(0, 255, (8, 12, 3), np.uint8)
 
 
 @cache
-def planted():
-    return planted_scene(odd=False)
+def injected():
+    return injected_scene(odd=False)
 
 
 def foxglove(name):
     return getattr(import_module(f"foxglove_schemas_protobuf.{name}_pb2"), name)
 
 
-def time(stamp_ns):
-    return {"seconds": stamp_ns // 10**9, "nanos": stamp_ns % 10**9}
+def time(timestamp_ns):
+    return {"seconds": timestamp_ns // 10**9, "nanos": timestamp_ns % 10**9}
 
 
-def turn_left(angle=np.pi / 2):
+def rotation_left(angle=np.pi / 2):
     return {"z": np.sin(angle / 2), "w": np.cos(angle / 2)}
 
 
@@ -58,20 +58,20 @@ class Log:
         self.writer.start(profile="", library="another program")
         self.channels = {}
 
-    def add(self, topic, name, stamp_ns, *, late_ns=5_000_000, **fields):
+    def add(self, topic, name, timestamp_ns, *, late_ns=5_000_000, **fields):
         if (topic, name) not in self.channels:
             schema = self.writer.register_schema(f"foxglove.{name}", "protobuf", schema_bytes(foxglove(name)))
             self.channels[topic, name] = self.writer.register_channel(topic, "protobuf", schema)
         content = foxglove(name)(**fields).SerializeToString()
-        self.writer.add_message(self.channels[topic, name], stamp_ns + late_ns, content, stamp_ns)
+        self.writer.add_message(self.channels[topic, name], timestamp_ns + late_ns, content, timestamp_ns)
 
-    def add_other(self, topic, name, encoding, content, stamp_ns):
+    def add_other(self, topic, name, encoding, content, timestamp_ns):
         if (topic, name) not in self.channels:
             schema = self.writer.register_schema(name, encoding, b"")
             self.channels[topic, name] = self.writer.register_channel(
                 topic, encoding.removesuffix("schema"), schema
             )
-        self.writer.add_message(self.channels[topic, name], stamp_ns, content, stamp_ns)
+        self.writer.add_message(self.channels[topic, name], timestamp_ns, content, timestamp_ns)
 
     def saved(self, path):
         self.writer.finish()
@@ -79,7 +79,7 @@ class Log:
         return path
 
 
-def cloud_fields(stamp_ns, points, frame="lidar_top"):
+def cloud_fields(timestamp_ns, points, frame="lidar_top"):
     table = np.zeros(
         len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("pad", "<f4"), ("t", "<u4"), ("i", "u1")]
     )
@@ -89,7 +89,7 @@ def cloud_fields(stamp_ns, points, frame="lidar_top"):
     table["i"] = np.arange(len(points)) % 256
     offsets = {"x": (0, 7), "y": (4, 7), "z": (8, 7), "t": (16, 5), "intensity": (20, 1)}
     return {
-        "timestamp": time(stamp_ns),
+        "timestamp": time(timestamp_ns),
         "frame_id": frame,
         "point_stride": table.dtype.itemsize,
         "fields": [{"name": n, "offset": o, "type": t} for n, (o, t) in offsets.items()],
@@ -106,44 +106,44 @@ def drive(**options):
     log = Log(**options)
     fixed = [
         {"timestamp": time(EPOCH_NS), "parent_frame_id": "base_link", "child_frame_id": "lidar_top",
-         "translation": {"z": 2.0}, "rotation": turn_left()},
+         "translation": {"z": 2.0}, "rotation": rotation_left()},
         {"timestamp": time(EPOCH_NS), "parent_frame_id": "base_link", "child_frame_id": "front_optical",
          "translation": {"x": 1.5}, "rotation": {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}},
     ]  # fmt: skip
     log.add("/tf_static", "FrameTransforms", EPOCH_NS, transforms=fixed)
     for k in range(5):
-        stamp = EPOCH_NS + k * PERIOD_NS
+        timestamp = EPOCH_NS + k * PERIOD_NS
         log.add(
-            "/tf", "FrameTransform", stamp, timestamp=time(stamp), parent_frame_id="map", child_frame_id="base_link",
+            "/tf", "FrameTransform", timestamp, timestamp=time(timestamp), parent_frame_id="map", child_frame_id="base_link",
             translation={"x": SPEED * k * 0.1}, rotation={"w": 1.0},
         )  # fmt: skip
-        log.add("/top/points", "PointCloud", stamp, **cloud_fields(stamp, POINTS))
+        log.add("/top/points", "PointCloud", timestamp, **cloud_fields(timestamp, POINTS))
         jpeg = simplejpeg.encode_jpeg(RGB, 95, "RGB", "444")
-        log.add("/front/image/compressed", "CompressedImage", stamp, timestamp=time(stamp), frame_id="front_optical",
+        log.add("/front/image/compressed", "CompressedImage", timestamp, timestamp=time(timestamp), frame_id="front_optical",
                 format="jpeg", data=jpeg)  # fmt: skip
-        log.add("/front/camera_info", "CameraCalibration", stamp, timestamp=time(stamp), frame_id="front_optical",
+        log.add("/front/camera_info", "CameraCalibration", timestamp, timestamp=time(timestamp), frame_id="front_optical",
                 width=12, height=8, distortion_model="plumb_bob", K=K, D=[0.1, -0.05, 0.001, 0.002, 0.01])  # fmt: skip
-        log.add("/side/image", "RawImage", stamp, timestamp=time(stamp), frame_id="side", width=12, height=8,
+        log.add("/side/image", "RawImage", timestamp, timestamp=time(timestamp), frame_id="side", width=12, height=8,
                 encoding="bgr8", step=36, data=np.ascontiguousarray(RGB[:, :, ::-1]).tobytes())  # fmt: skip
         depth = (np.arange(96).reshape(8, 12) * 100).astype("<u2")
-        log.add("/depth/image", "RawImage", stamp, timestamp=time(stamp), frame_id="front_optical", width=12,
+        log.add("/depth/image", "RawImage", timestamp, timestamp=time(timestamp), frame_id="front_optical", width=12,
                 height=8, encoding="16UC1", step=24, data=depth.tobytes())  # fmt: skip
-        log.add("/gnss/fix", "LocationFix", stamp, timestamp=time(stamp), frame_id="base_link", latitude=48.0 + k,
+        log.add("/gnss/fix", "LocationFix", timestamp, timestamp=time(timestamp), frame_id="base_link", latitude=48.0 + k,
                 longitude=11.0, altitude=500.0, position_covariance_type=2,
                 position_covariance=[4.0, 0, 0, 0, 4.0, 0, 0, 0, 9.0])  # fmt: skip
-        # an object that stands at (50, 3, 1) in the world, told in the frame of the car, turned by 0.3
-        log.add("/objects", "SceneUpdate", stamp, entities=[{
-            "timestamp": time(stamp), "frame_id": "base_link", "id": "car 7",
+        # an object that stands at (50, 3, 1) in the world, reported in the frame of the car, rotated by 0.3
+        log.add("/objects", "SceneUpdate", timestamp, entities=[{
+            "timestamp": time(timestamp), "frame_id": "base_link", "id": "car 7",
             "metadata": [{"key": "category", "value": "car"}, {"key": "score", "value": "0.75"}],
-            "cubes": [{"pose": {"position": {"x": 50 - SPEED * k * 0.1, "y": 3, "z": 1}, "orientation": turn_left(0.3)},
+            "cubes": [{"pose": {"position": {"x": 50 - SPEED * k * 0.1, "y": 3, "z": 1}, "orientation": rotation_left(0.3)},
                        "size": {"x": 4, "y": 2, "z": 1.5}}],
         }])  # fmt: skip
         corners = [(10.0, 20.0), (15.0, 20.0), (15.0, 28.0), (10.0, 28.0)]
-        log.add("/front/annotations", "ImageAnnotations", stamp, points=[{
-            "timestamp": time(stamp), "type": 2, "points": [{"x": x, "y": y} for x, y in corners],
+        log.add("/front/annotations", "ImageAnnotations", timestamp, points=[{
+            "timestamp": time(timestamp), "type": 2, "points": [{"x": x, "y": y} for x, y in corners],
             "metadata": [{"key": "id", "value": "box 1"}, {"key": "class", "value": "person"}],
-        }], circles=[{"timestamp": time(stamp)}])  # fmt: skip
-        log.add("/rosout", "Log", stamp, message="hello")
+        }], circles=[{"timestamp": time(timestamp)}])  # fmt: skip
+        log.add("/rosout", "Log", timestamp, message="hello")
     return log
 
 
@@ -171,7 +171,7 @@ def test_a_drive_that_another_program_wrote_is_read_whatever_its_chunks_and_inde
         }  # fmt: skip
         for name in ("top", "front", "side", "depth"):
             sensor = scene.sensor(name)
-            frames = sensor.pictures if isinstance(sensor, CameraSensor) else sensor.frames
+            frames = sensor.images if isinstance(sensor, CameraSensor) else sensor.frames
             np.testing.assert_array_equal(frames.timestamps_ns, EPOCH_NS + PERIOD_NS * np.arange(5))
 
 
@@ -189,10 +189,10 @@ def test_points_come_with_brightness_and_times_in_their_unit(scene):
     expected = EPOCH_NS + 3 * PERIOD_NS + np.linspace(0, 0.99 * PERIOD_NS, 500).astype(np.int64)
     np.testing.assert_array_equal(points.timestamps_ns, expected)
     assert lidar.points_frame is PointsFrame.SENSOR
-    assert any(n.code == "point-times-assumed" and "nanoseconds" in n.message for n in scene.notices)
+    assert any(n.code == "point-times-assumed" and "nanoseconds" in n.message for n in scene.warnings)
 
 
-def test_fixed_transforms_are_mountings_and_moving_ones_the_way_of_the_ego(scene):
+def test_fixed_transforms_are_mountings_and_moving_ones_the_ego_trajectory(scene):
     np.testing.assert_allclose(
         scene.sensor("top").mount.matrix,
         [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]],
@@ -202,27 +202,33 @@ def test_fixed_transforms_are_mountings_and_moving_ones_the_way_of_the_ego(scene
     np.testing.assert_allclose(
         scene.sensor("front").mount.rotate(np.array([0, 0, 1.0])), [1, 0, 0], atol=1e-15
     )
-    way = scene.trajectories["tf"]
-    np.testing.assert_array_equal(way.positions[:, 0], SPEED * 0.1 * np.arange(5))
+    trajectory = scene.trajectories["tf"]
+    np.testing.assert_array_equal(trajectory.positions[:, 0], SPEED * 0.1 * np.arange(5))
     poses = scene.sensor("front").poses
     np.testing.assert_allclose(poses.positions[:, 0], 1.5 + SPEED * 0.1 * np.arange(5), atol=1e-12)
     assert scene.sensor("side").mount is None
-    assert any(n.code == "frames-missing" and "'side'" in n.message for n in scene.notices)
+    assert any(n.code == "frames-missing" and "'side'" in n.message for n in scene.warnings)
 
 
-def test_a_calibration_beside_the_pictures_is_their_lens_and_a_camera_without_one_is_told(scene):
-    lens = scene.sensor("front").camera
-    assert (lens.model, lens.fx, lens.fy, lens.cx, lens.cy) == ("brown_conrady", 100.0, 101.0, 5.5, 3.5)
-    assert lens.coefficients == (0.1, -0.05, 0.001, 0.002, 0.01)
+def test_a_calibration_beside_the_images_is_their_camera_model_and_a_camera_without_one_is_reported(scene):
+    camera_model = scene.sensor("front").camera
+    assert (camera_model.model, camera_model.fx, camera_model.fy, camera_model.cx, camera_model.cy) == (
+        "brown_conrady",
+        100.0,
+        101.0,
+        5.5,
+        3.5,
+    )
+    assert camera_model.coefficients == (0.1, -0.05, 0.001, 0.002, 0.01)
     assert scene.sensor("side").camera.model == "unknown"
-    assert any(n.code == "lens-missing" and "/side/image" in n.place for n in scene.notices)
+    assert any(n.code == "camera-model-missing" and "/side/image" in n.location for n in scene.warnings)
 
 
-def test_pictures_are_those_that_were_written(scene):
-    picture = scene.sensor("front").pictures[2]
-    assert picture.encoded() == simplejpeg.encode_jpeg(RGB, 95, "RGB", "444")
-    np.testing.assert_array_equal(picture.rgb, simplejpeg.decode_jpeg(picture.encoded(), "RGB"))
-    np.testing.assert_array_equal(scene.sensor("side").pictures[4].rgb, RGB)
+def test_images_are_those_that_were_written(scene):
+    image = scene.sensor("front").images[2]
+    assert image.encoded() == simplejpeg.encode_jpeg(RGB, 95, "RGB", "444")
+    np.testing.assert_array_equal(image.rgb, simplejpeg.decode_jpeg(image.encoded(), "RGB"))
+    np.testing.assert_array_equal(scene.sensor("side").images[4].rgb, RGB)
     # 16UC1 counts millimetres
     depth = scene.sensor("depth").frames[0].depth
     np.testing.assert_allclose(depth, np.arange(96).reshape(8, 12) * 0.1, rtol=1e-6)
@@ -248,13 +254,13 @@ def test_fixes_have_the_deviation_of_their_variance(scene):
 
 
 def test_what_is_not_read_is_counted(scene):
-    told = {notice.code: notice for notice in scene.notices}
-    assert told["unknown-messages"].count == 5
-    assert "foxglove.Log" in told["unknown-messages"].message
-    assert told["drawings-not-read"].count == 5
+    reported = {warning.code: warning for warning in scene.warnings}
+    assert reported["unknown-messages"].count == 5
+    assert "foxglove.Log" in reported["unknown-messages"].message
+    assert reported["plots-not-read"].count == 5
 
 
-def test_messages_in_json_say_the_same(tmp_path):
+def test_messages_in_json_state_the_same(tmp_path):
     log = Log()
     fields = cloud_fields(EPOCH_NS, POINTS)
     content = {
@@ -289,7 +295,7 @@ def decoded(path):
 
 @pytest.mark.parametrize("compression", ["none", pytest.param("zstd", marks=pytest.mark.slow)])
 def test_what_we_write_the_reference_library_reads(compression, tmp_path):
-    source = planted()
+    source = injected()
     path = tmp_path / "drive.mcap"
     sceneloom.write(source, path, compression=compression)
     found = list(decoded(path))
@@ -328,7 +334,7 @@ def test_a_video_goes_through_packet_by_packet(data_dir, tmp_path):
         assert all(bytes(packet.data).startswith(b"\x00\x00\x00\x01") for packet in packets)
         assert any(loss.field == "sensors.camera.video" and "B frames" in loss.what for loss in report)
         with sceneloom.open(path) as scene:
-            mine, theirs = scene.cameras[0].pictures, source.cameras[0].pictures
+            mine, theirs = scene.cameras[0].images, source.cameras[0].images
             np.testing.assert_array_equal(mine.timestamps_ns, theirs.timestamps_ns)
             for k in (0, 1, 11):
                 np.testing.assert_array_equal(mine[k].rgb, theirs[k].rgb)
@@ -345,7 +351,7 @@ def test_a_file_that_was_cut_off_is_refused_or_read_as_far_as_it_is_whole(compre
             sceneloom.open(path)
         with sceneloom.open(path, lenient=True) as scene:
             counts.append(sum(len(lidar.frames) for lidar in scene.lidars))
-            assert any(notice.code == "mcap-unfinished" for notice in scene.notices)
+            assert any(warning.code == "mcap-unfinished" for warning in scene.warnings)
             for lidar in scene.lidars:
                 assert [len(frame.points) for frame in lidar.frames] == [500] * len(lidar.frames)
     assert counts[0] == 5

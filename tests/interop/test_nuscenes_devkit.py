@@ -1,4 +1,4 @@
-"""The nuScenes development kit reads what we write: its own poses, boxes, points over pictures and classes.
+"""The nuScenes development kit reads what we write: its own poses, boxes, points over images and classes.
 
 It pins old packages, so it runs in an environment of its own: SCENELOOM_NUSCENES_PYTHON names its interpreter.
 """
@@ -28,7 +28,7 @@ from nuscenes.utils.data_classes import LidarPointCloud, RadarPointCloud
 root, version = sys.argv[1:]
 kit = NuScenes(version=version, dataroot=root, verbose=False)
 kit.colormap = {row["name"]: (0, 0, 230) for row in kit.category}
-told = []
+reported = []
 for sample in kit.sample:
     frames = {}
     for channel, token in sample["data"].items():
@@ -42,9 +42,9 @@ for sample in kit.sample:
         }
         if row["sensor_modality"] == "camera":
             lidar = sample["data"]["LIDAR_TOP"]
-            points, depths, picture = kit.explorer.map_pointcloud_to_image(lidar, token, min_dist=0.1)
+            points, depths, image = kit.explorer.map_pointcloud_to_image(lidar, token, min_dist=0.1)
             frame["pixels"], frame["depths"] = points[:2].T.tolist(), depths.tolist()
-            frame["size"] = picture.size
+            frame["size"] = image.size
         elif row["sensor_modality"] == "lidar":
             frame["points"] = LidarPointCloud.from_file(path).points.T[:, :4].tolist()
         else:
@@ -52,14 +52,14 @@ for sample in kit.sample:
         frames[channel] = frame
         kit.render_sample_data(token, verbose=False, out_path=root + "/drawn.png")
     kit.render_sample(sample["token"], verbose=False, out_path=root + "/drawn.png")
-    told.append(frames)
+    reported.append(frames)
 classes = {}
 if hasattr(kit, "lidarseg"):
     for row in kit.lidarseg:
         labels = np.fromfile(root + "/" + row["filename"], np.uint8)
         names = [kit.lidarseg_idx2name_mapping[int(k)] for k in np.unique(labels)]
         classes[row["sample_data_token"]] = [len(labels), *names]
-print(json.dumps({"samples": told, "classes": classes, "scenes": [s["name"] for s in kit.scene]}))
+print(json.dumps({"samples": reported, "classes": classes, "scenes": [s["name"] for s in kit.scene]}))
 """
 
 
@@ -68,7 +68,7 @@ def nuscenes_python():
     return python_with("nuscenes-devkit", "SCENELOOM_NUSCENES_PYTHON")
 
 
-def told_by_kit(python, root, version):
+def reported_by_kit(python, root, version):
     done = subprocess.run(
         [python, "-c", PROGRAM, str(root), version], capture_output=True, text=True, check=False
     )
@@ -85,11 +85,11 @@ def rewritten(tmp_path):
 
 def test_the_kit_loads_the_tables_and_finds_the_same_boxes_and_points(nuscenes_python, rewritten):
     scene, root = rewritten
-    told = told_by_kit(nuscenes_python, root, "v1.0-mini")
-    assert told["scenes"] == ["scene-0001"]
+    reported = reported_by_kit(nuscenes_python, root, "v1.0-mini")
+    assert reported["scenes"] == ["scene-0001"]
     lidar, radar = scene.lidars[0], scene.sensor("RADAR_FRONT")
     (car,) = (a for a in scene.annotations if a.type == "cuboid")
-    for k, frames in enumerate(told["samples"]):
+    for k, frames in enumerate(reported["samples"]):
         assert set(frames) == {"LIDAR_TOP", "RADAR_FRONT", "CAM_FRONT"}
         points = lidar.frames[2 * k].points
         found = np.array(frames["LIDAR_TOP"]["points"])
@@ -106,18 +106,18 @@ def test_the_kit_loads_the_tables_and_finds_the_same_boxes_and_points(nuscenes_p
 
 def test_the_kit_finds_a_class_for_each_point(nuscenes_python, rewritten):
     _, root = rewritten
-    told = told_by_kit(nuscenes_python, root, "v1.0-mini")
-    assert sorted(told["classes"].values()) == [[40 + k, "noise", "vehicle.car"] for k in (0, 2, 4)]
+    reported = reported_by_kit(nuscenes_python, root, "v1.0-mini")
+    assert sorted(reported["classes"].values()) == [[40 + k, "noise", "vehicle.car"] for k in (0, 2, 4)]
 
 
 def pose(poses):
     return RigidTransform.from_quaternion(poses.positions[0], poses.quaternions_xyzw[0])
 
 
-def test_the_kit_puts_points_of_a_real_frame_onto_pictures_where_we_do(nuscenes_python, data_dir, tmp_path):
+def test_the_kit_puts_points_of_a_real_frame_onto_images_where_we_do(nuscenes_python, data_dir, tmp_path):
     scene = sceneloom.open(from_infos(data_dir / "real" / "nuscenes_one_sample", tmp_path / "a").write())
     sceneloom.write(scene, tmp_path / "b", format="nuscenes")
-    (frames,) = told_by_kit(nuscenes_python, tmp_path / "b", "v1.0-mini")["samples"]
+    (frames,) = reported_by_kit(nuscenes_python, tmp_path / "b", "v1.0-mini")["samples"]
     again = sceneloom.open(tmp_path / "b")
     lidar = again.lidars[0]
     world = pose(lidar.poses).apply(lidar.frames[0].points.positions)
@@ -140,6 +140,6 @@ def test_the_kit_reads_drives_that_have_nothing_of_nuscenes(nuscenes_python, dat
     pytest.importorskip("pyarrow", reason="pyarrow is not installed")
     scene = sceneloom.open(data_dir / "real" / "argoverse2", one_lidar=True)
     sceneloom.write(scene, tmp_path / "b", format="nuscenes", version="v1.0-test")
-    (frames,) = told_by_kit(nuscenes_python, tmp_path / "b", "v1.0-test")["samples"]
+    (frames,) = reported_by_kit(nuscenes_python, tmp_path / "b", "v1.0-test")["samples"]
     assert len(frames["LIDAR_TOP"]["points"]) == len(scene.lidars[0].frames[0].points)
     assert len(frames["LIDAR_TOP"]["world"]) == 81

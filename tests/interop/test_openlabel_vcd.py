@@ -47,7 +47,7 @@ def corners_of(scene, cuboid):
     values = cuboid.path.values
     quaternions = CuboidAngles.of(scene).quaternions(values[:, 6:])
     return np.stack(
-        [box_corners(row[3:6], row[:3], turn) for row, turn in zip(values, quaternions, strict=True)]
+        [box_corners(row[3:6], row[:3], rotation) for row, rotation in zip(values, quaternions, strict=True)]
     )
 
 
@@ -113,79 +113,81 @@ def peer():
 
 
 def drive():
-    stamps = np.arange(3) * 100_000_000 + 1_700_000_000_000_000_000
-    frames = [LidarFrame(int(t), LidarPoints(np.ones((1, 3), np.float32))) for t in stamps]
+    timestamps = np.arange(3) * 100_000_000 + 1_700_000_000_000_000_000
+    frames = [LidarFrame(int(t), LidarPoints(np.ones((1, 3), np.float32))) for t in timestamps]
     mount = RigidTransform.from_quaternion(np.array([1.0, 0.2, 1.9]), np.array([0.1, -0.2, 0.3, 0.9]))
     rng = np.random.default_rng(1)
-    turns = rng.normal(size=(3, 4))
-    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
-    way = Trajectory("pose", stamps, rng.normal(scale=10, size=(3, 3)), turns)
+    rotations = rng.normal(size=(3, 4))
+    rotations /= np.linalg.norm(rotations, axis=1, keepdims=True)
+    trajectory = Trajectory("pose", timestamps, rng.normal(scale=10, size=(3, 3)), rotations)
     values = np.concatenate(
         [rng.uniform(1, 5, (3, 3)), rng.normal(size=(3, 3)), rng.uniform(-80, 80, (3, 3))], axis=1
     )
     box = CuboidAnnotation(
         "car",
-        CuboidPath(stamps, values),
+        CuboidPath(timestamps, values),
         "Car",
-        attributes=(AttributePath("speed", (1.0, 2.0, 3.0), stamps),),
+        attributes=(AttributePath("speed", (1.0, 2.0, 3.0), timestamps),),
     )
-    flat = Box2DAnnotation("car 2", "top", BoxPath(stamps[:1], np.array([[1.0, 2, 3, 4]])), "Car")
-    lane = ShapeAnnotation("lane", ShapeType.POLYLINE, VertexPath(stamps[:1], (rng.normal(size=(4, 3)),)))
-    event = EventAnnotation("stop", int(stamps[0]), 100_000_000, "Stop")
+    flat = Box2DAnnotation("car 2", "top", BoxPath(timestamps[:1], np.array([[1.0, 2, 3, 4]])), "Car")
+    lane = ShapeAnnotation("lane", ShapeType.POLYLINE, VertexPath(timestamps[:1], (rng.normal(size=(4, 3)),)))
+    event = EventAnnotation("stop", int(timestamps[0]), 100_000_000, "Stop")
     link = LinkAnnotation("l", "car", "stop", "does")
-    lidar = LidarSensor("top", LazyFrames.of(frames, stamps), mount=mount)
+    lidar = LidarSensor("top", LazyFrames.of(frames, timestamps), mount=mount)
     van = (
         ObjectAnnotation("van", "Van"),
         CuboidAnnotation(
             "box of the van",
-            CuboidPath(stamps[[0, 2]], values[[0, 2]]),
+            CuboidPath(timestamps[[0, 2]], values[[0, 2]]),
             "Van",
             parent_id="van",
-            projections=(Projection("top", stamps[:1], np.array([[1.0, 2, 3, 4]]), (True,)),),
+            projections=(Projection("top", timestamps[:1], np.array([[1.0, 2, 3, 4]]), (True,)),),
         ),
         Box2DAnnotation(
-            "flat", "top", BoxPath(stamps[:1], np.array([[1.0, 2, 3, 4]])), "Van", parent_id="van"
+            "flat", "top", BoxPath(timestamps[:1], np.array([[1.0, 2, 3, 4]])), "Van", parent_id="van"
         ),
     )
-    return Scene((lidar,), (box, flat, lane, event, link, *van), {"pose": way}), mount
+    return Scene((lidar,), (box, flat, lane, event, link, *van), {"pose": trajectory}), mount
 
 
 def test_our_files_pass_the_schema_and_vcd_puts_boxes_and_sensors_where_we_do(tmp_path, peer):
     scene, mount = drive()
     write_scene(scene, tmp_path / "ours.json")
-    told = peer("openlabel_vcd_read.py", tmp_path / "ours.json")
-    assert told["errors"] == []
+    reported = peer("openlabel_vcd_read.py", tmp_path / "ours.json")
+    assert reported["errors"] == []
     for number, found in enumerate(corners_of(scene, scene.annotations[0])):
-        same_corners(found, told["corners"][f"car {number}"])
+        same_corners(found, reported["corners"][f"car {number}"])
     # one object of three annotations; VCD finds its cuboid in the frame between two key frames, too
-    assert told["objects"] == ["car", "car 2", "lane", "van"]
+    assert reported["objects"] == ["car", "car 2", "lane", "van"]
     van = next(one for one in scene.annotations if one.id == "box of the van")
     poses = cuboid_poses(van, scene.annotations[0].path.timestamps_ns, angles=CuboidAngles.of(scene))
     for number in range(3):
         found = box_corners(
             poses.centers_world[number], poses.sizes_lwh[number], poses.quaternions_xyzw[number]
         )
-        same_corners(found, told["corners"][f"van {number}"])
-    assert told["loaded"] == {"bbox": 2, "cuboid": 1}
-    way = scene.trajectories["pose"]
-    for k, found in enumerate(told["lidar_to_world"]):
-        ego = RigidTransform.from_quaternion(way.positions[k], way.quaternions_xyzw[k])
+        same_corners(found, reported["corners"][f"van {number}"])
+    assert reported["loaded"] == {"bbox": 2, "cuboid": 1}
+    trajectory = scene.trajectories["pose"]
+    for k, found in enumerate(reported["lidar_to_world"]):
+        ego = RigidTransform.from_quaternion(trajectory.positions[k], trajectory.quaternions_xyzw[k])
         np.testing.assert_allclose(found, (ego @ mount).matrix, rtol=0, atol=1e-9)
 
 
 def test_a_file_written_by_vcd_now_is_read_as_the_golden_one(tmp_path, peer):
-    told = peer("openlabel_vcd_write.py", tmp_path / "theirs.json")
+    reported = peer("openlabel_vcd_write.py", tmp_path / "theirs.json")
     with open_scene(tmp_path / "theirs.json") as scene:
         car = next(one for one in scene.annotations if one.type == "cuboid" and one.label == "Car")
-        for found, there in zip(corners_of(scene, car), told["corners_odom"], strict=True):
+        for found, there in zip(corners_of(scene, car), reported["corners_odom"], strict=True):
             same_corners(found, there)
 
 
 def test_a_file_of_raillabel_is_read(tmp_path, peer):
-    told = peer("openlabel_raillabel_write.py", tmp_path / "rail.json")
+    reported = peer("openlabel_raillabel_write.py", tmp_path / "rail.json")
     with open_scene(tmp_path / "rail.json") as scene:
         cuboid = next(one for one in scene.annotations if one.type == "cuboid")
-        np.testing.assert_allclose(cuboid.path.values[0, :6], told["size_and_place"], rtol=0, atol=1e-9)
-        assert cuboid.path.timestamps_ns.tolist() == told["timestamps_ns"]
+        np.testing.assert_allclose(
+            cuboid.path.values[0, :6], reported["size_and_position"], rtol=0, atol=1e-9
+        )
+        assert cuboid.path.timestamps_ns.tolist() == reported["timestamps_ns"]
         camera = next(one for one in scene.sensors if one.id == "rgb_center")
-        assert [camera.camera.fx, camera.camera.cy] == told["fx_cy"]
+        assert [camera.camera.fx, camera.camera.cy] == reported["fx_cy"]

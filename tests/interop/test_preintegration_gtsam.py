@@ -1,4 +1,4 @@
-"""Preintegrated IMU measurements, and what they tell about two states, against GTSAM."""
+"""Preintegrated IMU measurements, and what they report about two states, against GTSAM."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def samples() -> tuple[np.ndarray, np.ndarray]:
 
 
 def theirs(values: np.ndarray, bias: np.ndarray, *, parts: int = 1) -> "gtsam.PreintegratedImuMeasurements":
-    """Summed up by steps of a sample, or of a part of one: the force of each turned as at its beginning."""
+    """Summed up by steps of a sample, or of a part of one: the force of each rotated as at its beginning."""
     parameters = gtsam.PreintegrationParams.MakeSharedU(GRAVITY)
     parameters.setGyroscopeCovariance(np.eye(3) * GYROSCOPE**2)
     parameters.setAccelerometerCovariance(np.eye(3) * ACCELEROMETER**2)
@@ -44,17 +44,17 @@ def ours(bias: np.ndarray):
     return preintegrated(times, values, times[[0, -1]], biases=bias[None], densities=densities)
 
 
-def test_turn_gain_way_and_covariance_are_the_same():
+def test_rotate_gain_trajectory_and_covariance_are_the_same():
     found, coarse, fine = ours(BIAS), theirs(samples()[1], BIAS), theirs(samples()[1], BIAS, parts=2)
     # their error halves with the step, so twice the fine less the coarse one is free of it to the second order
-    gain, way = 2.0 * fine.deltaVij() - coarse.deltaVij(), 2.0 * fine.deltaPij() - coarse.deltaPij()
-    assert np.abs(found.turns[0] - fine.deltaRij().matrix()).max() < 1e-6
+    gain, trajectory = 2.0 * fine.deltaVij() - coarse.deltaVij(), 2.0 * fine.deltaPij() - coarse.deltaPij()
+    assert np.abs(found.rotations[0] - fine.deltaRij().matrix()).max() < 1e-6
     assert np.abs(found.gains[0] - gain).max() < 1e-6
-    assert np.abs(found.ways[0] - way).max() < 1e-6
-    order = [0, 1, 2, 6, 7, 8, 3, 4, 5]  # theirs: turn, way, velocity
+    assert np.abs(found.trajectories[0] - trajectory).max() < 1e-6
+    order = [0, 1, 2, 6, 7, 8, 3, 4, 5]  # theirs: rotate, trajectory, velocity
     covariance = coarse.preintMeasCov()[np.ix_(order, order)]
     scale = np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
-    # theirs is that of the turn written as a vector, whose slope differs from one by some hundredths at 0.4 rad
+    # theirs is that of the rotation written as a vector, whose slope differs from one by some hundredths at 0.4 rad
     assert np.abs((found.covariances[0] - covariance) / scale).max() < 0.05
     assert np.abs((found.covariances[0] - covariance)[3:, 3:] / scale[3:, 3:]).max() < 2e-3
 
@@ -67,9 +67,9 @@ def test_a_change_of_the_bias_does_the_same():
         summed.predict(begin, gtsam.imuBias.ConstantBias(bias[3:], bias[:3]))
         for bias in (BIAS, BIAS + change)
     )
-    turn = before.attitude().matrix().T @ after.attitude().matrix()
+    rotation = before.attitude().matrix().T @ after.attitude().matrix()
     # second order in 2e-4 rad, and their steps of half a millisecond
-    assert np.abs(rotation_vector_from_quaternion(quaternion_from_matrix(turn)) - moved[:3]).max() < 1e-6
+    assert np.abs(rotation_vector_from_quaternion(quaternion_from_matrix(rotation)) - moved[:3]).max() < 1e-6
     assert np.abs(after.velocity() - before.velocity() - moved[3:6]).max() < 5e-6
     assert np.abs(after.position() - before.position() - moved[6:]).max() < 5e-6
 
@@ -118,7 +118,7 @@ def our_cost(states: States) -> float:
     return equations(chain, states, np.empty(0)).cost - float(priors)
 
 
-def test_turns_are_written_alike():
+def test_rotates_are_written_alike():
     vector = np.array([0.3, -0.2, 0.9])
     found = rotation_vector_from_quaternion(quaternion_from_matrix(gtsam.Rot3.Expmap(vector).matrix()))
     assert np.abs(found - vector).max() < 1e-12

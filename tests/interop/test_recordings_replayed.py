@@ -17,12 +17,12 @@ from tests.peers import python_with
 from sceneloom.cameras.camera import Camera
 from sceneloom.formats.recording.writer import write_recording
 from sceneloom.scene import (
+    CameraImage,
     CameraSensor,
     DepthCameraSensor,
     DepthFrame,
     ImuSensor,
     LazyFrames,
-    Picture,
     Scene,
     Trajectory,
     VectorSamples,
@@ -73,8 +73,8 @@ def replayed(folder, python):
 
 
 def a_drive(offsets_y):
-    lens = Camera("pinhole", 320, 200, 200.0, 200.0, 159.5, 99.5)
-    cameras = [CameraSpec(lens, camera_mount(position=(1.5, y, 1.5))) for y in offsets_y]
+    camera_model = Camera("pinhole", 320, 200, 200.0, 200.0, 159.5, 99.5)
+    cameras = [CameraSpec(camera_model, camera_mount(position=(1.5, y, 1.5))) for y in offsets_y]
     return simulate_street(
         1,
         frames=FRAMES,
@@ -85,15 +85,15 @@ def a_drive(offsets_y):
     )
 
 
-@pytest.mark.parametrize("pictures", ["copy", "ffv1", "png"])
-def test_a_stereo_drive_is_tracked(vendor_python, tmp_path, pictures):
-    write_recording(a_drive((0.25, -0.25)).scene, tmp_path / "drive", pictures=pictures)
+@pytest.mark.parametrize("images", ["copy", "ffv1", "png"])
+def test_a_stereo_drive_is_tracked(vendor_python, tmp_path, images):
+    write_recording(a_drive((0.25, -0.25)).scene, tmp_path / "drive", images=images)
     outputs, _ = replayed(tmp_path / "drive", vendor_python)
     assert {output["status"] for output in outputs} == {"TRACKING"}
-    # a few pictures go by before it begins
+    # a few images go by before it begins
     assert len(outputs) > 0.7 * FRAMES
-    stamps = [output["time"] for output in outputs]
-    assert stamps == sorted(stamps)
+    timestamps = [output["time"] for output in outputs]
+    assert timestamps == sorted(timestamps)
 
 
 class TexturedRoom:
@@ -134,7 +134,7 @@ class TexturedRoom:
 
 
 def room_poses(seconds):
-    """A slow walk round the room: a second of standing, then up to 1.5 m/s."""
+    """A slow walk round the room: a second of stationary, then up to 1.5 m/s."""
     eased = np.clip((np.asarray(seconds, np.float64) - 1.0) / 3.0, 0.0, 1.0)
     ramp = 3.0 * (eased**6 - 3.0 * eased**5 + 2.5 * eased**4)
     u = 0.25 * np.where(np.asarray(seconds) < 4.0, ramp, np.asarray(seconds) - 2.5)
@@ -144,31 +144,31 @@ def room_poses(seconds):
 
 
 def walk_through_a_room(baseline, frames=240, rate_hz=20):
-    """A stereo recording whose IMU and pictures follow from one formula, and whose numbers nobody of ours computed."""
-    room, lens = TexturedRoom(), Camera("pinhole", 320, 200, 200.0, 200.0, 159.5, 99.5)
+    """A stereo recording whose IMU and images follow from one formula, and whose numbers nobody of ours computed."""
+    room, camera_model = TexturedRoom(), Camera("pinhole", 320, 200, 200.0, 200.0, 159.5, 99.5)
     v, u = np.mgrid[:200, :320]
     rays = np.stack([(u - 159.5) / 200.0, (v - 99.5) / 200.0, np.ones_like(u)], -1)
-    stamps = 1_000_000_000 + np.arange(frames, dtype=np.int64) * (1_000_000_000 // rate_hz)
+    timestamps = 1_000_000_000 + np.arange(frames, dtype=np.int64) * (1_000_000_000 // rate_hz)
 
     def camera(index):
         mount = camera_mount(position=(0.2, (0.5 - index) * baseline, 0.1))
 
-        def picture(k):
-            position, turn = room_poses(stamps[k] * 1e-9 - 1.0)
-            rotation = turn.as_matrix()
+        def image(k):
+            position, delta_rotation = room_poses(timestamps[k] * 1e-9 - 1.0)
+            rotation = delta_rotation.as_matrix()
             grey = room.grey(position + rotation @ mount.translation, rays @ (rotation @ mount.rotation).T)
-            return Picture.of(int(stamps[k]), lens, np.repeat(grey[..., None], 3, axis=2))
+            return CameraImage.of(int(timestamps[k]), camera_model, np.repeat(grey[..., None], 3, axis=2))
 
         return CameraSensor(
-            f"camera{index}", lens, LazyFrames(stamps, picture), mount=mount, fps=float(rate_hz)
+            f"camera{index}", camera_model, LazyFrames(timestamps, image), mount=mount, fps=float(rate_hz)
         )
 
     samples = 901_300_000 + np.arange(200 * frames // rate_hz + 60, dtype=np.int64) * 5_000_000
     seconds, step = samples * 1e-9 - 1.0, 1e-3
-    (before, _), (positions, turns), (after, _) = (
+    (before, _), (positions, delta_rotations), (after, _) = (
         room_poses(seconds + shift) for shift in (-step, 0.0, step)
     )
-    forces = turns.inv().apply((before - 2 * positions + after) / step**2 + [0.0, 0.0, 9.81])
+    forces = delta_rotations.inv().apply((before - 2 * positions + after) / step**2 + [0.0, 0.0, 9.81])
     rates = (room_poses(seconds - step)[1].inv() * room_poses(seconds + step)[1]).as_rotvec() / (2 * step)
     noise = np.random.default_rng(5).standard_normal((2, *forces.shape))
     imu = ImuSensor(
@@ -178,12 +178,12 @@ def walk_through_a_room(baseline, frames=240, rate_hz=20):
             "gyroscope": VectorSamples(samples, rates + 0.001 * noise[1]),
         },
     )
-    truth = Trajectory("groundTruth", samples, positions, turns.as_quat())
+    truth = Trajectory("groundTruth", samples, positions, delta_rotations.as_quat())
     return Scene((camera(0), camera(1), imu), trajectories={"groundTruth": truth})
 
 
 def test_a_slow_stereo_drive_in_a_textured_room_comes_back_in_its_true_size(vendor_python, tmp_path):
-    write_recording(walk_through_a_room(0.3), tmp_path / "drive", pictures="ffv1")
+    write_recording(walk_through_a_room(0.3), tmp_path / "drive", images="ffv1")
     outputs, _ = replayed(tmp_path / "drive", vendor_python)
     assert {output["status"] for output in outputs} == {"TRACKING"}
     seconds = np.array([output["time"] for output in outputs])
@@ -196,7 +196,7 @@ def test_a_slow_stereo_drive_in_a_textured_room_comes_back_in_its_true_size(vend
     mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     scale = np.trace(np.diag(values) @ mirror) / (true * true).sum()
     error = true - found @ (left @ mirror @ right).T
-    # measured: 0.999 and 17 mm; 36 mm where pictures are half a frame late, 1.051 and 108 mm where the baseline is 5 %
+    # measured: 0.999 and 17 mm; 36 mm where images are half a frame late, 1.051 and 108 mm where the baseline is 5 %
     # longer, and no tracking where mountings are exchanged or inverted
     assert scale == pytest.approx(1.0, abs=0.01)
     assert np.sqrt((error * error).sum(axis=1).mean()) < 0.03
@@ -205,13 +205,13 @@ def test_a_slow_stereo_drive_in_a_textured_room_comes_back_in_its_true_size(vend
 def test_depth_images_are_understood_in_metres(vendor_python, tmp_path):
     drive = a_drive((0.25,))
     camera, truth = drive.scene.cameras[0], drive.truth.cameras["camera0"]
-    stamps = camera.pictures.timestamps_ns
+    timestamps = camera.images.timestamps_ns
 
     def image(k):
         depths = truth.truth(k).depths
         return np.where(depths > 60.0, np.float32(0.0), depths)
 
-    frames = LazyFrames(stamps, lambda k: DepthFrame(int(stamps[k]), camera.camera, lambda: image(k)))
+    frames = LazyFrames(timestamps, lambda k: DepthFrame(int(timestamps[k]), camera.camera, lambda: image(k)))
     depth = DepthCameraSensor("depth", camera.camera, frames, mount=camera.mount)
     report = write_recording(replace(drive.scene, sensors=(*drive.scene.sensors, depth)), tmp_path / "drive")
     # 60 m fit into 65535 steps of 1 mm

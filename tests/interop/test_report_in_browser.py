@@ -11,7 +11,7 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.report import ReportSettings, write_report
-from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, Notice, NoticeKind, Scene
+from sceneloom.scene import DataWarning, LazyFrames, LidarFrame, LidarPoints, LidarSensor, Scene, WarningKind
 from sceneloom.simulate import CameraSpec, Faults, LidarSpec, SensorFaults, simulate_street
 
 SCRIPT = Path(__file__).with_name("report_in_browser.js")
@@ -38,9 +38,9 @@ def evil() -> Scene:
     """A scene whose every name is markup."""
     points = LidarPoints(np.random.default_rng(0).normal(0, 10, (50, 3)).astype(np.float32))
     frames = LazyFrames.of([LidarFrame(t, points) for t in (0, 10**8)], [0, 10**8])
-    notice = Notice(kind=NoticeKind.ASSUMED, code="x", place=EVIL, message=EVIL)
+    warning = DataWarning(kind=WarningKind.ASSUMED, code="x", location=EVIL, message=EVIL)
     return Scene(
-        (LidarSensor(EVIL, frames),), source=EVIL, format=EVIL, notices=(notice,), metadata={EVIL: EVIL}
+        (LidarSensor(EVIL, frames),), source=EVIL, format=EVIL, warnings=(warning,), metadata={EVIL: EVIL}
     )
 
 
@@ -100,10 +100,10 @@ def test_all_texts_have_contrast(seen, page):
     assert seen["drive.html"]["views"][0]["texts"] > 200
 
 
-def test_pictures_and_drawings_are_there(seen):
+def test_images_and_plots_are_there(seen):
     view = seen["drive.html"]["views"][0]
     assert view["images"] >= 4
-    assert view["drawings"] >= 8
+    assert view["plots"] >= 8
 
 
 def test_it_can_be_used_by_keyboard_and_printed(seen):

@@ -12,7 +12,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from tests.peers import python_with
-from tests.properties.planted import planted_scene
+from tests.properties.injected import injected_scene
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
@@ -21,6 +21,7 @@ from sceneloom.formats.ros.typestores import DEFINITIONS
 from sceneloom.formats.table import find_format
 from sceneloom.scene import (
     Box2DAnnotation,
+    CameraImage,
     CameraSensor,
     CuboidAnnotation,
     DepthCameraSensor,
@@ -30,7 +31,6 @@ from sceneloom.scene import (
     LidarFrame,
     LidarPoints,
     LidarSensor,
-    Picture,
     RadarSensor,
     Scene,
 )
@@ -43,8 +43,8 @@ POINTS = np.random.default_rng(1).normal(0, 20, (400, 3)).astype(np.float32)
 
 
 @cache
-def planted():
-    return planted_scene(odd=False)
+def injected():
+    return injected_scene(odd=False)
 
 
 @cache
@@ -82,9 +82,9 @@ class Bag:
     def make(self, name, *values, **fields):
         return self.store.types[name](*values, **fields)
 
-    def header(self, stamp_ns, frame):
+    def header(self, timestamp_ns, frame):
         number = (0,) if self.version == 1 else ()
-        time = self.make("builtin_interfaces/msg/Time", stamp_ns // 10**9, stamp_ns % 10**9)
+        time = self.make("builtin_interfaces/msg/Time", timestamp_ns // 10**9, timestamp_ns % 10**9)
         return self.make("std_msgs/msg/Header", *number, time, frame)
 
     def add(self, topic, kind, message, received_ns):
@@ -93,31 +93,43 @@ class Bag:
         serialise = self.store.serialize_ros1 if self.version == 1 else self.store.serialize_cdr
         self.writer.write(self.connections[topic, kind], received_ns, serialise(message, kind))
 
-    def send(self, topic, kind, stamp_ns, frame, *values, late_ns=5_000_000, **fields):
-        message = self.make(kind, self.header(stamp_ns, frame), *values, **fields)
-        self.add(topic, kind, message, stamp_ns + late_ns)
+    def send(self, topic, kind, timestamp_ns, frame, *values, late_ns=5_000_000, **fields):
+        message = self.make(kind, self.header(timestamp_ns, frame), *values, **fields)
+        self.add(topic, kind, message, timestamp_ns + late_ns)
 
     def vector(self, *values):
         return self.make("geometry_msgs/msg/Vector3", *map(float, values))
 
-    def turn(self, *values):
+    def rotation(self, *values):
         return self.make("geometry_msgs/msg/Quaternion", *map(float, values))
 
-    def pose(self, place, turn=(0, 0, 0, 1)):
+    def pose(self, location, rotation=(0, 0, 0, 1)):
         return self.make(
             "geometry_msgs/msg/Pose",
-            self.make("geometry_msgs/msg/Point", *map(float, place)),
-            self.turn(*turn),
+            self.make("geometry_msgs/msg/Point", *map(float, location)),
+            self.rotation(*rotation),
         )
 
-    def transform(self, topic, stamp_ns, parent, child, place, turn=(0, 0, 0, 1)):
-        moved = self.make("geometry_msgs/msg/Transform", self.vector(*place), self.turn(*turn))
-        stamped = self.make("geometry_msgs/msg/TransformStamped", self.header(stamp_ns, parent), child, moved)
+    def transform(self, topic, timestamp_ns, parent, child, location, rotation=(0, 0, 0, 1)):
+        moved = self.make("geometry_msgs/msg/Transform", self.vector(*location), self.rotation(*rotation))
+        timestamped = self.make(
+            "geometry_msgs/msg/TransformTimestamped", self.header(timestamp_ns, parent), child, moved
+        )
         name = "tf2_msgs/msg/TFMessage"
-        self.add(topic, name, self.make(name, [stamped]), stamp_ns)
+        self.add(topic, name, self.make(name, [timestamped]), timestamp_ns)
 
     def cloud(
-        self, topic, stamp_ns, frame, table, *, received_ns=None, step=None, order="<", height=1, offsets=None
+        self,
+        topic,
+        timestamp_ns,
+        frame,
+        table,
+        *,
+        received_ns=None,
+        step=None,
+        order="<",
+        height=1,
+        offsets=None,
     ):
         offsets = offsets or {}
         fields = [
@@ -128,25 +140,25 @@ class Bag:
         width, step = len(table) // height, step or table.dtype.itemsize
         name = "sensor_msgs/msg/PointCloud2"
         message = self.make(
-            name, self.header(stamp_ns, frame), height, width, fields, order == ">", step, step * width,
+            name, self.header(timestamp_ns, frame), height, width, fields, order == ">", step, step * width,
             table.view(np.uint8).reshape(-1) if len(table) else np.zeros(0, np.uint8), True,
         )  # fmt: skip
-        self.add(topic, name, message, stamp_ns + 5_000_000 if received_ns is None else received_ns)
+        self.add(topic, name, message, timestamp_ns + 5_000_000 if received_ns is None else received_ns)
 
-    def lens(self, topic, stamp_ns, frame, model, coefficients, size=(12, 8)):
+    def camera_model(self, topic, timestamp_ns, frame, model, coefficients, size=(12, 8)):
         k = np.array([100.0, 0, 5.5, 0, 101.0, 3.5, 0, 0, 1])
         region = self.make("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, False)
         names = "DKRP" if self.version == 1 else "dkrp"
         numbers = dict(
             zip(names, (np.array(coefficients), k, np.eye(3).reshape(-1), np.zeros(12)), strict=True)
         )
-        self.send(topic, "sensor_msgs/msg/CameraInfo", stamp_ns, frame, height=size[1], width=size[0],
+        self.send(topic, "sensor_msgs/msg/CameraInfo", timestamp_ns, frame, height=size[1], width=size[0],
                   distortion_model=model, binning_x=0, binning_y=0, roi=region, **numbers)  # fmt: skip
 
-    def image(self, topic, stamp_ns, frame, encoding, pixels, *, order="<"):
+    def image(self, topic, timestamp_ns, frame, encoding, pixels, *, order="<"):
         data = np.ascontiguousarray(pixels).view(np.uint8).reshape(-1)
         height, width = pixels.shape[:2]
-        self.send(topic, "sensor_msgs/msg/Image", stamp_ns, frame, height, width, encoding, int(order == ">"),
+        self.send(topic, "sensor_msgs/msg/Image", timestamp_ns, frame, height, width, encoding, int(order == ">"),
                   len(data) // height, data)  # fmt: skip
 
 
@@ -171,29 +183,37 @@ def drive(path, kind, **options):
         bag.transform("/tf_static", EPOCH_NS, "base_link", "camera", (1.5, 0, 0), (-0.5, 0.5, -0.5, 0.5))
         bag.transform("/tf_static", EPOCH_NS, "base_link", "imu", (0, 0, 0), (0, 0, 1, 0))
         for k in range(4):
-            stamp = EPOCH_NS + k * PERIOD_NS
-            bag.transform("/tf", stamp, "map", "odom", (100, 0, 0.001 * k))
-            bag.transform("/tf", stamp, "odom", "base_link", (k, 0, 0))
+            timestamp = EPOCH_NS + k * PERIOD_NS
+            bag.transform("/tf", timestamp, "map", "odom", (100, 0, 0.001 * k))
+            bag.transform("/tf", timestamp, "odom", "base_link", (k, 0, 0))
             seconds = np.linspace(0, 0.0999, len(POINTS))
-            bag.cloud("/lidar/points", stamp, "lidar", packed(POINTS, ("ring", "u2", np.arange(400) % 16),
+            bag.cloud("/lidar/points", timestamp, "lidar", packed(POINTS, ("ring", "u2", np.arange(400) % 16),
                       ("intensity", "f4", np.arange(400) % 200), ("time", "f4", seconds)))  # fmt: skip
-            bag.cloud("/radar/points", stamp, "lidar", packed(POINTS[:5], ("velocity", "f4", np.arange(5))))
+            bag.cloud(
+                "/radar/points", timestamp, "lidar", packed(POINTS[:5], ("velocity", "f4", np.arange(5)))
+            )
             jpeg = np.frombuffer(simplejpeg.encode_jpeg(RGB, 95, "RGB", "444"), np.uint8)
             bag.send(
                 "/front/image_raw/compressed",
                 "sensor_msgs/msg/CompressedImage",
-                stamp,
+                timestamp,
                 "camera",
                 "rgb8; jpeg",
                 jpeg,
             )
-            bag.lens("/front/camera_info", stamp, "camera", "equidistant", [0.1, 0.02, 0.003, 0.0004])
-            bag.image(
-                "/depth/image", stamp, "camera", "32FC1", np.linspace(1, 5, 96, dtype="<f4").reshape(8, 12)
+            bag.camera_model(
+                "/front/camera_info", timestamp, "camera", "equidistant", [0.1, 0.02, 0.003, 0.0004]
             )
-            bag.send("/imu/data", "sensor_msgs/msg/Imu", stamp, "imu", bag.turn(0, 0, 0, 1), np.full(9, -1.0),
+            bag.image(
+                "/depth/image",
+                timestamp,
+                "camera",
+                "32FC1",
+                np.linspace(1, 5, 96, dtype="<f4").reshape(8, 12),
+            )
+            bag.send("/imu/data", "sensor_msgs/msg/Imu", timestamp, "imu", bag.rotation(0, 0, 0, 1), np.full(9, -1.0),
                      bag.vector(0.1, 0.2, 0.3), np.zeros(9), bag.vector(1, 2, 9.8), np.zeros(9))  # fmt: skip
-            bag.send("/gps/fix", "sensor_msgs/msg/NavSatFix", stamp, "base_link",
+            bag.send("/gps/fix", "sensor_msgs/msg/NavSatFix", timestamp, "base_link",
                      bag.make("sensor_msgs/msg/NavSatStatus", 0, 1), 48.0 + k, 11.0, 500.0,
                      np.diag([4.0, 4.0, 9.0]).reshape(-1), 2)  # fmt: skip
             spread = np.arange(36.0).reshape(6, 6)
@@ -202,18 +222,22 @@ def drive(path, kind, **options):
             )
             still = bag.make("geometry_msgs/msg/Twist", bag.vector(0, 0, 0), bag.vector(0, 0, 0))
             twist = bag.make("geometry_msgs/msg/TwistWithCovariance", still, np.zeros(36))
-            bag.send("/slam/odometry", "nav_msgs/msg/Odometry", stamp, "odom", "base_link", body, twist)
-            told = bag.make("vision_msgs/msg/ObjectHypothesis", "car", 0.75)
+            bag.send("/slam/odometry", "nav_msgs/msg/Odometry", timestamp, "odom", "base_link", body, twist)
+            reported = bag.make("vision_msgs/msg/ObjectHypothesis", "car", 0.75)
             nowhere = bag.make("geometry_msgs/msg/PoseWithCovariance", bag.pose((0, 0, 0)), np.zeros(36))
-            results = [bag.make("vision_msgs/msg/ObjectHypothesisWithPose", told, nowhere)]
+            results = [bag.make("vision_msgs/msg/ObjectHypothesisWithPose", reported, nowhere)]
             box = bag.make("vision_msgs/msg/BoundingBox3D", bag.pose((50 - k, 3, 1)), bag.vector(4, 2, 1.5))
-            seen = bag.make("vision_msgs/msg/Detection3D", bag.header(stamp, "base_link"), results, box, "7")
-            bag.send("/objects", "vision_msgs/msg/Detection3DArray", stamp, "base_link", [seen])
+            seen = bag.make(
+                "vision_msgs/msg/Detection3D", bag.header(timestamp, "base_link"), results, box, "7"
+            )
+            bag.send("/objects", "vision_msgs/msg/Detection3DArray", timestamp, "base_link", [seen])
             center = bag.make("vision_msgs/msg/Pose2D", bag.make("vision_msgs/msg/Point2D", 6.0, 4.0), 0.0)
             flat = bag.make("vision_msgs/msg/BoundingBox2D", center, 4.0, 2.0)
-            seen = bag.make("vision_msgs/msg/Detection2D", bag.header(stamp, "camera"), results, flat, "b")
-            bag.send("/front/detections", "vision_msgs/msg/Detection2DArray", stamp, "camera", [seen])
-            bag.add("/chatter", "std_msgs/msg/String", bag.make("std_msgs/msg/String", "hello"), stamp)
+            seen = bag.make(
+                "vision_msgs/msg/Detection2D", bag.header(timestamp, "camera"), results, flat, "b"
+            )
+            bag.send("/front/detections", "vision_msgs/msg/Detection2DArray", timestamp, "camera", [seen])
+            bag.add("/chatter", "std_msgs/msg/String", bag.make("std_msgs/msg/String", "hello"), timestamp)
     return bag.path
 
 
@@ -231,21 +255,21 @@ def test_topics_become_sensors_under_their_names(scene):
         "lidar": LidarSensor, "radar": RadarSensor, "front": CameraSensor, "depth": DepthCameraSensor, "imu": ImuSensor,
         "gps": GnssSensor,
     }  # fmt: skip
-    told = {notice.code: notice for notice in scene.notices}
-    assert told["unknown-messages"].count == 4
-    assert "std_msgs/msg/String" in told["unknown-messages"].message
-    assert any(n.code == "fields-not-read" and "velocities" in n.message for n in scene.notices)
+    reported = {warning.code: warning for warning in scene.warnings}
+    assert reported["unknown-messages"].count == 4
+    assert "std_msgs/msg/String" in reported["unknown-messages"].message
+    assert any(n.code == "fields-not-read" and "velocities" in n.message for n in scene.warnings)
 
 
-def test_sweeps_have_lasers_brightness_and_times_from_their_stamp(scene):
+def test_sweeps_have_lasers_brightness_and_times_from_their_timestamp(scene):
     frame = scene.lidars[0].frames[2]
-    stamp = EPOCH_NS + 2 * PERIOD_NS
-    assert frame.timestamp_ns == stamp
+    timestamp = EPOCH_NS + 2 * PERIOD_NS
+    assert frame.timestamp_ns == timestamp
     np.testing.assert_array_equal(frame.points.positions, POINTS)
     np.testing.assert_array_equal(frame.points.rings, np.arange(400) % 16)
     np.testing.assert_array_equal(frame.points.intensities, np.arange(400) % 200)
     # a float32 of seconds resolves 8 ns at a tenth of a second
-    np.testing.assert_allclose(frame.points.timestamps_ns - stamp, np.linspace(0, 99.9e6, 400), atol=8)
+    np.testing.assert_allclose(frame.points.timestamps_ns - timestamp, np.linspace(0, 99.9e6, 400), atol=8)
 
 
 def test_speeds_of_a_radar_go_along_the_line_of_sight(scene):
@@ -255,47 +279,47 @@ def test_speeds_of_a_radar_go_along_the_line_of_sight(scene):
     np.testing.assert_allclose(points.directions, expected, atol=1e-6)
 
 
-def test_the_tree_of_frames_places_sensors_and_tells_the_way(scene):
+def test_the_tree_of_frames_locations_sensors_and_reports_the_trajectory(scene):
     np.testing.assert_allclose(
         scene.lidars[0].mount.matrix, [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]], atol=1e-15
     )
-    way = scene.trajectories["tf"]
-    np.testing.assert_allclose(way.positions, [[100 + k, 0, 0.001 * k] for k in range(4)], atol=1e-12)
-    chosen = next(notice for notice in scene.notices if notice.code == "frames-chosen")
+    trajectory = scene.trajectories["tf"]
+    np.testing.assert_allclose(trajectory.positions, [[100 + k, 0, 0.001 * k] for k in range(4)], atol=1e-12)
+    chosen = next(warning for warning in scene.warnings if warning.code == "frames-chosen")
     assert "'base_link' is the ego, 'map' the world; odom could be it, too" in chosen.message
     np.testing.assert_allclose(scene.sensor("front").poses.positions[1], [102.5, 0, 0.001], atol=1e-12)
 
 
-def test_odometry_is_a_way_with_its_covariance_turn_before_place(scene):
-    way = scene.trajectories["slam"]
-    np.testing.assert_array_equal(way.positions, [[k, 5, 0] for k in range(4)])
+def test_odometry_is_a_trajectory_with_its_covariance_rotate_before_location(scene):
+    trajectory = scene.trajectories["slam"]
+    np.testing.assert_array_equal(trajectory.positions, [[k, 5, 0] for k in range(4)])
     spread = np.arange(36.0).reshape(6, 6)
     spread = spread + spread.T
-    np.testing.assert_array_equal(way.covariances[0][:3, :3], spread[3:, 3:])
-    np.testing.assert_array_equal(way.covariances[0][3:, 3:], spread[:3, :3])
-    np.testing.assert_array_equal(way.covariances[0][:3, 3:], spread[3:, :3])
+    np.testing.assert_array_equal(trajectory.covariances[0][:3, :3], spread[3:, 3:])
+    np.testing.assert_array_equal(trajectory.covariances[0][3:, 3:], spread[:3, :3])
+    np.testing.assert_array_equal(trajectory.covariances[0][:3, 3:], spread[3:, :3])
 
 
-def test_lenses_pictures_and_depths_are_read(scene):
+def test_camera_models_images_and_depths_are_read(scene):
     camera = scene.sensor("front")
     assert camera.camera.model == "fisheye"
     assert camera.camera.coefficients == (0.1, 0.02, 0.003, 0.0004)
     jpeg = simplejpeg.encode_jpeg(RGB, 95, "RGB", "444")
-    np.testing.assert_array_equal(camera.pictures[3].rgb, simplejpeg.decode_jpeg(jpeg, "RGB"))
+    np.testing.assert_array_equal(camera.images[3].rgb, simplejpeg.decode_jpeg(jpeg, "RGB"))
     depth = scene.sensor("depth").frames[1].depth
     np.testing.assert_array_equal(depth, np.linspace(1, 5, 96, dtype=np.float32).reshape(8, 12))
 
 
-def test_an_imu_that_is_turned_is_told_in_the_axes_of_the_ego(scene):
+def test_an_imu_that_is_rotated_is_reported_in_the_axes_of_the_ego(scene):
     streams = scene.sensor("imu").streams
-    # half a turn about z
+    # half a rotation about z
     np.testing.assert_allclose(streams["accelerometer"].values, np.tile([-1, -2, 9.8], (4, 1)), atol=1e-12)
     np.testing.assert_allclose(streams["gyroscope"].values, np.tile([-0.1, -0.2, 0.3], (4, 1)), atol=1e-12)
     assert "orientation" not in streams  # its covariance begins with -1: there is none
     assert scene.sensor("gps").accuracies.tolist() == [2.0] * 4
 
 
-def test_boxes_are_objects_in_the_world_and_in_pictures(scene):
+def test_boxes_are_objects_in_the_world_and_in_images(scene):
     (cuboid,) = [a for a in scene.annotations if isinstance(a, CuboidAnnotation)]
     assert (cuboid.id, cuboid.label) == ("7", "car")
     expected = [[4, 2, 1.5, 150, 3, 1 + 0.001 * k, 0, 0, 0] for k in range(4)]
@@ -333,9 +357,9 @@ def test_a_bag_that_is_packed_as_a_whole_says_how_to_unpack_it(tmp_path):
 
 
 TIMES = {
-    "nanoseconds from the stamp": ("t", "u4", 0, 1e9),
-    "microseconds from the stamp": ("offset_time", "u4", 0, 1e6),
-    "seconds before the stamp": ("time", "f4", -0.1, 1.0),
+    "nanoseconds from the timestamp": ("t", "u4", 0, 1e9),
+    "microseconds from the timestamp": ("offset_time", "u4", 0, 1e6),
+    "seconds before the timestamp": ("time", "f4", -0.1, 1.0),
     "seconds of the clock": ("timestamp", "f8", EPOCH_NS / 1e9, 1.0),
     "milliseconds in floats": ("time", "f8", 0, 1e3),
 }
@@ -364,7 +388,7 @@ def test_a_column_that_fits_no_unit_of_time_is_kept_as_it_is(tmp_path):
         points = scene.lidars[0].frames[0].points
         assert points.timestamps_ns is None
         assert points.extras["t"][0] == 7e5
-        assert any(notice.code == "point-times-not-used" for notice in scene.notices)
+        assert any(warning.code == "point-times-not-used" for warning in scene.warnings)
 
 
 def test_big_endian_points_in_rows_are_read(tmp_path):
@@ -383,14 +407,14 @@ IMAGES = {
 
 
 @pytest.mark.parametrize(("encoding", "pixels"), IMAGES.items(), ids=IMAGES)
-def test_raw_pictures_are_read_whatever_their_encoding(encoding, pixels, tmp_path):
+def test_raw_images_are_read_whatever_their_encoding(encoding, pixels, tmp_path):
     with Bag(tmp_path / "drive", "ros1") as bag:
         bag.image("/cam/image_raw", EPOCH_NS, "cam", encoding, pixels)
     with sceneloom.open(bag.path) as scene:
-        np.testing.assert_array_equal(scene.cameras[0].pictures[0].rgb, RGB)
+        np.testing.assert_array_equal(scene.cameras[0].images[0].rgb, RGB)
 
 
-def test_grey_pictures_are_repeated_and_mosaics_filled(tmp_path):
+def test_grey_images_are_repeated_and_mosaics_filled(tmp_path):
     plane = np.full((8, 12), 40, np.uint8)
     mosaic = plane.copy()
     mosaic[::2, ::2], mosaic[1::2, 1::2] = 200, 90  # red, and blue, of rggb
@@ -400,9 +424,9 @@ def test_grey_pictures_are_repeated_and_mosaics_filled(tmp_path):
         )
         bag.image("/mosaic/image_raw", EPOCH_NS, "cam", "bayer_rggb8", mosaic)
     with sceneloom.open(bag.path) as scene:
-        np.testing.assert_array_equal(scene.sensor("grey").pictures[0].rgb, np.full((8, 12, 3), 40))
+        np.testing.assert_array_equal(scene.sensor("grey").images[0].rgb, np.full((8, 12, 3), 40))
         np.testing.assert_array_equal(
-            scene.sensor("mosaic").pictures[0].rgb, np.tile([200, 40, 90], (8, 12, 1))
+            scene.sensor("mosaic").images[0].rgb, np.tile([200, 40, 90], (8, 12, 1))
         )
 
 
@@ -422,7 +446,7 @@ def read_by_rosbags(path):
     ],
 )
 def test_what_we_write_rosbags_reads(name, options, tmp_path):
-    source = planted()
+    source = injected()
     path = tmp_path / name
     sceneloom.write(source, path, **options)
     found = list(read_by_rosbags(path))
@@ -460,24 +484,26 @@ COMMON_FIELDS = {"x": "f4", "y": "f4", "z": "f4", "intensity": "f4", "ring": "u2
 
 
 def swept(tmp_path, *, earlier_ns=0):
-    """A bag of ours: two sweeps of points with intensities, lasers and times, and two pictures of one camera."""
-    stamps = EPOCH_NS + PERIOD_NS * np.arange(2)
+    """A bag of ours: two sweeps of points with intensities, lasers and times, and two images of one camera."""
+    timestamps = EPOCH_NS + PERIOD_NS * np.arange(2)
     times = np.linspace(0, 99_000_000, len(POINTS)).astype(np.int64) - earlier_ns
     measured = {
         "intensities": np.arange(len(POINTS), dtype=np.uint32).astype(np.uint8),
         "rings": (np.arange(len(POINTS)) % 16).astype(np.uint16),
     }
-    sweeps = [LidarFrame(int(t), LidarPoints(POINTS, timestamps_ns=t + times, **measured)) for t in stamps]
-    lens = Camera("pinhole", 12, 8, 10.0, 10.0, 5.5, 3.5)
-    pictures = [Picture.of(int(t), lens, RGB) for t in stamps + 30_000_000]
+    sweeps = [
+        LidarFrame(int(t), LidarPoints(POINTS, timestamps_ns=t + times, **measured)) for t in timestamps
+    ]
+    camera_model = Camera("pinhole", 12, 8, 10.0, 10.0, 5.5, 3.5)
+    images = [CameraImage.of(int(t), camera_model, RGB) for t in timestamps + 30_000_000]
     scene = Scene(
         (
-            LidarSensor("top", LazyFrames.of(sweeps, stamps.tolist())),
-            CameraSensor("front", lens, LazyFrames.of(pictures, (stamps + 30_000_000).tolist())),
+            LidarSensor("top", LazyFrames.of(sweeps, timestamps.tolist())),
+            CameraSensor("front", camera_model, LazyFrames.of(images, (timestamps + 30_000_000).tolist())),
         )
     )
     sceneloom.write(scene, tmp_path / "drive.bag")
-    return tmp_path / "drive.bag", stamps, times, measured
+    return tmp_path / "drive.bag", timestamps, times, measured
 
 
 def fields_of(message):
@@ -493,9 +519,9 @@ def fields_of(message):
 
 
 def test_clouds_have_the_fields_that_other_programs_look_for(tmp_path):
-    path, stamps, times, measured = swept(tmp_path)
+    path, timestamps, times, measured = swept(tmp_path)
     clouds = [message for topic, _, message in read_by_rosbags(path) if topic == "/top/points"]
-    assert len(clouds) == len(stamps)
+    assert len(clouds) == len(timestamps)
     for message in clouds:
         table = fields_of(message)
         assert {name: dtype.str[1:] for name, (dtype, _) in table.dtype.fields.items()} == COMMON_FIELDS
@@ -506,11 +532,11 @@ def test_clouds_have_the_fields_that_other_programs_look_for(tmp_path):
 
 @pytest.mark.parametrize("earlier_ns", [0, 50_000_000])
 def test_times_and_intensities_of_points_come_back_exactly(tmp_path, earlier_ns):
-    path, stamps, times, measured = swept(tmp_path, earlier_ns=earlier_ns)
+    path, timestamps, times, measured = swept(tmp_path, earlier_ns=earlier_ns)
     with sceneloom.open(path) as scene:
-        for frame, stamp in zip(scene.lidars[0].frames, stamps.tolist(), strict=True):
-            assert frame.timestamp_ns == stamp
-            np.testing.assert_array_equal(frame.points.timestamps_ns, stamp + times)
+        for frame, timestamp in zip(scene.lidars[0].frames, timestamps.tolist(), strict=True):
+            assert frame.timestamp_ns == timestamp
+            np.testing.assert_array_equal(frame.points.timestamps_ns, timestamp + times)
             np.testing.assert_array_equal(frame.points.intensities, measured["intensities"])
         sceneloom.write(scene, tmp_path / "copy.bag")
     first, again = (
@@ -526,14 +552,14 @@ def test_points_earlier_than_their_sweep_have_seconds_with_a_sign(tmp_path):
     np.testing.assert_allclose(fields_of(message)["time"], times / 1e9, atol=1e-12)
 
 
-def test_each_picture_comes_with_a_camera_info_of_its_time(tmp_path):
+def test_each_image_comes_with_a_camera_info_of_its_time(tmp_path):
     path, *_ = swept(tmp_path)
-    stamps = {"front/camera_info": [], "front/image/compressed": []}
+    timestamps = {"front/camera_info": [], "front/image/compressed": []}
     for topic, _, message in read_by_rosbags(path):
-        if topic[1:] in stamps:
-            stamps[topic[1:]].append((message.header.stamp.sec, message.header.stamp.nanosec))
-    assert len(stamps["front/camera_info"]) == 2
-    assert stamps["front/camera_info"] == stamps["front/image/compressed"]
+        if topic[1:] in timestamps:
+            timestamps[topic[1:]].append((message.header.stamp.sec, message.header.stamp.nanosec))
+    assert len(timestamps["front/camera_info"]) == 2
+    assert timestamps["front/camera_info"] == timestamps["front/image/compressed"]
 
 
 def test_kiss_icp_finds_the_times_that_it_deskews_by(tmp_path):
@@ -560,7 +586,7 @@ def test_a_bag_in_mcap_is_ros_own_and_no_file_of_foxglove(tmp_path):
 # ------------------------------------------------------------------ bad input
 
 
-def test_fields_beyond_the_point_are_refused_with_their_place(tmp_path):
+def test_fields_beyond_the_point_are_refused_with_their_location(tmp_path):
     with Bag(tmp_path / "drive", "ros1") as bag:
         bag.cloud("/points", EPOCH_NS, "lidar", packed(POINTS), offsets={"z": 10})
     with pytest.raises(
@@ -569,7 +595,7 @@ def test_fields_beyond_the_point_are_refused_with_their_place(tmp_path):
         sceneloom.open(bag.path)
     with sceneloom.open(bag.path, lenient=True) as scene:
         assert scene.sensors == ()
-        assert any(notice.code == "topics-at-fault" for notice in scene.notices)
+        assert any(warning.code == "topics-at-fault" for warning in scene.warnings)
 
 
 def test_fewer_bytes_than_points_are_refused(tmp_path):
@@ -590,18 +616,18 @@ def test_sweeps_without_points_are_sweeps(tmp_path):
         assert scene.lidars[0].frames[1].points.intensities[0] == 128
 
 
-def test_stamps_of_0_and_repeated_ones_are_told(tmp_path):
+def test_timestamps_of_0_and_repeated_ones_are_reported(tmp_path):
     with Bag(tmp_path / "drive", "ros1") as bag:
-        for k, stamp in enumerate((EPOCH_NS, 0, EPOCH_NS + 2 * PERIOD_NS, EPOCH_NS + 2 * PERIOD_NS)):
-            bag.cloud("/points", stamp, "lidar", packed(POINTS), received_ns=EPOCH_NS + k * PERIOD_NS)
+        for k, timestamp in enumerate((EPOCH_NS, 0, EPOCH_NS + 2 * PERIOD_NS, EPOCH_NS + 2 * PERIOD_NS)):
+            bag.cloud("/points", timestamp, "lidar", packed(POINTS), received_ns=EPOCH_NS + k * PERIOD_NS)
     with sceneloom.open(bag.path) as scene:
         assert (scene.lidars[0].frames.timestamps_ns - EPOCH_NS).tolist() == [0, PERIOD_NS, 2 * PERIOD_NS]
-        told = {notice.code: notice.count for notice in scene.notices}
-        assert told["stamps-zero"] == 1
-        assert told["repeated-stamps"] == 1
+        reported = {warning.code: warning.count for warning in scene.warnings}
+        assert reported["timestamps-zero"] == 1
+        assert reported["repeated-timestamps"] == 1
 
 
-def test_stamps_of_two_clocks_are_refused_unless_one_is_chosen(tmp_path):
+def test_timestamps_of_two_clocks_are_refused_unless_one_is_chosen(tmp_path):
     with Bag(tmp_path / "drive", "SQLITE3") as bag:
         for k in range(3):
             bag.cloud("/points", EPOCH_NS + k * PERIOD_NS, "lidar", packed(POINTS))
@@ -611,28 +637,28 @@ def test_stamps_of_two_clocks_are_refused_unless_one_is_chosen(tmp_path):
                      late_ns=EPOCH_NS - 5 * 10**9)  # fmt: skip
     with pytest.raises(DataError, match=r"mixed time bases: .* but of /cam/image_raw/compressed"):
         sceneloom.open(bag.path)
-    for options in ({"lenient": True}, {"stamps": "receive"}):
+    for options in ({"lenient": True}, {"timestamps": "receive"}):
         with sceneloom.open(bag.path, **options) as scene:
-            assert (scene.cameras[0].pictures.timestamps_ns - EPOCH_NS).tolist() == [
+            assert (scene.cameras[0].images.timestamps_ns - EPOCH_NS).tolist() == [
                 0,
                 PERIOD_NS,
                 2 * PERIOD_NS,
             ]
-    with sceneloom.open(bag.path, stamps="header") as scene:
-        assert scene.cameras[0].pictures.timestamps_ns[0] == 5 * 10**9
+    with sceneloom.open(bag.path, timestamps="header") as scene:
+        assert scene.cameras[0].images.timestamps_ns[0] == 5 * 10**9
     with pytest.raises(OptionError, match="header, receive"):
-        sceneloom.open(bag.path, stamps="mine")
+        sceneloom.open(bag.path, timestamps="mine")
 
 
-def test_a_camera_without_camera_info_is_told(tmp_path):
+def test_a_camera_without_camera_info_is_reported(tmp_path):
     with Bag(tmp_path / "drive", "SQLITE3") as bag:
         bag.image("/cam/image_raw", EPOCH_NS, "cam", "rgb8", RGB)
     with sceneloom.open(bag.path) as scene:
-        assert any(notice.code == "lens-missing" for notice in scene.notices)
-        np.testing.assert_array_equal(scene.cameras[0].pictures[0].rgb, RGB)
+        assert any(warning.code == "camera-model-missing" for warning in scene.warnings)
+        np.testing.assert_array_equal(scene.cameras[0].images[0].rgb, RGB)
 
 
-def test_pictures_of_unknown_forms_are_told_and_the_rest_is_read(tmp_path):
+def test_images_of_unknown_forms_are_reported_and_the_rest_is_read(tmp_path):
     with Bag(tmp_path / "drive", "SQLITE3") as bag:
         bag.cloud("/points", EPOCH_NS, "lidar", packed(POINTS))
         bag.image("/odd/image_raw", EPOCH_NS, "cam", "yuv444", RGB)
@@ -640,9 +666,9 @@ def test_pictures_of_unknown_forms_are_told_and_the_rest_is_read(tmp_path):
         bag.send("/web/compressed", "sensor_msgs/msg/CompressedImage", EPOCH_NS, "cam", "webp", webp)
     with sceneloom.open(bag.path) as scene:
         assert [sensor.id for sensor in scene.sensors] == ["points"]
-        told = [notice.message for notice in scene.notices if notice.code == "unknown-pictures"]
-        assert len(told) == 2
-        assert any("'yuv444'" in message for message in told)
+        reported = [warning.message for warning in scene.warnings if warning.code == "unknown-images"]
+        assert len(reported) == 2
+        assert any("'yuv444'" in message for message in reported)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -676,6 +702,6 @@ def test_bags_without_definitions_are_read_with_those_of_a_distribution(tmp_path
     for options in ({}, {"distro": "jazzy"}):
         with sceneloom.open(path, **options) as scene:
             np.testing.assert_array_equal(scene.lidars[0].frames[0].points.positions, POINTS)
-            assert any("my_msgs/msg/Own" in notice.message for notice in scene.notices)
+            assert any("my_msgs/msg/Own" in warning.message for warning in scene.warnings)
     with pytest.raises(OptionError, match=r"distro 'fortran'; expected one of .*humble"):
         sceneloom.open(path, distro="fortran")

@@ -14,6 +14,7 @@ from sceneloom.scene import (
     AttributePath,
     Box2DAnnotation,
     BoxPath,
+    CameraImage,
     CameraSensor,
     CuboidAnnotation,
     CuboidPath,
@@ -26,13 +27,12 @@ from sceneloom.scene import (
     LidarSensor,
     LinkAnnotation,
     OdometrySensor,
-    Picture,
     PlainSensor,
     PointPath,
     PointsAnnotation,
     PointsFrame,
     PointsSensor,
-    PosePath,
+    Poses,
     RadarFrame,
     RadarPoints,
     RadarSensor,
@@ -59,7 +59,7 @@ def sensor(s):
     out = {"id": s.id, "type": s.type.value, "times": [int(t) for t in s.poses.index], "poses": s.poses.values.tolist()}
     if s.type.value == "camera":
         i, d = s.intrinsics, s.intrinsics.distortion
-        out["lens"] = [i.fx, i.fy, i.cx, i.cy, i.width, i.height]
+        out["camera_model"] = [i.fx, i.fy, i.cx, i.cy, i.width, i.height]
         out["distortion"] = None if d is None else d.model.value
         out["images"] = [[m.timestamp, len(m.content)] for m in s.images or []]
         out["video"] = None if s.video is None else [s.video.timestamps, len(s.video.content), s.video.fps]
@@ -92,10 +92,10 @@ from scale_sensor_fusion_io.model_converters import to_scene_spec_sfs
 from scale_sensor_fusion_io.models import (
     AttributePath, CameraDistortion, CameraIntrinsics, CameraSensor, CameraSensorImage, CuboidAnnotation, CuboidPath,
     EventAnnotation, LabeledPoint, LabeledPointsAnnotation, LidarSensor, LidarSensorFrame, LidarSensorPoints,
-    LocalizationAdjustmentAnnotation, ObjectAnnotation, PosePath, RadarSensor, RadarSensorFrame,
+    LocalizationAdjustmentAnnotation, ObjectAnnotation, Poses, RadarSensor, RadarSensorFrame,
     RadarSensorPoints, Scene,
 )
-poses = PosePath([[1, 2, 3, 0, 0, 0.6, 0.8], [2, 3, 4, 0, 0, 0, 1]], index=[0, 100])
+poses = Poses([[1, 2, 3, 0, 0, 0.6, 0.8], [2, 3, 4, 0, 0, 0, 1]], index=[0, 100])
 xyz = np.arange(12, dtype=np.float32).reshape(4, 3)
 lidar = LidarSensor(id="top", poses=poses, frames=[LidarSensorFrame(timestamp=10, points=LidarSensorPoints(
     positions=xyz, colors=xyz.astype(np.uint8), intensities=np.arange(4, dtype=np.uint8),
@@ -141,7 +141,7 @@ def poses(*times_ns, seed=0):
     rng = np.random.default_rng(seed)
     quaternions = rng.normal(size=(len(times_ns), 4))
     quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
-    return PosePath(np.array(times_ns, np.int64), rng.normal(size=(len(times_ns), 3)), quaternions)
+    return Poses(np.array(times_ns, np.int64), rng.normal(size=(len(times_ns), 3)), quaternions)
 
 
 def a_drive():
@@ -161,12 +161,12 @@ def a_drive():
         )
         sweeps.append(LidarFrame(t, points))
     cycle = RadarFrame(times[0], RadarPoints(TWO, TWO, np.array([1.5, 2], np.float32), np.array(times[:2])))
-    lens = Camera("brown_conrady", 8, 6, 10.0, 11.0, 3.0, 2.0, (0.1, 0.01, 0.001, 0.002))
+    camera_model = Camera("brown_conrady", 8, 6, 10.0, 11.0, 3.0, 2.0, (0.1, 0.01, 0.001, 0.002))
     wide = Camera("kannala-brandt18", 8, 6, 10.0, 11.0, 3.0, 2.0, (0.1,) * 18)
-    pictures = [Picture.of(t, lens, np.full((6, 8, 3), 90, np.uint8)) for t in times]
-    lazy = LazyFrames.of(pictures, times)
+    images = [CameraImage.of(t, camera_model, np.full((6, 8, 3), 90, np.uint8)) for t in times]
+    lazy = LazyFrames.of(images, times)
     row = np.array([[4.0, 2.0, 1.5, 1.0, 2.0, 3.0, 0.0, 0.0, 270.0]])
-    stamps, two = np.array(times[:1]), np.array(times[:2])
+    timestamps, two = np.array(times[:1]), np.array(times[:2])
     attributes = (
         AttributePath("speed", (1.5, -2.25), two),
         AttributePath("colour", ("red", "red"), two, static=True),
@@ -176,18 +176,18 @@ def a_drive():
         ShapeAnnotation(
             kind.value,
             kind,
-            VertexPath(stamps, (flat if kind.value.endswith("_2d") else solid,)),
+            VertexPath(timestamps, (flat if kind.value.endswith("_2d") else solid,)),
             "front",
         )
         for kind in ShapeType
         if kind is not ShapeType.POINT_TOPDOWN
     ]
     annotations = [
-        CuboidAnnotation("c", CuboidPath(stamps, row), "car", attributes=attributes),
-        Box2DAnnotation("box_2d", "front", BoxPath(stamps, np.array([[1.0, 2.0, 3.0, 4.0]]))),
+        CuboidAnnotation("c", CuboidPath(timestamps, row), "car", attributes=attributes),
+        Box2DAnnotation("box_2d", "front", BoxPath(timestamps, np.array([[1.0, 2.0, 3.0, 4.0]]))),
         *shapes,
         GroupAnnotation("g", "all"),
-        PointsAnnotation("k", (PointPath(stamps, solid),)),
+        PointsAnnotation("k", (PointPath(timestamps, solid),)),
         EventAnnotation("e", times[1], duration_ns=5 * MS),
         LinkAnnotation("lk", "c", "g", "l", is_bidirectional=False),
     ]
@@ -196,18 +196,18 @@ def a_drive():
         LidarSensor("top", LazyFrames.of(sweeps, times), poses(*times), points_frame=PointsFrame.WORLD),
         LidarSensor("idle", LazyFrames.of([], []), poses(*times), points_frame=PointsFrame.WORLD),
         RadarSensor("radar", LazyFrames.of([cycle], times[:1]), poses(*times, seed=1)),
-        CameraSensor("front", lens, lazy, poses(*times, seed=2)),
-        CameraSensor("wide", wide, lazy, PosePath.identity()),
+        CameraSensor("front", camera_model, lazy, poses(*times, seed=2)),
+        CameraSensor("wide", wide, lazy, Poses.identity()),
         OdometrySensor("ego", poses(*times, seed=3)),
         PointsSensor("map", TWO),
         GnssSensor("gnss", np.array(times[:1]), np.ones((1, 3)), one, one),
         PlainSensor("sonar", "sonar", {"depth": 3}),
     )
-    scene_attributes = (AttributePath("fog", (0.5,), stamps),)
+    scene_attributes = (AttributePath("fog", (0.5,), timestamps),)
     return Scene(sensors, tuple(annotations), attributes=scene_attributes, metadata={"town": "Ulm"})
 
 
-def stamps(times_ns, offset_us):
+def timestamps(times_ns, offset_us):
     """Microseconds since the offset, halves to even, by exact fractions."""
     from fractions import Fraction
 
@@ -225,7 +225,7 @@ def test_the_profile_of_scale_loads_and_validates_with_equal_values(scale, tmp_p
     assert sorted(sensors) == ["front", "radar", "top", "wide"]
     for name in ("top", "front", "radar"):
         original = drive.sensor(name).poses
-        assert sensors[name]["times"] == stamps(original.timestamps_ns, offset)
+        assert sensors[name]["times"] == timestamps(original.timestamps_ns, offset)
         np.testing.assert_array_equal(
             sensors[name]["poses"], np.hstack([original.positions, original.quaternions_xyzw])
         )
@@ -236,18 +236,18 @@ def test_the_profile_of_scale_loads_and_validates_with_equal_values(scale, tmp_p
             np.array(frame["positions"], np.float32).reshape(-1, 3), points.positions
         )
         if len(points):
-            assert frame["times"] == stamps(points.timestamps_ns, offset)
+            assert frame["times"] == timestamps(points.timestamps_ns, offset)
             assert frame["timestamp"] == int(points.timestamps_ns.min()) // 1000 - offset
             assert frame["intensities"] == points.intensities.tolist()
             assert frame["colors"] == points.colors.tolist()
-    assert sensors["front"]["lens"] == [10.0, 11.0, 3.0, 2.0, 8, 6]
+    assert sensors["front"]["camera_model"] == [10.0, 11.0, 3.0, 2.0, 8, 6]
     assert (sensors["front"]["distortion"], sensors["wide"]["distortion"]) == ("brown_conrady", None)
-    assert [image[0] for image in sensors["front"]["images"]] == stamps(
+    assert [image[0] for image in sensors["front"]["images"]] == timestamps(
         drive.sensor("top").frames.timestamps_ns, offset
     )
     identifier, label, times, rows, attributes = read["cuboids"][0]
     assert (identifier, label, rows) == ("c", "car", [[4.0, 2.0, 1.5, 1.0, 2.0, 3.0, 0.0, 0.0, 270.0]])
-    assert times == stamps([START], offset)
+    assert times == timestamps([START], offset)
     assert attributes[0][2] == [1500, -2250]
     assert len(attributes[1][1]) == 1
     kept = {"c", "box_2d", "polygon_2d", "polygon_topdown", "polyline", "e"}

@@ -26,7 +26,7 @@ from sceneloom.scene import (
     ObjectAnnotation,
     PointPath,
     PointsAnnotation,
-    PosePath,
+    Poses,
     Projection,
     Scene,
     ShapeAnnotation,
@@ -48,21 +48,21 @@ from scale_sensor_fusion_io.models.annotations.polyline import PolylinePath
 attributes = [
     AttributePath(name="state", timestamps=[0, 50], values=["parked", 3], sensor_id="top", static=False),
     AttributePath(name="tags", timestamps=[0], values=[["a", "b"]], static=True)]
-said = dict(label="car", stationary=True, parent_id="o", attributes=attributes)
+stated = dict(label="car", stationary=True, parent_id="o", attributes=attributes)
 # its rows are x y z yaw pitch roll dx dy dz, the file's dx dy dz x y z roll pitch yaw
 row = [1.0, 2.0, 3.0, 90.0, 5.0, 7.0, 4.0, 2.0, 1.5]
-cuboid = CuboidAnnotation(id="c", path=CuboidPath([row, row], index=[0, 100]), **said, activations=[
+cuboid = CuboidAnnotation(id="c", path=CuboidPath([row, row], index=[0, 100]), **stated, activations=[
     CuboidActivationPath(sensor_id="top", timestamps=[0, 50], durations=[10.0, 2.5], cuboids=[row, row]),
     CuboidActivationPath(sensor_id=7, timestamps=[1], durations=[3], cuboids=None)], projections=[
     CuboidProjectionPath(sensor_id="front", timestamps=[0, 50], boxes=[[1.0, 2.0, 3.0, 4.5], None], cuboids=None)])
 line, other = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [1.5, 2.5, 3.5]
-poses = PosePath([[1, 2, 3, 0, 0, 0.6, 0.8], [2, 3, 4, 0, 0, 0, 1]], index=[0, 100])
+poses = Poses([[1, 2, 3, 0, 0, 0.6, 0.8], [2, 3, 4, 0, 0, 0, 1]], index=[0, 100])
 scene = Scene(sensors=[], annotations=[
     cuboid,
     AttributesAnnotation(id=1, parent_id="o", attributes=attributes),
-    Box2DAnnotation(id="b", sensor_id="front", path=Box2DPath([0], [[1.0, 2.0, 3.0, 4.5]]), **said),
-    PolygonAnnotation(id="p", sensor_id="front", path=PolygonPath([0], [line]), **said),
-    TopdownPolygonAnnotation(id="t", sensor_id=None, path=TopdownPolygonPath([0, 9], [line, other]), **said),
+    Box2DAnnotation(id="b", sensor_id="front", path=Box2DPath([0], [[1.0, 2.0, 3.0, 4.5]]), **stated),
+    PolygonAnnotation(id="p", sensor_id="front", path=PolygonPath([0], [line]), **stated),
+    TopdownPolygonAnnotation(id="t", sensor_id=None, path=TopdownPolygonPath([0, 9], [line, other]), **stated),
     PolylineAnnotation(id="l", sensor_id=None, path=PolylinePath([0, 9], [line, other]), is_closed=True,
         label="lane", stationary=True, attributes=attributes),
     EventAnnotation(id="e", start=5, duration=3, label="cut-in", sensor_id=7, parent_id="o", attributes=attributes),
@@ -176,7 +176,7 @@ def test_every_annotation_that_scales_library_writes_is_read_with_its_values(sca
     assert by_id["a"].poses.positions.tolist() == [[1, 2, 3], [2, 3, 4]]
     assert by_id["a"].poses.quaternions_xyzw.tolist() == [[0, 0, 0.6, 0.8], [0, 0, 0, 1]]
     assert (by_id["a"].parent_id, by_id["o"].label) == ("o", "thing")
-    assert scene.notices == () or {n.code for n in scene.notices} <= {"euler-unit", "euler-order"}
+    assert scene.warnings == () or {n.code for n in scene.warnings} <= {"euler-unit", "euler-order"}
 
 
 def test_a_file_of_scales_library_that_goes_through_here_is_the_same_there(scale, tmp_path):
@@ -196,13 +196,11 @@ def every_annotation():
         AttributePath("state", ("parked", 3, ("a", "b")), at(0, 5, 9), sensor_id="top"),
         AttributePath("speed", (1.5,), at(0), static=False),
     )
-    said = {"label": "car", "stationary": True, "parent_id": "o", "attributes": attributes}
+    stated = {"label": "car", "stationary": True, "parent_id": "o", "attributes": attributes}
     row = np.array([ROW, ROW])
     flat, solid = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     boxes = np.array([[1.0, 2.0, 3.0, 4.5], [np.nan] * 4])
-    poses = PosePath(
-        at(0, 10), np.array([[1.0, 2, 3], [4, 5, 6]]), np.array([[0.0, 0, 0.6, 0.8], [0, 0, 0, 1]])
-    )
+    poses = Poses(at(0, 10), np.array([[1.0, 2, 3], [4, 5, 6]]), np.array([[0.0, 0, 0.6, 0.8], [0, 0, 0, 1]]))
     shapes = [
         ShapeAnnotation(
             kind.value,
@@ -210,7 +208,7 @@ def every_annotation():
             VertexPath(at(0, 9), (flat, flat[:1]) if kind.value.endswith("_2d") else (solid, solid[:1])),
             "front",
             is_closed=True if kind is ShapeType.POLYLINE else None,
-            **said,
+            **stated,
         )
         for kind in ShapeType
     ]
@@ -218,16 +216,16 @@ def every_annotation():
         LabeledPoints("top", np.array([1, 3], np.uint32), 2),
         LabeledPoints("map", np.array([0], np.uint32)),
     )
-    lens = Camera("fisheye", 8, 6, 10.0, 11.0, 3.0, 2.0, (0.1, 0.2, 0.3, 0.4))
+    camera_model = Camera("fisheye", 8, 6, 10.0, 11.0, 3.0, 2.0, (0.1, 0.2, 0.3, 0.4))
     return (
         CuboidAnnotation(
             "cuboid",
             CuboidPath(at(0, 10), row),
             activations=(Activation("top", at(0, 5), durations_ns=(10_000, 2_500), cuboids=row),),
             projections=(Projection("front", at(0, 5), boxes=boxes, confirmed=(True, False), cuboids=row),),
-            **said,
+            **stated,
         ),
-        Box2DAnnotation("box_2d", "front", BoxPath(at(0), boxes[:1]), **said),
+        Box2DAnnotation("box_2d", "front", BoxPath(at(0), boxes[:1]), **stated),
         *shapes,
         PointsAnnotation("points", (PointPath(at(0), solid[:1]),)),
         EventAnnotation("event", START + 5 * MS, 3 * MS, "cut-in", "top", "o", attributes),
@@ -235,7 +233,7 @@ def every_annotation():
         LabeledPointsAnnotation("point_segmentation", parts, "road", type="point_segmentation"),
         LabeledPointsAnnotation("unlabelled", parts),
         LocalizationAdjustment("localization_adjustment", poses, "o"),
-        CameraCalibration("camera_calibration", "front", poses=poses, intrinsics=lens),
+        CameraCalibration("camera_calibration", "front", poses=poses, intrinsics=camera_model),
         ObjectAnnotation("o", "thing", attributes=attributes),
         ObjectAnnotation("attributes", parent_id="o", attributes=attributes, type="attributes"),
         LinkAnnotation("link", "cuboid", "o", "is", is_bidirectional=False),
@@ -267,20 +265,20 @@ def test_every_annotation_that_scales_library_loads_has_its_values_there(scale, 
     found = there["annotations"]
     assert {identifier: item["class"] for identifier, item in found.items()} == LOADABLE
 
-    def stamps(*milliseconds):
+    def timestamps(*milliseconds):
         return [START // 1000 - there["offset"] + 1000 * k for k in milliseconds]
 
     attributes = [
         {
             "name": "state",
-            "timestamps": stamps(0, 5, 9),
+            "timestamps": timestamps(0, 5, 9),
             "values": ["parked", 3, ["a", "b"]],
             "sensor_id": "top",
             "static": False,
         },
         {
             "name": "speed",
-            "timestamps": stamps(0),
+            "timestamps": timestamps(0),
             "values": [1500],
             "sensor_id": None,
             "static": False,
@@ -293,26 +291,26 @@ def test_every_annotation_that_scales_library_loads_has_its_values_there(scale, 
         item = found[identifier]
         assert (item["label"], item["stationary"], item["parent_id"]) == ("car", True, "o")
     cuboid = found["cuboid"]
-    assert cuboid["path"] == {"timestamps": stamps(0, 10), "values": [ROW, ROW]}
+    assert cuboid["path"] == {"timestamps": timestamps(0, 10), "values": [ROW, ROW]}
     assert cuboid["activations"] == [
-        {"sensor_id": "top", "timestamps": stamps(0, 5), "durations": [10, 2.5], "cuboids": [ROW, ROW]}
+        {"sensor_id": "top", "timestamps": timestamps(0, 5), "durations": [10, 2.5], "cuboids": [ROW, ROW]}
     ]
     assert cuboid["projections"] == [
         {
             "sensor_id": "front",
-            "timestamps": stamps(0, 5),
+            "timestamps": timestamps(0, 5),
             "boxes": [[1, 2, 3, 4.5], None],
             "cuboids": [ROW, ROW],
         }
     ]
-    assert found["box_2d"]["path"] == {"timestamps": stamps(0), "values": [[1, 2, 3, 4.5]]}
-    assert found["polygon_2d"]["path"] == {"timestamps": stamps(0, 9), "values": [[1, 2, 3, 4], [1, 2]]}
+    assert found["box_2d"]["path"] == {"timestamps": timestamps(0), "values": [[1, 2, 3, 4.5]]}
+    assert found["polygon_2d"]["path"] == {"timestamps": timestamps(0, 9), "values": [[1, 2, 3, 4], [1, 2]]}
     for name in ("polygon_topdown", "polyline"):
-        path_there = {"timestamps": stamps(0, 9), "values": [[1, 2, 3, 4, 5, 6], [1, 2, 3]]}
+        path_there = {"timestamps": timestamps(0, 9), "values": [[1, 2, 3, 4, 5, 6], [1, 2, 3]]}
         assert (found[name]["path"], found[name]["sensor_id"]) == (path_there, "front")
     assert found["polyline"]["is_closed"] is True
     event = found["event"]
-    assert (event["start"], event["duration"], event["sensor_id"]) == (stamps(5)[0], 3000, "top")
+    assert (event["start"], event["duration"], event["sensor_id"]) == (timestamps(5)[0], 3000, "top")
     parts = [
         {"sensor_id": "top", "point_ids": [1, 3], "sensor_frame": 2},
         {"sensor_id": "map", "point_ids": [0], "sensor_frame": None},
@@ -320,28 +318,28 @@ def test_every_annotation_that_scales_library_loads_has_its_values_there(scale, 
     assert found["labeled_points"]["labeled_points"] == found["point_segmentation"]["labeled_points"] == parts
     assert (found["labeled_points"]["label"], found["labeled_points"]["is_instance"]) == ("road", True)
     assert found["localization_adjustment"]["poses"] == {
-        "timestamps": stamps(0, 10),
+        "timestamps": timestamps(0, 10),
         "values": [[1, 2, 3, 0, 0, 0.6, 0.8], [4, 5, 6, 0, 0, 0, 1]],
     }
 
 
 def test_durations_and_nulls_that_scales_library_refuses_stand_aside(scale, tmp_path):
     path = tmp_path / "drive.sfs"
-    stamps, rows = np.array([START, START + MS]), np.array([ROW, ROW])
-    seen = Projection("front", stamps, np.ones((2, 4)), None, np.array([ROW, [np.nan] * 9]))
+    timestamps, rows = np.array([START, START + MS]), np.array([ROW, ROW])
+    seen = Projection("front", timestamps, np.ones((2, 4)), None, np.array([ROW, [np.nan] * 9]))
     annotations = (
         EventAnnotation("whole", START, 3 * MS),
         EventAnnotation("part", START, 3 * MS + 1),
         EventAnnotation("less", START, 0.5),
-        EventAnnotation("endless", START),
-        CuboidAnnotation("null", CuboidPath(stamps, rows), projections=(seen,)),
+        EventAnnotation("static", START),
+        CuboidAnnotation("null", CuboidPath(timestamps, rows), projections=(seen,)),
     )
     write_scene(Scene((), annotations), path, profile="scale")
     there = scale(READ, path)
     assert there["valid"]
-    assert set(there["annotations"]) == {"whole", "endless"}
+    assert set(there["annotations"]) == {"whole", "static"}
     back = {annotation.id: annotation for annotation in FORMAT.open(path).annotations}
-    assert [back[name].duration_ns for name in ("whole", "part", "less", "endless")] == [
+    assert [back[name].duration_ns for name in ("whole", "part", "less", "static")] == [
         3 * MS,
         3 * MS + 1,
         0.5,
@@ -371,6 +369,6 @@ def test_what_scales_library_refuses_stands_aside_and_comes_back(tmp_path):
     assert [annotation.id for annotation in read[-len(aside) :]] == [
         annotation.id for annotation in annotations if annotation.id in aside
     ]
-    told = {loss.field for loss in losses if loss.kept == "metadata.sceneloom.annotations"}
-    assert "annotations[labeled_points]" in told
-    assert {f"annotations[{name}]" for name in aside - {"unlabelled"}} <= told
+    reported = {loss.field for loss in losses if loss.kept == "metadata.sceneloom.annotations"}
+    assert "annotations[labeled_points]" in reported
+    assert {f"annotations[{name}]" for name in aside - {"unlabelled"}} <= reported

@@ -216,13 +216,13 @@ def test_a_file_of_a_folder_that_changed_meanwhile_is_an_error(bucket, drive):
             scene.lidars[0].frames[20].points.positions  # noqa: B018
 
 
-def test_what_is_missing_is_said_and_no_key_is_shown(bucket):
-    with pytest.raises(DataError, match=r"/absent\.sfs: cannot be found") as told:
+def test_what_is_missing_is_stated_and_no_key_is_shown(bucket):
+    with pytest.raises(DataError, match=r"/absent\.sfs: cannot be found") as reported:
         sceneloom.open(bucket.url("absent.sfs"))
-    assert not told.value.passing
+    assert not reported.value.passing
     with pytest.raises(OutputError, match="nobucket") as refused:
         upload(Path(__file__), f"{bucket.scheme}://nobucket/copy.sfs")
-    for error in (told, refused):
+    for error in (reported, refused):
         assert "hidden" not in str(error.value)
         assert KEY not in str(error.value)
 
@@ -244,14 +244,14 @@ def die(self, source):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def copy(place, output, options):
+def copy(location, output, options):
     stores._PART = 5 << 20
     name, mark = output.name, Path(options["marks"], output.name)
     seen = name in names_below(options["target"])
     with mark.open("a") as log:
         log.write(f"{seen} ")
     stores.Store.put = die if mark.read_text() == "False " else put
-    sceneloom.convert(place, output)
+    sceneloom.convert(location, output)
 '''
 
 
@@ -263,13 +263,13 @@ def test_a_batch_into_a_store_is_whole_and_of_one_run(bucket, drive, tmp_path, m
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "modules"), prepend=os.pathsep)
     (tmp_path / "marks").mkdir()
     target = bucket.url("run1/")
-    places = [bucket.url(f"in/{name}.sfs") for name in "ab"]
-    for place in places:
-        upload(drive, place)
+    locations = [bucket.url(f"in/{name}.sfs") for name in "ab"]
+    for location in locations:
+        upload(drive, location)
     job = Job(
         verb="copy",
         call="verb_that_dies:copy",
-        inputs=tuple(Input(place=place) for place in places),
+        inputs=tuple(Input(location=location) for location in locations),
         options={"marks": str(tmp_path / "marks"), "target": target},
         suffix=".sfs",
     )
@@ -292,7 +292,7 @@ def test_a_batch_into_a_store_is_whole_and_of_one_run(bucket, drive, tmp_path, m
         done(record=tmp_path / "other")
 
 
-def test_of_two_runs_that_begin_together_one_has_the_place(bucket, tmp_path):
+def test_of_two_runs_that_begin_together_one_has_the_location(bucket, tmp_path):
     if bucket.scheme == "gs":
         pytest.skip("the emulator takes an object twice where the store refuses the second one")
 
@@ -302,7 +302,7 @@ def test_of_two_runs_that_begin_together_one_has_the_place(bucket, tmp_path):
         except OutputError as error:
             return str(error)
 
-    with ThreadPoolExecutor(4) as crew:
-        told = list(crew.map(begin, range(4)))
-    assert sum(isinstance(one, str) for one in told) == 3
+    with ThreadPoolExecutor(4) as thread_pool:
+        reported = list(thread_pool.map(begin, range(4)))
+    assert sum(isinstance(one, str) for one in reported) == 3
     assert bucket.names() == ["run1/.sceneloom-run"]

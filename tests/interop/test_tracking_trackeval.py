@@ -99,17 +99,17 @@ def sides(data_dir, tmp_path_factory) -> tuple[Path, Path]:
     folder = data_dir / "real" / "kitti_tracking"
     if not folder.is_dir():
         pytest.skip(f"no sequences at {folder}")
-    place = tmp_path_factory.mktemp("trackeval")
-    (place / "truth" / "label_02").mkdir(parents=True)
-    (place / "results" / "greedy" / "data").mkdir(parents=True)
+    location = tmp_path_factory.mktemp("trackeval")
+    (location / "truth" / "label_02").mkdir(parents=True)
+    (location / "results" / "greedy" / "data").mkdir(parents=True)
     lengths = []
     for name in SEQUENCES:
         text = (folder / "label_02" / f"{name}.txt").read_text()
-        (place / "truth" / "label_02" / f"{name}.txt").write_text(text)
-        write_results(folder, place / "results" / "greedy" / "data" / f"{name}.txt", name)
+        (location / "truth" / "label_02" / f"{name}.txt").write_text(text)
+        write_results(folder, location / "results" / "greedy" / "data" / f"{name}.txt", name)
         lengths.append(f"{name} empty 000000 {int(text.split(chr(10))[-2].split()[0]) + 1:06d}\n")
-    (place / "truth" / "evaluate_tracking.seqmap.training").write_text("".join(lengths))
-    return place / "truth", place / "results"
+    (location / "truth" / "evaluate_tracking.seqmap.training").write_text("".join(lengths))
+    return location / "truth", location / "results"
 
 
 @pytest.fixture(scope="module")
@@ -129,8 +129,8 @@ def theirs(sides):
             trackeval.metrics.Identity({**quiet}),
         ]
         evaluator = trackeval.Evaluator({**off, **quiet, "LOG_ON_ERROR": None})
-        told, _ = evaluator.evaluate([dataset], metrics)
-    return told["Kitti2DBox"]["greedy"]
+        reported, _ = evaluator.evaluate([dataset], metrics)
+    return reported["Kitti2DBox"]["greedy"]
 
 
 @pytest.fixture(scope="module")
@@ -149,8 +149,8 @@ def test_figures_are_those_of_trackeval(ours, theirs, label, family):
     name, figures = FAMILIES[family]
     for sequence in (*SEQUENCES, "COMBINED_SEQ"):
         evaluated = ours[label]
-        told = evaluated.combined if sequence == "COMBINED_SEQ" else evaluated.sequences[sequence]
-        scores, expected = getattr(told, family), theirs[sequence][label][name]
+        reported = evaluated.combined if sequence == "COMBINED_SEQ" else evaluated.sequences[sequence]
+        scores, expected = getattr(reported, family), theirs[sequence][label][name]
         for figure, their_name in figures.items():
             # both add the same numbers in another order
             assert getattr(scores, figure) == pytest.approx(np.mean(expected[their_name]), abs=1e-9), (
@@ -168,6 +168,6 @@ def test_curves_over_similarities_are_those_of_trackeval(ours, theirs, label):
 
 
 def test_the_results_make_every_kind_of_mistake(ours):
-    told = [ours[label].combined.clear for label in ("car", "pedestrian")]
+    reported = [ours[label].combined.clear for label in ("car", "pedestrian")]
     for mistake in ("fn", "fp", "idsw", "frag", "mt", "pt", "ml"):
-        assert sum(getattr(clear, mistake) for clear in told) > 0, mistake
+        assert sum(getattr(clear, mistake) for clear in reported) > 0, mistake

@@ -1,4 +1,4 @@
-"""Undistorted pictures, against OpenCV's."""
+"""Undistorted images, against OpenCV's."""
 
 import numpy as np
 import pytest
@@ -34,15 +34,15 @@ def test_pixels_come_from_where_opencv_takes_them(camera, keep):
     expected = np.stack([columns, rows], axis=-1)
     inside = maps.seen
     assert inside.mean() > 0.3
-    assert np.abs(maps.places - expected)[inside].max() < 2e-4  # float32 of up to 1242 px
+    assert np.abs(maps.locations - expected)[inside].max() < 2e-4  # float32 of up to 1242 px
 
 
 @EACH_CAMERA
-def test_pictures_are_those_that_opencv_makes_of_a_real_one(camera, data_dir):
+def test_images_are_those_that_opencv_makes_of_a_real_one(camera, data_dir):
     from PIL import Image
 
-    with Image.open(data_dir / "real" / "kitti_object" / "image_2" / "000001.png") as picture:
-        rgb = np.asarray(picture.convert("RGB"))
+    with Image.open(data_dir / "real" / "kitti_object" / "image_2" / "000001.png") as image:
+        rgb = np.asarray(image.convert("RGB"))
     camera = camera.resized(rgb.shape[1], rgb.shape[0])
     maps = Undistortion.between(camera, undistorted_camera(camera, keep=1.0))
     ours = maps.apply(rgb).astype(int)
@@ -51,7 +51,9 @@ def test_pictures_are_those_that_opencv_makes_of_a_real_one(camera, data_dir):
     undo = cv2.fisheye.undistortImage if camera.model == "fisheye" else cv2.undistort
     usual = undo(rgb, camera.matrix, np.array(camera.coefficients), None, maps.target.matrix)
     size = [camera.width - 1, camera.height - 1]
-    whole = ((maps.places >= 0) & (maps.places <= size)).all(axis=-1)  # OpenCV blends its border with black
+    whole = ((maps.locations >= 0) & (maps.locations <= size)).all(
+        axis=-1
+    )  # OpenCV blends its border with black
     assert np.abs(ours - exact)[whole].max() <= 1
     # its own call takes weights of 1/32: next to black and white that is up to 255/64 levels and more
     off = np.abs(ours - usual)[whole]

@@ -215,8 +215,8 @@ REFUSED = {
     "no intrinsics": ((*CAMERA, "intrinsics"), GONE),
     "intrinsics without cy": ((*CAMERA, "intrinsics", "cy"), GONE),
     "a float width": ((*CAMERA, "intrinsics", "width"), 8.5),
-    "an unknown lens": ((*CAMERA, "intrinsics", "distortion", "model"), "kannala-brandt18"),
-    "a lens without numbers": ((*CAMERA, "intrinsics", "distortion", "params"), GONE),
+    "an unknown camera model": ((*CAMERA, "intrinsics", "distortion", "model"), "kannala-brandt18"),
+    "a camera model without numbers": ((*CAMERA, "intrinsics", "distortion", "params"), GONE),
     "neither video nor images": ((*CAMERA, "images"), GONE),
     "images at one time": ((*CAMERA, "images", 1, "timestamp"), 0),
     "images that begin late": ((*CAMERA, "images", 0, "timestamp"), 200_000_000),
@@ -238,8 +238,8 @@ REFUSED = {
     "an activation without a sensor": ((*CAR, "activations", 0, "sensor_id"), GONE),
     "a projection without boxes": ((*CAR, "projections", 0, "boxes"), GONE),
     "a box without its sensor": (("annotations", 1, "sensor_id"), GONE),
-    "a line in pictures": (CAR, shape("polyline_2d")),
-    "a point in pictures": (CAR, shape("point_2d")),
+    "a line in images": (CAR, shape("polyline_2d")),
+    "a point in images": (CAR, shape("point_2d")),
     "a polygon in space": (CAR, shape("polygon")),
     "a point in space": (CAR, shape("point")),
     "a point on the ground": (CAR, shape("point_topdown", stationary=True)),
@@ -266,7 +266,7 @@ REFUSED = {
 
 TAKEN = {
     "nothing wrong": (("metadata", "more"), 1),
-    "the latest first stamp": ((*LIDAR, "poses", "timestamps"), [100_000_000, 100_100_000]),
+    "the latest first timestamp": ((*LIDAR, "poses", "timestamps"), [100_000_000, 100_100_000]),
     "the highest rate": ((*FIRST, "timestamp"), 90_000),
     "no offset": (("time_offset",), GONE),
     "a unit by default": (("time_unit",), GONE),
@@ -274,7 +274,7 @@ TAKEN = {
     "points at the frame's time": ((*SECOND, "points", "timestamps"), np.full(4, 100_000, np.uint32)),
     "flat positions": ((*FIRST, "points", "positions"), np.ones(15, np.float32)),
     "an integer pose": ((*LIDAR, "poses", "values"), [[0, 0, 0, 0, 0, 0, 1]] * 2),
-    "a lens without distortion": ((*CAMERA, "intrinsics", "distortion"), None),
+    "a camera model without distortion": ((*CAMERA, "intrinsics", "distortion"), None),
     "a list attribute": ((*CAR, "attributes", 0, "values"), ["parked", ["a", "b"]]),
     "a cuboid without keyframes": ((*CAR, "path"), {"timestamps": [], "values": []}),
     "null boxes": ((*CAR, "projections", 0, "boxes"), [None, None]),
@@ -292,43 +292,45 @@ ODD_VALUES = [
 ]
 
 
-def places_of(node, place=()):
-    """All places of a header."""
+def locations_of(node, location=()):
+    """All locations of a header."""
     if isinstance(node, dict | list):
         for key, value in node.items() if isinstance(node, dict) else enumerate(node):
-            yield (*place, key)
-            yield from places_of(value, (*place, key))
+            yield (*location, key)
+            yield from locations_of(value, (*location, key))
 
 
 def drawn(count=80):
-    """Some of all pairs of a place and an odd value."""
+    """Some of all pairs of a location and an odd value."""
     rng = np.random.default_rng(4)
-    places = list(places_of(a_file()))
-    pairs = [(int(rng.integers(len(places))), int(rng.integers(len(ODD_VALUES)))) for _ in range(count)]
-    return {f"drawn {place} {value}": (places[place], ODD_VALUES[value]) for place, value in pairs}
+    locations = list(locations_of(a_file()))
+    pairs = [(int(rng.integers(len(locations))), int(rng.integers(len(ODD_VALUES)))) for _ in range(count)]
+    return {
+        f"drawn {location} {value}": (locations[location], ODD_VALUES[value]) for location, value in pairs
+    }
 
 
-def planted(place, value):
+def injected(location, value):
     """The sound scene with one thing changed."""
     header = a_file()
     node = header
-    for key in place[:-1]:
+    for key in location[:-1]:
         node = node[key]
     if value is GONE:
-        del node[place[-1]]
+        del node[location[-1]]
     else:
-        node[place[-1]] = deepcopy(value)
+        node[location[-1]] = deepcopy(value)
     return header
 
 
 @pytest.fixture(scope="module")
 def verdicts(scale_python, encode_sfs, tmp_path_factory):
     """What Scale's library says of every file, and where the file is; its interpreter is started once."""
-    folder = tmp_path_factory.mktemp("planted")
+    folder = tmp_path_factory.mktemp("injected")
     paths = {}
-    for number, (name, (place, value)) in enumerate({**REFUSED, **TAKEN, **drawn()}.items()):
+    for number, (name, (location, value)) in enumerate({**REFUSED, **TAKEN, **drawn()}.items()):
         paths[name] = str(folder / f"{number}.sfs")
-        (folder / f"{number}.sfs").write_bytes(encode_sfs(planted(place, value)))
+        (folder / f"{number}.sfs").write_bytes(encode_sfs(injected(location, value)))
     (folder / "files.json").write_text(json.dumps(paths))
     done = subprocess.run(
         [scale_python, "-c", JUDGE, str(folder / "files.json")],
@@ -338,25 +340,25 @@ def verdicts(scale_python, encode_sfs, tmp_path_factory):
         check=False,
     )
     assert done.returncode == 0, done.stderr[-2000:]
-    said = json.loads(done.stdout.splitlines()[-1])
-    return {name: (said[name], paths[name]) for name in paths}
+    stated = json.loads(done.stdout.splitlines()[-1])
+    return {name: (stated[name], paths[name]) for name in paths}
 
 
 RULE_IDS = [rule.id for rule in RULES]
 
 
 def errors_of(path):
-    """What the rules of the profile find; pictures are not looked into, since the library does not either."""
+    """What the rules of the profile find; images are not looked into, since the library does not either."""
     report = validate(path, profile="scale", frames=False, rules=RULE_IDS)
     return {found.path: found.message for found in report.findings if found.severity == "error"}
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_the_library_refuses_is_found_at_its_place(verdicts, name):
+def test_what_the_library_refuses_is_found_at_its_location(verdicts, name):
     (loaded, validated), path = verdicts[name]
     assert loaded or validated
     part = format_keys(REFUSED[name][0][:2])
-    assert any(place.startswith(part) for place in errors_of(path))
+    assert any(location.startswith(part) for location in errors_of(path))
 
 
 @pytest.mark.parametrize("name", TAKEN)

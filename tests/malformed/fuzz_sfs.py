@@ -56,11 +56,11 @@ STRANGE += [
     {"id": 1},
     {"timestamps": [1]},
 ]
-"""What takes the place of values of a header."""
+"""What takes the position of values of a header."""
 
 TWO = [[1.0, 2, 3], [4, 5, 6]]
 POSES = {"timestamps": [0, 100], "values": [[1, 2, 3, 0, 0, 0, 1], [1, 2, 3, 0, 0, 0.6, 0.8]]}
-LENS = {"fx": 9.5, "fy": 9, "cx": 3.5, "cy": 3.5, "width": 8, "height": 8}
+CAMERA_MODEL = {"fx": 9.5, "fy": 9, "cx": 3.5, "cy": 3.5, "width": 8, "height": 8}
 PATH = {"timestamps": [0, 10], "values": [[1.0] * 9] * 2}
 PROJECTIONS = [{"sensor_id": "c", "timestamps": [0], "boxes": [[1, 2, 3, 4]], "confirmed": [True]}]
 ATTRIBUTES = [
@@ -96,7 +96,7 @@ ANNOTATIONS = {
         "labeled_points": [{"sensor_id": "l", "sensor_frame": 0, "point_ids": ("uint32", [0, 1])}],
     },
     "localization_adjustment": {"poses": POSES},
-    "camera_calibration": {"sensor_id": "c", "poses": POSES, "intrinsics": LENS, "time_offset": 3},
+    "camera_calibration": {"sensor_id": "c", "poses": POSES, "intrinsics": CAMERA_MODEL, "time_offset": 3},
     "object": {"label": "car", "attributes": ATTRIBUTES},
     "link": {"from_id": "object", "to_id": "cuboid", "is_bidirectional": True},
     "group": {"label": "g"},
@@ -114,7 +114,7 @@ SENSORS = {
     "points": {"points": {"positions": ("float32", TWO)}},
     "camera": {
         "poses": POSES,
-        "intrinsics": {**LENS, "distortion": {"model": "fisheye", "params": [1, 2, 3, 4]}},
+        "intrinsics": {**CAMERA_MODEL, "distortion": {"model": "fisheye", "params": [1, 2, 3, 4]}},
         "images": [{"timestamp": 3, "content": ("uint8", [255, 216, 255])}],
     },
     "odometry": {"poses": POSES},
@@ -126,12 +126,12 @@ def encoded(header: dict[str, object]) -> bytes:
     """Write a container; arrays are given as (dtype, values)."""
     items, blobs = [], bytes(4)
 
-    def place(node: object, keys: list[object]) -> object:
+    def location(node: object, keys: list[object]) -> object:
         nonlocal blobs
         if isinstance(node, dict):
-            return {key: place(value, [*keys, key]) for key, value in node.items()}
+            return {key: location(value, [*keys, key]) for key, value in node.items()}
         if isinstance(node, list):
-            return [place(value, [*keys, index]) for index, value in enumerate(node)]
+            return [location(value, [*keys, index]) for index, value in enumerate(node)]
         if isinstance(node, tuple):
             array = np.array(node[1], node[0])
             item = {"keys": keys, "length": array.nbytes, "offset": len(blobs)}
@@ -140,7 +140,7 @@ def encoded(header: dict[str, object]) -> bytes:
             return ""
         return node
 
-    text = json.dumps({**place(header, []), "$items": items}, separators=(",", ":")).encode()
+    text = json.dumps({**location(header, []), "$items": items}, separators=(",", ":")).encode()
     return text + blobs
 
 
@@ -160,19 +160,19 @@ def seeds() -> dict[str, bytes]:
         ],
         "sensors": [{"id": "i", "type": "imu", "streams": {"gyroscope": imu}}],
         "trajectories": [{"name": "w", "timestamps_ns": ("int64", [1, 2]), "positions": ("float64", TWO)}],
-        "notices": [{"kind": "assumed", "code": "a", "place": "b", "message": "c", "count": 1}],
+        "warnings": [{"kind": "assumed", "code": "a", "location": "b", "message": "c", "count": 1}],
     }
     found["ours"] = encoded({"version": "1.0", "attributes": ATTRIBUTES, "metadata": {"sceneloom": ours}})
     return found
 
 
-def places(node: Any, holder: Any = None, key: Any = None) -> Iterator[tuple[Any, Any]]:
+def locations(node: Any, holder: Any = None, key: Any = None) -> Iterator[tuple[Any, Any]]:
     """What holds each value of a header, and under which key."""
     if holder is not None:
         yield holder, key
     parts = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
     for inner, value in parts:
-        yield from places(value, node, inner)
+        yield from locations(value, node, inner)
 
 
 def changed(content: bytes, longest: int, seed: int) -> bytes:
@@ -182,14 +182,14 @@ def changed(content: bytes, longest: int, seed: int) -> bytes:
     try:
         header = json.loads(content[:stop])
         for _ in range(rng.randint(1, 3)):
-            holder, key = rng.choice(list(places(header)))
-            other, its_key = rng.choice(list(places(header)))
-            way = rng.random()
-            if way < 0.2:
+            holder, key = rng.choice(list(locations(header)))
+            other, its_key = rng.choice(list(locations(header)))
+            trajectory = rng.random()
+            if trajectory < 0.2:
                 del holder[key]
-            elif way < 0.3 and isinstance(holder, list):
+            elif trajectory < 0.3 and isinstance(holder, list):
                 holder.append(copy.deepcopy(holder[key]))
-            elif way < 0.6:
+            elif trajectory < 0.6:
                 holder[key] = copy.deepcopy(other[its_key])
             else:
                 holder[key] = copy.deepcopy(rng.choice(STRANGE))
@@ -207,11 +207,11 @@ def look_at_everything(path: Path) -> None:
     for options in ({}, {"lenient": True}):
         with contextlib.suppress(SceneloomError), FORMAT.open(path, **options) as scene:
             for sensor in scene.sensors:
-                for frame in (*getattr(sensor, "frames", ()), *getattr(sensor, "pictures", ())):
+                for frame in (*getattr(sensor, "frames", ()), *getattr(sensor, "images", ())):
                     getattr(frame, "points", None)
-                for picture in getattr(sensor, "pictures", ()):
+                for image in getattr(sensor, "images", ()):
                     with contextlib.suppress(SceneloomError):
-                        picture.rgb.max()
+                        image.rgb.max()
             repr(scene.annotations)
     with contextlib.suppress(SceneloomError):
         target = path.with_suffix(".out.sfs")

@@ -1,11 +1,11 @@
-"""Mutants of whole drives: each is read to its end, told of and validated in a process of its own with little memory.
+"""Mutants of whole drives: each is read to its end, reported and validated in a process of its own with little memory.
 
 A mutant is a drive with one file changed, and is known by the name of the drive and a number, so that each can be made
 again: `python -m tests.malformed.mutants NAME NUMBER` shows what becomes of one, with its traceback.
 `python -m tests.malformed.mutants NAME --count 2000` tries the first of them, `--count 2000 120`
 for two minutes at most, and says how many there were of each outcome, how long they took and the most memory.
 Mutants with negative numbers have a named pipe, a device, a folder, a socket or a file of 200 GB without content in
-the place of a file, or a file that is named by a number beyond 64 bits, or has values nested 100,000 deep.
+the position of a file, or a file that is named by a number beyond 64 bits, or has values nested 100,000 deep.
 
 What may become of a mutant is a scene, or a `SceneloomError`. Any other exception, a process that dies, takes more
 memory than `MEMORY`, or longer than `SECONDS`, is a failure.
@@ -61,7 +61,7 @@ _NUMBERS = tuple(
 
 
 def sound_scene() -> Any:
-    """A small drive with sweeps, pictures, boxes, an IMU and a trajectory."""
+    """A small drive with sweeps, images, boxes, an IMU and a trajectory."""
     from sceneloom.cameras.camera import Camera
     from sceneloom.simulate import CameraSpec, ImuSpec, LidarSpec, camera_mount, simulate_street
 
@@ -70,22 +70,22 @@ def sound_scene() -> Any:
     return simulate_street(5, frames=2, lidar=lidar, cameras=(camera,), imu=imu).scene
 
 
-def _written(name: str, place: str, **options: Any) -> Callable[[Path], Path]:
+def _written(name: str, location: str, **options: Any) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         from sceneloom.formats import write_scene
 
-        write_scene(sound_scene(), folder / place, format=name, **options)
-        return folder / place
+        write_scene(sound_scene(), folder / location, format=name, **options)
+        return folder / location
 
     return write
 
 
-def _by_test(module: str, function: str, place: str = "drive") -> Callable[[Path], Path]:
+def _by_test(module: str, function: str, location: str = "drive") -> Callable[[Path], Path]:
     """A drive of a format that is only read, made by the writer in the tests of that format."""
 
     def write(folder: Path) -> Path:
-        (folder / place).mkdir(exist_ok=True)
-        written: Path = getattr(import_module(f"tests.unit.formats.{module}"), function)(folder / place)
+        (folder / location).mkdir(exist_ok=True)
+        written: Path = getattr(import_module(f"tests.unit.formats.{module}"), function)(folder / location)
         return written
 
     return write
@@ -140,12 +140,12 @@ def _packed_bag(folder: Path) -> Path:
     return folder / "drive.bag"
 
 
-def _copied(place: str) -> Callable[[Path], Path]:
+def _copied(location: str) -> Callable[[Path], Path]:
     """A file of someone else, out of the folder of real data."""
 
     def copy(folder: Path) -> Path:
         data = os.environ.get("SCENELOOM_DATA", _ROOT.parent / "shared" / "data")
-        source = Path(data, "real", "strangers", place)
+        source = Path(data, "real", "strangers", location)
         return Path(shutil.copyfile(source, folder / source.name))
 
     return copy
@@ -163,12 +163,12 @@ DRIVES: dict[str, Callable[[Path], Path]] = {
     "mcap": _written("mcap", "drive.mcap"),
     "mcap lz4": _written("mcap", "drive.mcap", compression="lz4"),
     "mcap zstd unchecked": _without_checksums,
-    "ros1": _written("ros1", "drive.bag", pictures="raw"),
+    "ros1": _written("ros1", "drive.bag", images="raw"),
     "ros1 lz4": _packed_bag,
     "ros2": _written("ros2", "drive"),
     "ros2 sqlite": _written("ros2", "drive", storage="sqlite3"),
 }
-"""Writers of sound drives, by their format and what else tells them apart.
+"""Writers of sound drives, by their format and what else reports them apart.
 
 Each takes an empty folder and gives the path of the drive in it, a file or a folder.
 """
@@ -203,16 +203,16 @@ ALL_DRIVES = DRIVES | OTHER_DRIVES | STRANGERS
 
 def mutant_of(content: bytes, chance: np.random.Generator) -> bytes:
     """Change a file in one of many ways; its beginning more often than the rest."""
-    return _WAYS[int(chance.integers(len(_WAYS)))](content, chance)
+    return _TRAJECTORIES[int(chance.integers(len(_TRAJECTORIES)))](content, chance)
 
 
-def _place(content: bytes, chance: np.random.Generator) -> int:
+def _location(content: bytes, chance: np.random.Generator) -> int:
     reach = len(content) if chance.random() < 0.5 else min(_HEAD, len(content))
     return int(chance.integers(reach + 1))
 
 
 def _span(content: bytes, chance: np.random.Generator) -> tuple[int, int]:
-    start = _place(content, chance)
+    start = _location(content, chance)
     return start, start + int(chance.integers(1, 65))
 
 
@@ -220,17 +220,17 @@ def _flipped(content: bytes, chance: np.random.Generator) -> bytes:
     changed = bytearray(content)
     for _ in range(int(chance.integers(1, 4))):
         if changed:
-            changed[min(_place(content, chance), len(changed) - 1)] ^= 1 << int(chance.integers(8))
+            changed[min(_location(content, chance), len(changed) - 1)] ^= 1 << int(chance.integers(8))
     return bytes(changed)
 
 
 def _set(content: bytes, chance: np.random.Generator) -> bytes:
-    place = _place(content, chance)
-    return content[:place] + chance.bytes(1) + content[place + 1 :]
+    location = _location(content, chance)
+    return content[:location] + chance.bytes(1) + content[location + 1 :]
 
 
 def _cut(content: bytes, chance: np.random.Generator) -> bytes:
-    return content[: _place(content, chance)]
+    return content[: _location(content, chance)]
 
 
 def _doubled(content: bytes, chance: np.random.Generator) -> bytes:
@@ -244,15 +244,15 @@ def _removed(content: bytes, chance: np.random.Generator) -> bytes:
 
 
 def _inserted(content: bytes, chance: np.random.Generator) -> bytes:
-    place = _place(content, chance)
-    return content[:place] + chance.bytes(int(chance.integers(1, 17))) + content[place:]
+    location = _location(content, chance)
+    return content[:location] + chance.bytes(int(chance.integers(1, 17))) + content[location:]
 
 
 def _numbered(content: bytes, chance: np.random.Generator) -> bytes:
-    place, number = _place(content, chance), _NUMBERS[int(chance.integers(len(_NUMBERS)))]
+    location, number = _location(content, chance), _NUMBERS[int(chance.integers(len(_NUMBERS)))]
     if chance.random() < 0.5:
-        place -= place % len(number)
-    return content[:place] + number + content[place + len(number) :]
+        location -= location % len(number)
+    return content[:location] + number + content[location + len(number) :]
 
 
 def _replaced(content: bytes, chance: np.random.Generator) -> bytes:
@@ -269,7 +269,7 @@ def _replaced(content: bytes, chance: np.random.Generator) -> bytes:
 
 
 def _relined(content: bytes, chance: np.random.Generator) -> bytes:
-    """Leave a line out, or say it twice, or somewhere else."""
+    """Leave a line out, or state it twice, or somewhere else."""
     lines = content.split(b"\n")
     taken = lines.pop(int(chance.integers(len(lines))))
     for _ in range(int(chance.integers(3))):
@@ -277,7 +277,7 @@ def _relined(content: bytes, chance: np.random.Generator) -> bytes:
     return b"\n".join(lines)
 
 
-_WAYS = (_flipped, _set, _cut, _doubled, _removed, _inserted, _numbered, _numbered, _replaced, _replaced, _replaced,
+_TRAJECTORIES = (_flipped, _set, _cut, _doubled, _removed, _inserted, _numbered, _numbered, _replaced, _replaced, _replaced,
          _relined)  # fmt: skip
 
 
@@ -287,18 +287,18 @@ class Failure:
 
     Attributes:
         number: which mutant.
-        told: the traceback, or what became of the process.
+        reported: the traceback, or what became of the process.
     """
 
     number: int
-    told: str
+    reported: str
 
     @property
     def kind(self) -> str:
         """The same for failures of one cause: where the exception came from, or what became of the process."""
-        places = re.findall(r'File "[^"]*/(sceneloom/[^"]*)", line (\d+)', self.told)
-        last = self.told.strip().splitlines()[-1][:120]
-        return f"{':'.join(places[-1])}: {last}" if places else last
+        locations = re.findall(r'File "[^"]*/(sceneloom/[^"]*)", line (\d+)', self.reported)
+        last = self.reported.strip().splitlines()[-1][:120]
+        return f"{':'.join(locations[-1])}: {last}" if locations else last
 
 
 class Tried:
@@ -341,25 +341,25 @@ def try_mutants(name: str, numbers: range | None, *, seconds: float = float("inf
 def _work_off(name: str, folder: Path, waiting: list[int], tried: Tried, stop: float) -> None:
     """Give mutants to one worker until it dies or none is left."""
     with _worker(name, folder) as worker:
-        told = _answer(worker, 300.0)
-        if told is None or told["outcome"] != "scene":
-            raise AssertionError(f"the sound drive {name!r} cannot be read: {told}")
+        reported = _answer(worker, 300.0)
+        if reported is None or reported["outcome"] != "scene":
+            raise AssertionError(f"the sound drive {name!r} cannot be read: {reported}")
         while waiting and time.monotonic() < stop:
             number = waiting.pop()
             worker.stdin.write(f"{number}\n".encode())
             worker.stdin.flush()
             # a video is looked through for ten seconds each time that it is opened
-            told = _answer(worker, SECONDS if number >= 0 else 3 * SECONDS)
-            if told is None:
+            reported = _answer(worker, SECONDS if number >= 0 else 3 * SECONDS)
+            if reported is None:
                 worker.kill()
                 code = worker.wait()
-                fate = "was killed: it took too long" if code == -9 else f"died: exit code {code}"
+                support = "was killed: it took too long" if code == -9 else f"died: exit code {code}"
                 tried.outcomes["failed"] += 1
-                tried.failures.append(Failure(number, f"the process {fate}"))
+                tried.failures.append(Failure(number, f"the process {support}"))
                 return
-            tried.outcomes[told["outcome"]] += 1
-            if told["outcome"] == "failed":
-                tried.failures.append(Failure(number, told["told"]))
+            tried.outcomes[reported["outcome"]] += 1
+            if reported["outcome"] == "failed":
+                tried.failures.append(Failure(number, reported["reported"]))
 
 
 @contextmanager
@@ -415,9 +415,9 @@ def _work(name: str, folder: Path) -> None:
         for line in sys.stdin:
             number = int(line)
             file, content = change(drive, name, number)
-            outcome, told = _use(drive, name, number)
+            outcome, reported = _use(drive, name, number)
             _restore(file, content)
-            answers.write(json.dumps({"outcome": outcome, "told": told}) + "\n")
+            answers.write(json.dumps({"outcome": outcome, "reported": reported}) + "\n")
 
 
 def change(drive: Path, name: str, number: int) -> tuple[Path, bytes]:
@@ -472,7 +472,7 @@ def _make_number(name: str, content: bytes) -> None:
 
 
 def _nest(name: str, content: bytes) -> None:
-    """Put lists in lists, or elements in elements, into the place of the first value, or of all that there is."""
+    """Put lists in lists, or elements in elements, into the position of the first value, or of all that there is."""
     opened, closed = (b"<a>", b"</a>") if name.endswith(".xml") else (b"[", b"]")
     if name.endswith((".xml", ".json", ".jsonl", ".toml", ".yaml", ".yml")):
         first = re.search(rb"(?<=: )[^\s,{}\[\]]+|(?<=\":)[^\s,{}\[\]]+|(?<= = )[^\s,{}\[\]]+", content)
@@ -495,11 +495,11 @@ IMPOSTORS: dict[str, Callable[[str, bytes], None]] = {
     "number": _make_number,
     "nested": _nest,
 }
-"""What stands in the place of a file, and the function that makes it there, given what the file held."""
+"""What stands in the position of a file, and the function that makes it there, given what the file held."""
 
 
 def impostors_of(drive: Path) -> range:
-    """The numbers of the mutants that have something else in the place of a file, for each kind of file."""
+    """The numbers of the mutants that have something else in the position of a file, for each kind of file."""
     return range(-len(IMPOSTORS) * len(_kinds_of_files(drive)), 0)
 
 
@@ -531,8 +531,8 @@ def _read(drive: Path, name: str, *, lenient: bool = False) -> None:
                 points = frame.points
                 for part in ("positions", "intensities", "timestamps_ns", "colors"):
                     getattr(points, part, None)
-            for picture in getattr(sensor, "pictures", ()):
-                picture.decode()
+            for image in getattr(sensor, "images", ()):
+                image.decode()
         for annotation in scene.annotations:
             list(getattr(annotation, "labeled_points", ()))
 
@@ -541,7 +541,7 @@ def _read_leniently(drive: Path, name: str) -> None:
     _read(drive, name, lenient=True)
 
 
-def _tell(drive: Path, name: str) -> None:
+def _notify(drive: Path, name: str) -> None:
     """Do what `info` does, the format found by the content."""
     del name
     _run_verb("info", str(drive))
@@ -562,7 +562,7 @@ def _run_verb(*arguments: str) -> None:
         raise result.exception
 
 
-_STEPS: tuple[Callable[[Path, str], None], ...] = (_read_leniently, _tell, _validate)
+_STEPS: tuple[Callable[[Path, str], None], ...] = (_read_leniently, _notify, _validate)
 
 
 def _main() -> None:

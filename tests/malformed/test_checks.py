@@ -26,7 +26,7 @@ from sceneloom.scene import (
     PointProjection,
     PointsAnnotation,
     PointsFrame,
-    PosePath,
+    Poses,
     Projection,
     RadarFrame,
     RadarPoints,
@@ -106,11 +106,11 @@ def odd_sensors(draw):
     times = np.array([0, PERIOD])
     lidar = LidarFrame(0, LidarPoints(positions, np.zeros(6, np.uint8), np.zeros((6, 3), np.uint8)))
     radar = RadarFrame(0, RadarPoints(positions, positions, positions[:, 0].copy()))
-    path = PosePath(times, np.array([[0.0, 0, 0], [5, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1)))
-    said = draw(st.sampled_from(list(PointsFrame)))
+    path = Poses(times, np.array([[0.0, 0, 0], [5, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1)))
+    stated = draw(st.sampled_from(list(PointsFrame)))
     return (
-        LidarSensor("top", LazyFrames.of([lidar] * 2, times), path, points_frame=said),
-        RadarSensor("front", LazyFrames.of([radar] * 2, times), path, points_frame=said),
+        LidarSensor("top", LazyFrames.of([lidar] * 2, times), path, points_frame=stated),
+        RadarSensor("front", LazyFrames.of([radar] * 2, times), path, points_frame=stated),
     )
 
 
@@ -118,7 +118,7 @@ def odd_sensors(draw):
 def test_odd_numbers_are_found_and_fixes_settle(data):
     ours = {"euler_unit": data.draw(st.sampled_from(["degrees", "radians"])), "euler_order": "zyx"}
     scene = Scene(odd_sensors(data.draw), data.draw(odd_annotations()), metadata={"sceneloom": ours})
-    assert validate(scene, places=None).findings
+    assert validate(scene, locations=None).findings
     for rule in all_rules():
         if rule.fix is not None:
             once = rule.fix(scene)
@@ -196,31 +196,31 @@ HEADER = {
 }
 
 
-def places_of(node, place=()):
-    """All places of the header."""
+def locations_of(node, location=()):
+    """All locations of the header."""
     if isinstance(node, dict | list):
         for key, value in node.items() if isinstance(node, dict) else enumerate(node):
-            yield (*place, key)
-            yield from places_of(value, (*place, key))
+            yield (*location, key)
+            yield from locations_of(value, (*location, key))
 
 
 ODD_VALUES = [None, -1, 2**70, "world", [[]], {"type": "lidar"}, np.ones((0, 3), np.float32)]
 
 
 @pytest.mark.parametrize("share", [1, pytest.param(len(ODD_VALUES), marks=pytest.mark.slow)])
-@pytest.mark.parametrize("turn", range(len(ODD_VALUES)))
+@pytest.mark.parametrize("rotation", range(len(ODD_VALUES)))
 @pytest.mark.few(3)
-def test_odd_values_anywhere_in_a_file_are_told_or_let_pass(turn, share, tmp_path, encode_sfs):
-    """Each place gets a share of the values: one of them, or all."""
-    for number, place in enumerate(places_of(HEADER)):
-        if (number - turn) % len(ODD_VALUES) >= share:
+def test_odd_values_anywhere_in_a_file_are_reported_or_let_pass(rotation, share, tmp_path, encode_sfs):
+    """Each location gets a share of the values: one of them, or all."""
+    for number, location in enumerate(locations_of(HEADER)):
+        if (number - rotation) % len(ODD_VALUES) >= share:
             continue
-        value = ODD_VALUES[turn]
+        value = ODD_VALUES[rotation]
         header = deepcopy(HEADER)
         node = header
-        for key in place[:-1]:
+        for key in location[:-1]:
             node = node[key]
-        node[place[-1]] = value
+        node[location[-1]] = value
         path = tmp_path / f"{number}.sfs"
         path.write_bytes(encode_sfs(header))
-        validate(path, profile="scale", places=None)
+        validate(path, profile="scale", locations=None)

@@ -57,7 +57,7 @@ MAPPING = PointMapping(times=PointTimes("nanoseconds"))
 
 
 def read(path: Path, content: bytes) -> bool:
-    """Read a cloud as a lidar's points; say whether that went well."""
+    """Read a cloud as a lidar's points; report whether that went well."""
     path.write_bytes(content)
     try:
         cloud = read_cloud(path, layout=LAYOUT if path.suffix == ".bin" else None)
@@ -91,10 +91,10 @@ def test_a_file_cut_anywhere_is_read_or_refused(tmp_path, name):
 @pytest.mark.few(3)
 def test_a_file_with_any_byte_flipped_is_read_or_refused(tmp_path, name):
     content = FILES[name]
-    for place in range(0, len(content), 2 if name.endswith("npz") else 1):
+    for location in range(0, len(content), 2 if name.endswith("npz") else 1):
         for flip in (0x01, 0xF0):
             broken = bytearray(content)
-            broken[place] ^= flip
+            broken[location] ^= flip
             read(tmp_path / name, bytes(broken))
 
 
@@ -102,9 +102,9 @@ def test_a_file_with_any_byte_flipped_is_read_or_refused(tmp_path, name):
 def test_any_number_of_a_head_may_be_wrong(tmp_path, name, value):
     content = FILES[name]
     stop = content.find(b"DATA") if name.endswith("pcd") else content.find(b"end_header")
-    for place in range(max(stop, 0)):
-        if content[place : place + 1].isdigit():
-            read(tmp_path / name, content[:place] + value + content[place + 1 :])
+    for location in range(max(stop, 0)):
+        if content[location : location + 1].isdigit():
+            read(tmp_path / name, content[:location] + value + content[location + 1 :])
 
 
 @settings(max_examples=60)
@@ -138,10 +138,10 @@ def test_no_byte_of_a_table_of_chunks_ends_the_process(tmp_path):
     assert read_cloud(tmp_path / "whole.laz").count == 300
     start = struct.unpack_from("<I", whole, 96)[0]
     table = struct.unpack_from("<q", whole, start)[0]
-    places = [start, start + 7, *range(table, len(whole))]
-    for place, bit in ((place, bit) for place in places for bit in range(8)):
+    locations = [start, start + 7, *range(table, len(whole))]
+    for location, bit in ((location, bit) for location in locations for bit in range(8)):
         content = bytearray(whole)
-        content[place] ^= 1 << bit
+        content[location] ^= 1 << bit
         read(tmp_path / "changed.laz", bytes(content))
     many = bytearray(whole)
     struct.pack_into("<I", many, table + 4, 1_851_981_824)
@@ -184,9 +184,9 @@ COUNTS = {
 }
 
 
-def refused(tmp_path: Path, content: bytes, told: str, suffix: str = "las") -> None:
+def refused(tmp_path: Path, content: bytes, reported: str, suffix: str = "las") -> None:
     (tmp_path / f"changed.{suffix}").write_bytes(content)
-    with pytest.raises(DataError, match=told):
+    with pytest.raises(DataError, match=reported):
         read_cloud(tmp_path / f"changed.{suffix}")
 
 
@@ -194,21 +194,24 @@ def refused(tmp_path: Path, content: bytes, told: str, suffix: str = "las") -> N
 def test_a_las_header_that_does_not_agree_with_the_content_is_refused(tmp_path, version):
     whole = las(tmp_path / "whole.las", version)
     assert read_cloud(tmp_path / "whole.las").count == 300
-    kind, place = ("<Q", 247) if version == "1.4" else ("<I", 107)
-    faults = [*LAS_FAULTS.values(), *((kind, place, value, told) for value, told in COUNTS.values())]
-    for form, at, value, told in faults:
+    kind, location = ("<Q", 247) if version == "1.4" else ("<I", 107)
+    faults = [
+        *LAS_FAULTS.values(),
+        *((kind, location, value, reported) for value, reported in COUNTS.values()),
+    ]
+    for form, at, value, reported in faults:
         content = bytearray(whole)
         struct.pack_into(form, content, at, value)
-        refused(tmp_path, bytes(content), told)
+        refused(tmp_path, bytes(content), reported)
 
 
 def test_no_number_of_a_las_header_loses_points_in_silence(tmp_path):
     whole = las(tmp_path / "whole.las", "1.2")
     known = read_cloud(tmp_path / "whole.las").columns["x"]
-    for place in range(94, 227):
+    for location in range(94, 227):
         for value in (0, 1, 0x7F, 0xFF):
             content = bytearray(whole)
-            content[place] = value
+            content[location] = value
             (tmp_path / "changed.las").write_bytes(bytes(content))
             try:
                 cloud = read_cloud(tmp_path / "changed.las")
@@ -225,9 +228,9 @@ def test_points_elsewhere_than_the_bounds_of_a_las_header_are_remarked(tmp_path)
     struct.pack_into("<d", content, 131, 0.01)
     (tmp_path / "moved.las").write_bytes(bytes(content))
     with open_scene(tmp_path / "moved.las") as scene:
-        told = [notice.message for notice in scene.notices if notice.code == "other-bounds"]
-    assert len(told) == 1
-    assert "x by 384.426 m" in told[0]
+        reported = [warning.message for warning in scene.warnings if warning.code == "other-bounds"]
+    assert len(reported) == 1
+    assert "x by 384.426 m" in reported[0]
 
 
 def test_records_behind_the_points_that_reach_beyond_the_file_are_refused(tmp_path):

@@ -15,13 +15,13 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detections.files import read_fused
 from sceneloom.pipeline.detections.lists.context import ListContext
 from sceneloom.pipeline.detections.lists.table import read_boxes_2d, read_boxes_3d
-from sceneloom.scene import PosePath
+from sceneloom.scene import Poses
 from sceneloom.scene.pose_source import PoseSource
 
 CONTEXT = ListContext(
     "lidar",
     np.arange(3, dtype=np.int64) * 100_000_000,
-    source=PoseSource(PosePath.identity(), RigidTransform.identity()),
+    source=PoseSource(Poses.identity(), RigidTransform.identity()),
     sensor_from_camera=RigidTransform.identity(),
     label="Car",
 )
@@ -68,12 +68,12 @@ FUSED = json.dumps(
 )
 SIDE = {
     "timestamp_ns": 100_000_000,
-    "picture_timestamp_ns": 100_000_000,
+    "image_timestamp_ns": 100_000_000,
     "lidar": "l",
     "camera": "c",
     "world_from_lidar": [0, 0, 0, 0, 0, 0, 1],
     "world_from_camera": [0, 0, 0, 0, 0, 0, 1],
-    "lens": {"model": "pinhole", "size_wh": [9, 9], "fx_fy_cx_cy": [9, 9, 4, 4], "coefficients": []},
+    "camera_model": {"model": "pinhole", "size_wh": [9, 9], "fx_fy_cx_cy": [9, 9, 4, 4], "coefficients": []},
 }
 
 

@@ -26,15 +26,15 @@ WRITERS = {
 
 def changed(content: bytes, rng: np.random.Generator) -> bytes:
     """Cut a file, flip its bits, put other bytes in, or another number into a text."""
-    way, place = rng.integers(4), int(rng.integers(len(content) + 1))
-    if way == 0:
-        return content[:place]
-    if way == 1:
+    trajectory, location = rng.integers(4), int(rng.integers(len(content) + 1))
+    if trajectory == 0:
+        return content[:location]
+    if trajectory == 1:
         flipped = bytearray(content)
-        flipped[place - 1] ^= 1 << int(rng.integers(8))
+        flipped[location - 1] ^= 1 << int(rng.integers(8))
         return bytes(flipped)
-    if way == 2 or not content.isascii():
-        return content[:place] + rng.bytes(int(rng.integers(9))) + content[place + 1 :]
+    if trajectory == 2 or not content.isascii():
+        return content[:location] + rng.bytes(int(rng.integers(9))) + content[location + 1 :]
     numbers = list(re.finditer(rb"-?\d+\.?\d*", content))
     if not numbers:
         return content
@@ -48,8 +48,8 @@ def use(root, name):
         for sensor in scene.sensors:
             for frame in getattr(sensor, "frames", ()):
                 assert frame.points is not None
-            for picture in getattr(sensor, "pictures", ()):
-                assert picture.rgb.ndim == 3
+            for image in getattr(sensor, "images", ()):
+                assert image.rgb.ndim == 3
         for annotation in scene.annotations:
             list(getattr(annotation, "labeled_points", ()))
 
@@ -84,7 +84,7 @@ def test_many_changed_files_give_a_scene_or_an_error_of_ours(folder):
     shake(*folder, count=3000, seed=5)
 
 
-def test_a_table_that_is_no_text_is_told_by_its_name(tmp_path):
+def test_a_table_that_is_no_text_is_known_by_its_name(tmp_path):
     root = WRITERS["nuscenes"](tmp_path / "drive")
     (root / "v1.0-mini" / "sensor.json").write_bytes(b'[{"token": "\xe7"}]')
     with pytest.raises(SceneloomError, match=r"sensor.json: is no JSON"):

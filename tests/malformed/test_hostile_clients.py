@@ -1,6 +1,6 @@
 """Clients that mean harm, against a server that is calibrated and running: it answers, bounded, and goes on.
 
-Every method gets requests with other bytes or other values; pictures declare or hold far more than they are; records
+Every method gets requests with other bytes or other values; images declare or hold far more than they are; records
 and results flood; callers never read. After each of these a session of someone else still gets what it sends fused.
 """
 
@@ -69,9 +69,9 @@ class Server:
     def end(self):
         """End it, and give what it complained about."""
         self.process.send_signal(signal.SIGTERM)
-        _, told = self.process.communicate(timeout=DEADLINE_S)
+        _, reported = self.process.communicate(timeout=DEADLINE_S)
         assert self.process.returncode == 0
-        return told
+        return reported
 
 
 class Rig:
@@ -113,9 +113,9 @@ class Rig:
         return self("Send", **record)
 
     def records(self):
-        """A sweep, a picture and their boxes, of the next time."""
+        """A sweep, an image and their boxes, of the next time."""
         self.seq += 1
-        now = stamp(100 * self.seq)
+        now = timestamp(100 * self.seq)
         yield "image", image(self.seq, now)
         yield "points", cloud(self.seq, now)
         yield "boxes_3d", boxes_3d(self.seq, now)
@@ -139,7 +139,7 @@ class Rig:
         return dict(self("GetCounters").counts)
 
 
-def stamp(milliseconds):
+def timestamp(milliseconds):
     s, ns = divmod(1_595_682_678_000_000_000 + milliseconds * 1_000_000, 10**9)
     return fusion_pb2.Timestamp(s=s, ns=ns)
 
@@ -199,10 +199,12 @@ def seeds(rig):
     """Sound requests of each method, whose records are of the next time."""
     value, made = fusion_pb2.Value, rig.request
     listed = fusion_pb2.ValueList(values=[value(integer_value=k) for k in (0, -1, 2)])
-    pose = fusion_pb2.Pose(timestamp=stamp(100 * rig.seq), position=[1, 2, 3], quaternion_xyzw=[0, 0, 0, 1])
-    lens = {"model": "fisheye", "image_size": [WIDTH, HEIGHT], "fx": 50, "fy": 50, "cx": 31, "cy": 23}
+    pose = fusion_pb2.Pose(
+        timestamp=timestamp(100 * rig.seq), position=[1, 2, 3], quaternion_xyzw=[0, 0, 0, 1]
+    )
+    camera_model = {"model": "fisheye", "image_size": [WIDTH, HEIGHT], "fx": 50, "fy": 50, "cx": 31, "cy": 23}
     sent = [made("Send", **{name: record}) for name, record in rig.records()]
-    later = stamp(100 * rig.seq)
+    later = timestamp(100 * rig.seq)
     sent.append(made("Send", box_3d=boxes_3d(rig.seq + 1, later).boxes[0]))
     sent.append(made("Send", box_2d=boxes_2d(rig.seq + 1, later).boxes[0]))
     sent.append(
@@ -211,12 +213,14 @@ def seeds(rig):
     return {
         "AddProperty": [
             made("AddProperty", name=f"mode{rig.seq}", description="a=1, b=2", type="(enum, float)"),
-            made("AddProperty", name="lenses", description="", type="string"),
+            made("AddProperty", name="camera_models", description="", type="string"),
         ],
         "SetProperty": [
             made("SetProperty", name="lidar_coordinate", value=value(list_value=listed)),
             made("SetProperty", name="queue_length", value=value(integer_value=8)),
-            made("SetProperty", name="lenses", value=value(string_value=json.dumps({"1": lens}))),
+            made(
+                "SetProperty", name="camera_models", value=value(string_value=json.dumps({"1": camera_model}))
+            ),
             made(
                 "SetProperty",
                 name="sensors",
@@ -244,18 +248,18 @@ TEXTS = ("", "x", "\0", "é" * 300, "rgb8", "raw", "jpeg", "png", "[[[[", "{}", 
 
 
 def other_bytes(rng, request):
-    """The bytes of a request with some of them changed, cut out, put in, doubled or turned."""
+    """The bytes of a request with some of them changed, cut out, put in, doubled or rotated."""
     content = bytearray(request.SerializeToString())
     for _ in range(rng.randint(1, 4)):
         k, n = rng.randrange(len(content) + 1), rng.choice((1, 1, 2, 4, 30))
-        way = rng.randrange(5)
-        if way == 0:
+        trajectory = rng.randrange(5)
+        if trajectory == 0:
             content[k : k + n] = rng.randbytes(n)
-        elif way == 1:
+        elif trajectory == 1:
             del content[k : k + n]
-        elif way == 2:
+        elif trajectory == 2:
             content[k:k] = rng.randbytes(n)
-        elif way == 3:
+        elif trajectory == 3:
             content[k:k] = content[k : k + 200]
         elif content:
             content[k % len(content)] ^= 1 << rng.randrange(8)
@@ -333,8 +337,8 @@ def attack(rig, other, name, count, *, seed=0):
 
 
 def is_a_fault(counter):
-    """Whether a counter tells of an exception that should not have been."""
-    return counter.startswith("errors.") and counter != "errors.unreadable-picture"
+    """Whether a counter reports an exception that should not have been."""
+    return counter.startswith("errors.") and counter != "errors.unreadable-camera-image"
 
 
 def _options(rig, *, waits):
@@ -376,7 +380,7 @@ def test_mutants_of_a_request_are_answered_or_refused(rigs, name):
     assert attack(*rigs, name, SMALL if name != "Subscribe" else 10) == []
 
 
-def test_pictures_that_declare_more_pixels_than_a_session_may_have_are_refused(server, rigs):
+def test_images_that_declare_more_pixels_than_a_session_may_have_are_refused(server, rigs):
     rig, other = rigs
     before = server.peak()
     huge = calibration(image_size=(100_000, 10_000))
@@ -387,19 +391,28 @@ def test_pictures_that_declare_more_pixels_than_a_session_may_have_are_refused(s
         {"height": 2**31},
         {"encoding": "png", "width": 10**9},
     ):
-        assert rig.send(image=image(1, stamp(0), **changed)).cause == "bad-record"
-    assert rig("AddProperty", name="lenses", type="string").status == 1
-    lens = {"model": "pinhole", "image_size": [31_250, 32_000], "fx": 50, "fy": 50, "cx": 31, "cy": 23}
+        assert rig.send(image=image(1, timestamp(0), **changed)).cause == "bad-record"
+    assert rig("AddProperty", name="camera_models", type="string").status == 1
+    camera_model = {
+        "model": "pinhole",
+        "image_size": [31_250, 32_000],
+        "fx": 50,
+        "fy": 50,
+        "cx": 31,
+        "cy": 23,
+    }
     for size in ([31_250, 32_000], [10**400, 1], [1e400, 2], [True, 2]):
         content = fusion_pb2.Value(
-            string_value=json.dumps({"1": lens | {"image_size": size}, "2": lens | {"fx": 10**400}})
+            string_value=json.dumps(
+                {"1": camera_model | {"image_size": size}, "2": camera_model | {"fx": 10**400}}
+            )
         )
-        rig("SetProperty", name="lenses", value=content)
-        rig.send(image=image(1, stamp(0)))
-    rig("SetProperty", name="lenses", value=fusion_pb2.Value(string_value=""))
+        rig("SetProperty", name="camera_models", value=content)
+        rig.send(image=image(1, timestamp(0)))
+    rig("SetProperty", name="camera_models", value=fusion_pb2.Value(string_value=""))
     for camera_id in range(2, 42):  # each may be, all together not
         rig("SetCalibration", calibration=calibration(image_size=(4000, 3000)), camera_id=camera_id)
-    assert rig.send(points=cloud(1, stamp(0))).cause == "too-many"
+    assert rig.send(points=cloud(1, timestamp(0))).cause == "too-many"
     assert other.works()
     assert server.peak() - before < 64 * MEBIBYTE
 
@@ -435,7 +448,7 @@ def progressive(scans):
     return content[:-2] + content[last:-2] * scans + content[-2:]
 
 
-def test_files_of_pictures_that_hold_far_more_than_they_should_cost_their_picture_alone(server, rigs):
+def test_files_of_images_that_hold_far_more_than_they_should_cost_their_image_alone(server, rigs):
     rig, other = rigs
     before = server.peak()
     bombs = [
@@ -447,29 +460,29 @@ def test_files_of_pictures_that_hold_far_more_than_they_should_cost_their_pictur
         ("jpeg", progressive(0).replace(struct.pack(">HH", HEIGHT, WIDTH), b"\xff\xff\xff\xff")),
     ]
     for k, (encoding, content) in enumerate(bombs):
-        now = stamp(100 * k)
+        now = timestamp(100 * k)
         data = {"encoding": encoding, "channel": 3, "data": content}
         assert rig.send(image=image(k, now, **data)).status == 1
         assert rig.send(points=cloud(k, now)).status == 1
     rig("Flush")
     counts = rig.counts()
     assert counts["received.image"] == len(bombs)
-    assert counts["errors.unreadable-picture"] >= 4
+    assert counts["errors.unreadable-camera-image"] >= 4
     assert not [name for name in counts if is_a_fault(name)]
     assert other.works()
     assert server.peak() - before < 192 * MEBIBYTE
 
 
 def flood_of_images(rig, count, size):
-    """Pictures of another size, as fast as the service takes them, and no sweep."""
+    """Images of another size, as fast as the service takes them, and no sweep."""
     width, height = size
     pixels = bytes(width * height * 3)
     rig("SetCalibration", calibration=calibration(image_size=size), camera_id=1)
 
     def requests():
         for seq in range(count):
-            picture = image(seq, stamp(seq), height=height, width=width, data=pixels)
-            yield rig.request("Send", image=picture).SerializeToString()
+            camera_image = image(seq, timestamp(seq), height=height, width=width, data=pixels)
+            yield rig.request("Send", image=camera_image).SerializeToString()
 
     return rig.method("SendStream")(requests(), timeout=600, metadata=rig.metadata)
 
@@ -507,7 +520,7 @@ def test_a_subscriber_that_never_reads_costs_its_own_results_alone(server, rigs)
     ]
     pixels = bytes(size[0] * size[1] * 3)
     for seq in range(60):
-        now = stamp(100 * seq)
+        now = timestamp(100 * seq)
         assert rig.send(image=image(seq, now, width=size[0], height=size[1], data=pixels)).status == 1
         assert rig.send(points=cloud(seq, now)).status == 1
         if seq % 20 == 0:
@@ -625,12 +638,12 @@ def tokens(rng, count):
     """Texts that are nearly the token."""
     for _ in range(count):
         text = list(TOKEN)
-        way = rng.randrange(4)
-        if way == 0:
+        trajectory = rng.randrange(4)
+        if trajectory == 0:
             text[rng.randrange(len(text))] = chr(rng.randrange(33, 127))
-        elif way == 1:
+        elif trajectory == 1:
             del text[rng.randrange(len(text)) :]
-        elif way == 2:
+        elif trajectory == 2:
             text.insert(rng.randrange(len(text)), rng.choice(" ,0A~"))
         else:
             text.reverse()

@@ -22,7 +22,7 @@ SECONDS = 110
 
 
 class Liar:
-    """A server whose answers are those of a mutant: other bytes, other values, or an error in the place of one."""
+    """A server whose answers are those of a mutant: other bytes, other values, or an error in the position of one."""
 
     def __init__(self):
         self.chance = random.Random(0)
@@ -53,7 +53,7 @@ class Liar:
         return getattr(grpc, f"{kind}_rpc_method_handler")(answers if streams else answer)
 
     def content(self, method):
-        """What a sound server may say, mostly, with some bytes changed."""
+        """What a sound server may state, mostly, with some bytes changed."""
         content = bytearray(_sound(method).SerializeToString())
         for _ in range(self.chance.choice((0, 0, 1, 2))):
             start = self.chance.randrange(len(content) + 1)
@@ -116,12 +116,12 @@ def _try(liar, drive, folder, number, capfd, caplog):
     with pytest.raises(SystemExit) as stop:
         main(arguments)
     out, err = capfd.readouterr()
-    told = f"mutant {number}: {arguments[0]}: {stop.value.code}: {out[-300:]} {err[-3000:]}"
-    assert stop.value.code in {0, 1, 2, None}, told
-    assert "Traceback" not in err + caplog.text, told + caplog.text
+    reported = f"mutant {number}: {arguments[0]}: {stop.value.code}: {out[-300:]} {err[-3000:]}"
+    assert stop.value.code in {0, 1, 2, None}, reported
+    assert "Traceback" not in err + caplog.text, reported + caplog.text
     caplog.clear()
     if stop.value.code == 1 and arguments[0] != "conformance":
-        assert err.startswith("sceneloom: "), told
+        assert err.startswith("sceneloom: "), reported
     return stop.value.code
 
 

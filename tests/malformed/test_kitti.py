@@ -44,8 +44,8 @@ def read_all(path, lenient):
         for lidar in scene.lidars:
             list(lidar.frames)
         for camera in scene.cameras:
-            for picture in camera.pictures:
-                picture.decode()
+            for image in camera.images:
+                image.decode()
 
 
 def one_of_each_kind(files):
@@ -56,23 +56,23 @@ def one_of_each_kind(files):
     return list(kinds.values())
 
 
-def harm(drive, name, damages, place):
-    """Damage one file after the other; whatever is no fault told as such is raised."""
-    write_scene(drive, place, format=name)
-    files = sorted(path.relative_to(place) for path in place.rglob("*") if path.is_file())
+def harm(drive, name, damages, location):
+    """Damage one file after the other; whatever is no fault reported as such is raised."""
+    write_scene(drive, location, format=name)
+    files = sorted(path.relative_to(location) for path in location.rglob("*") if path.is_file())
     chance = random.Random(name)
     for file in one_of_each_kind(files):
-        content = (place / file).read_bytes()
+        content = (location / file).read_bytes()
         for damage in damages:
-            (place / file).write_bytes(DAMAGES[damage](content, chance))
+            (location / file).write_bytes(DAMAGES[damage](content, chance))
             for lenient in (False, True):
                 with suppress(SceneloomError):
-                    read_all(place, lenient)
-        (place / file).unlink()
+                    read_all(location, lenient)
+        (location / file).unlink()
         with suppress(SceneloomError):
-            read_all(place, lenient=False)
-        (place / file).write_bytes(content)
-    read_all(place, lenient=False)
+            read_all(location, lenient=False)
+        (location / file).write_bytes(content)
+    read_all(location, lenient=False)
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,7 @@ def test_many_mutants_of_files_of_others_give_a_scene_or_an_error_of_ours(name, 
         if " " not in name
     ],
 )
-def test_what_is_no_file_and_what_is_endless_in_the_place_of_any_file_is_refused_and_never_waited_for(name):
+def test_what_is_no_file_and_what_is_static_in_the_position_of_any_file_is_refused_and_never_waited_for(name):
     if name == "argoverse2":
         pytest.importorskip("pyarrow", reason="pyarrow is not installed")
     tried = try_mutants(name, None)
@@ -67,7 +67,7 @@ DEEP = "[" * 100_000 + "]" * 100_000
 
 
 @pytest.mark.parametrize("text", [f"a = {LONG}", f"a = {DEEP}", f"[{'a.' * 20_000}a]"])
-def test_texts_of_tables_with_endless_numbers_and_depths_are_faults_of_the_file(tmp_path, text):
+def test_texts_of_tables_with_infinite_numbers_and_depths_are_faults_of_the_file(tmp_path, text):
     path = tmp_path / "file.toml"
     path.write_text(text)
     readers = (read_detectors, read_configuration_file, lambda path: open_scene(path, format="rig"))
@@ -79,7 +79,7 @@ def test_texts_of_tables_with_endless_numbers_and_depths_are_faults_of_the_file(
 @pytest.mark.parametrize(
     "text", [f"rosbag2_bagfile_information: {LONG}", "- " * 20_000, f"a: {DEEP[:20_000]}"]
 )
-def test_metadata_of_a_bag_with_endless_numbers_and_depths_are_faults_of_the_file(tmp_path, text):
+def test_metadata_of_a_bag_with_infinite_numbers_and_depths_are_faults_of_the_file(tmp_path, text):
     pytest.importorskip("ruamel.yaml", reason="ruamel.yaml is not installed")
     drive = ALL_DRIVES["ros2"](tmp_path)
     (drive / "metadata.yaml").write_text(text)

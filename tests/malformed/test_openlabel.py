@@ -33,20 +33,20 @@ STRANGE = (
 )
 
 
-def places(value, place=()):
-    if place:
-        yield place
+def locations(value, location=()):
+    if location:
+        yield location
     inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, below in inner:
-        yield from places(below, (*place, key))
+        yield from locations(below, (*location, key))
 
 
-def exchanged(content, place, strange):
+def exchanged(content, location, strange):
     changed = copy.deepcopy(content)
     owner = changed
-    for key in place[:-1]:
+    for key in location[:-1]:
         owner = owner[key]
-    owner[place[-1]] = strange
+    owner[location[-1]] = strange
     return changed
 
 
@@ -66,11 +66,11 @@ def test_parts_that_are_exchanged_give_a_scene_or_an_error_of_ours(tmp_path, see
             "1": {"id": 5, "shape": "polygon", "extras": {"b": 1}},
         },
         "event": {"0": {"id": "e", "start_ns": 5, "duration_ns": None}},
-        "trajectory": "way",
+        "trajectory": "trajectory",
         "metadata": {"city": "x"},
     }
     choice = random.Random(seed)
-    everywhere = list(places(content))
+    everywhere = list(locations(content))
     for _ in range(25):
         changed = exchanged(content, choice.choice(everywhere), choice.choice(STRANGE))
         path = tmp_path / "strange.json"

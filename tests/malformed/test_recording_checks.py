@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from sceneloom.checks import ValidationReport, validate
 
 ROWS = [[1.0, 0.0, 0.0, 0.25], [0.0, 1.0, 0.0, 0.5], [0.0, 0.0, 1.0, 0.75], [0.0, 0.0, 0.0, 1.0]]
-LENS = {
+CAMERA_MODEL = {
     "model": "pinhole",
     "focalLengthX": 9.0,
     "focalLengthY": 9.0,
@@ -42,10 +42,10 @@ def make_lines() -> list[dict[str, Any]]:
         if k % 4:
             continue
         position = {"x": 2.0 * time, "y": 0.5, "z": 0.0}
-        turn = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+        rotation = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
         lines += [
-            {"groundTruth": {"position": position, "orientation": turn}, "time": time},
-            {"arcore": {"position": position, "orientation": turn}, "status": "TRACKING", "time": time},
+            {"groundTruth": {"position": position, "orientation": rotation}, "time": time},
+            {"arcore": {"position": position, "orientation": rotation}, "status": "TRACKING", "time": time},
             {"gps": {"latitude": 60.0, "longitude": 25.0, "altitude": 10.0, "accuracy": 4.0}, "time": time},
             {"barometer": {"pressureHectopascals": 1013.25}, "time": time},
             {"sensor": {"type": "imuTemperature", "values": [300.0]}, "time": time},
@@ -58,7 +58,7 @@ def make_lines() -> list[dict[str, Any]]:
 
 LINES = make_lines()
 TEXTS = [json.dumps(line, separators=(",", ":")) for line in LINES]
-CALIBRATION = {"cameras": [LENS | {"imuToCamera": ROWS}], "lidars": [{"imuToLidar": ROWS}]}
+CALIBRATION = {"cameras": [CAMERA_MODEL | {"imuToCamera": ROWS}], "lidars": [{"imuToLidar": ROWS}]}
 WITH_POINTS = struct.pack("<fffBHd", 1, 2, 3, 4, 5, 2.5) * 3
 
 
@@ -80,18 +80,20 @@ def test_the_recording_itself_is_read(tmp_path):
     assert not [finding for finding in report.findings if finding.rule in {"file-readable", "broken-lines"}]
 
 
-def places_of(node: Any, place: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """All places of a line or of the calibration."""
+def locations_of(node: Any, location: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """All locations of a line or of the calibration."""
     if not isinstance(node, dict | list):
         return []
     items = node.items() if isinstance(node, dict) else enumerate(node)
-    return [below for key, value in items for below in [(*place, key), *places_of(value, (*place, key))]]
+    return [
+        below for key, value in items for below in [(*location, key), *locations_of(value, (*location, key))]
+    ]
 
 
 def with_odd_value(draw: Any, content: Any) -> str:
-    """The JSON of a content in which one place holds something odd, or nothing."""
+    """The JSON of a content in which one location holds something odd, or nothing."""
     changed = json.loads(json.dumps(content))
-    *above, last = draw(st.sampled_from(places_of(content)))
+    *above, last = draw(st.sampled_from(locations_of(content)))
     node = changed
     for key in above:
         node = node[key]
@@ -136,7 +138,7 @@ def mutated_lines(draw: Any) -> list[str]:
 )
 @given(texts=mutated_lines())
 def test_changed_lines_give_a_report(tmp_path, texts):
-    assert isinstance(validate(write(tmp_path / "drive", texts), places=None), ValidationReport)
+    assert isinstance(validate(write(tmp_path / "drive", texts), locations=None), ValidationReport)
 
 
 @st.composite
@@ -170,7 +172,7 @@ def scaled_streams(draw: Any) -> list[str]:
 )
 @given(texts=scaled_streams())
 def test_streams_of_absurd_numbers_give_a_report(tmp_path, texts):
-    assert isinstance(validate(write(tmp_path / "drive", texts), places=None), ValidationReport)
+    assert isinstance(validate(write(tmp_path / "drive", texts), locations=None), ValidationReport)
 
 
 @settings(
@@ -181,7 +183,7 @@ def test_streams_of_absurd_numbers_give_a_report(tmp_path, texts):
 def test_a_changed_calibration_gives_a_report(tmp_path, data):
     changed = with_odd_value(data.draw, CALIBRATION)
     text = changed[: data.draw(st.integers(0, len(changed)))] if data.draw(st.booleans()) else changed
-    assert isinstance(validate(write(tmp_path / "drive", TEXTS, text), places=None), ValidationReport)
+    assert isinstance(validate(write(tmp_path / "drive", TEXTS, text), locations=None), ValidationReport)
 
 
 @pytest.mark.parametrize(
@@ -202,7 +204,7 @@ def test_any_file_may_be_missing_or_hold_anything(tmp_path, name, content):
     assert report.findings
 
 
-def test_a_clock_that_runs_for_centuries_and_a_picture_without_width_give_a_report(tmp_path):
+def test_a_clock_that_runs_for_centuries_and_an_image_without_width_give_a_report(tmp_path):
     late = [json.dumps({**line, "time": 9.2e9}) for line in LINES if "groundTruth" in line][:1]
-    flat = json.dumps({"cameras": [{**LENS, "imageWidth": 0, "imuToCamera": ROWS}]})
+    flat = json.dumps({"cameras": [{**CAMERA_MODEL, "imageWidth": 0, "imuToCamera": ROWS}]})
     assert validate(write(tmp_path / "drive", [*TEXTS, *late], flat)).findings

@@ -15,7 +15,7 @@ from sceneloom.formats.recording.spec import FORMAT
 
 ROWS = [[1.0, 0.0, 0.0, 0.25], [0.0, 1.0, 0.0, 0.5], [0.0, 0.0, 1.0, 0.75], [0.0, 0.0, 0.0, 1.0]]
 POSE = {"position": {"x": 1.0, "y": 2.0, "z": 3.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
-LENS = {
+CAMERA_MODEL = {
     "model": "pinhole",
     "focalLengthX": 9.0,
     "focalLengthY": 9.0,
@@ -49,7 +49,7 @@ def folder(tmp_path: Path) -> Path:
         "".join(json.dumps(line, separators=(",", ":")) + "\n" for line in LINES)
     )
     (tmp_path / "calibration.json").write_text(
-        json.dumps({"cameras": [LENS | {"imuToCamera": ROWS}], "lidars": [{"imuToLidar": ROWS}]})
+        json.dumps({"cameras": [CAMERA_MODEL | {"imuToCamera": ROWS}], "lidars": [{"imuToLidar": ROWS}]})
     )
     (tmp_path / "frames1").mkdir()
     (tmp_path / "frames1" / "00000000.png").write_bytes(PNG)
@@ -58,15 +58,15 @@ def folder(tmp_path: Path) -> Path:
 
 
 def read_everything(folder: Path, *, lenient: bool) -> bool:
-    """Open a recording and read each of its sweeps and the head of each picture; say whether that went well."""
+    """Open a recording and read each of its sweeps and the head of each image; report whether that went well."""
     try:
         with FORMAT.open(folder, lenient=lenient) as scene:
             for lidar in scene.lidars:
                 for frame in lidar.frames:
                     assert frame.points.positions.dtype == np.float32
             for camera in scene.cameras:
-                for picture in camera.pictures:
-                    assert picture.camera.width > 0
+                for image in camera.images:
+                    assert image.camera.width > 0
     except SceneloomError:
         return False
     return True
@@ -74,16 +74,16 @@ def read_everything(folder: Path, *, lenient: bool) -> bool:
 
 def mutations(content: bytes, *, step: int) -> Iterator[bytes]:
     """The content cut at every `step`-th byte, and with a bit of that byte changed."""
-    for place in range(0, len(content), step):
-        yield content[:place]
-        yield content[:place] + bytes([content[place] ^ (1 << place % 8)]) + content[place + 1 :]
+    for location in range(0, len(content), step):
+        yield content[:location]
+        yield content[:location] + bytes([content[location] ^ (1 << location % 8)]) + content[location + 1 :]
 
 
 def test_the_recording_itself_is_read(folder):
     with FORMAT.open(folder) as scene:
         assert [sensor.id for sensor in scene.sensors] == ["lidar", "camera0", "imu", "gnss"]
         assert list(scene.trajectories) == ["groundTruth", "arcore"]
-        assert len(scene.cameras[0].pictures) == 1
+        assert len(scene.cameras[0].images) == 1
     assert read_everything(folder, lenient=False)
 
 
@@ -163,7 +163,7 @@ def with_each_value_replaced(content: object, value: str) -> Iterator[str]:
         yield json.dumps(changed).replace(f'"{marker}"', value)
 
 
-PIECES = [
+CHUNKS = [
     *(
         b"",
         b"\n",
@@ -195,7 +195,7 @@ PIECES = [
     ),
     *(line for line in map(str.encode, map(json.dumps, LINES))),
 ]
-"""What is put into a log in place of a part of it."""
+"""What is put into a log instead of a part of it."""
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -206,7 +206,7 @@ def test_whatever_is_put_into_a_log_it_is_read_or_refused_and_each_line_is_accou
     for _ in range(data.draw(st.integers(1, 3))):
         start = data.draw(st.integers(0, len(content)))
         stop = data.draw(st.integers(start, min(start + 40, len(content))))
-        content = content[:start] + data.draw(st.sampled_from(PIECES)) + content[stop:]
+        content = content[:start] + data.draw(st.sampled_from(CHUNKS)) + content[stop:]
     path.write_bytes(content)
     if read_everything(folder, lenient=False):
         assert read_everything(folder, lenient=True)

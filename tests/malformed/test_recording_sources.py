@@ -20,7 +20,7 @@ LINES = [
     {"gps": {"latitude": 60.0, "longitude": 24.0, "altitude": 3.0}, "time": 0.0},
     {"frames": [{"cameraInd": 0, "depthScale": 0.001}], "number": 0, "time": 0.0},
 ]
-LENS = {
+CAMERA_MODEL = {
     "model": "pinhole",
     "focalLengthX": 20.0,
     "focalLengthY": 20.0,
@@ -71,7 +71,7 @@ def write_drive(folder, lines=LINES):
         image = np.arange(256, dtype=np.uint16).reshape(16, 16)
         container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="gray16le")))
         container.mux(stream.encode())
-    (folder / "calibration.json").write_text(json.dumps({"cameras": [LENS]}))
+    (folder / "calibration.json").write_text(json.dumps({"cameras": [CAMERA_MODEL]}))
     return folder
 
 
@@ -98,10 +98,10 @@ def look(path: Path) -> None:
     st.dictionaries(CAMERA_FIELDS, JSON | MATRICES, max_size=3),
 )
 def test_any_calibration(drive, fields, camera):
-    content = {"cameras": [{**LENS, **camera}], **fields}
+    content = {"cameras": [{**CAMERA_MODEL, **camera}], **fields}
     (drive / "calibration.json").write_text(json.dumps(content, allow_nan=True))
     look(drive)
-    (drive / "calibration.json").write_text(json.dumps({"cameras": [LENS]}))
+    (drive / "calibration.json").write_text(json.dumps({"cameras": [CAMERA_MODEL]}))
 
 
 @QUICK
@@ -112,7 +112,7 @@ def test_any_parameters(drive, parameters, noise):
     for content in (text, text + noise):
         (drive / "parameters.txt").write_bytes(content)
         look(drive)
-    (drive / "calibration.json").write_text(json.dumps({"cameras": [LENS]}))
+    (drive / "calibration.json").write_text(json.dumps({"cameras": [CAMERA_MODEL]}))
     (drive / "parameters.txt").unlink()
 
 
@@ -143,8 +143,8 @@ def test_any_archive(tmp_path_factory, drive, data):
         for file in drive.iterdir():
             archive.write(file, file.name)
     content = bytearray(buffer.getvalue())
-    for place in data.draw(st.lists(st.integers(0, len(content) - 1), max_size=4)):
-        content[place] = data.draw(st.integers(0, 255))
+    for location in data.draw(st.lists(st.integers(0, len(content) - 1), max_size=4)):
+        content[location] = data.draw(st.integers(0, 255))
     path = tmp_path_factory.mktemp("archive") / "drive.zip"
     path.write_bytes(
         content[: data.draw(st.integers(0, len(content)))] if data.draw(st.booleans()) else content

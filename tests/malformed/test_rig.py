@@ -18,11 +18,11 @@ LIDAR = {
     "type": "lidar",
     "files": "top/*.bin",
     "times": {"csv": "times.csv", "column": "t", "unit": "milliseconds"},
-    "stamp": "middle",
+    "timestamp": "middle",
     "sweep_s": 0.1,
     "points_in": "base",
     "fields": ["x", "y", "z", "t:float32"],
-    "point_times": {"field": "t", "unit": "seconds", "relative_to": "stamp"},
+    "point_times": {"field": "t", "unit": "seconds", "relative_to": "timestamp"},
     "intensity_max": 255,
     "use": {"ring": "t"},
     "extrinsic": {"to": "base", "translation": [1, 0, 2], "euler_deg": [0, 0, 90], "euler_order": "zyx"},
@@ -35,7 +35,7 @@ CAMERA = {
     "axes": "-y,-z,+x",
     "time_offset_s": 0.001,
     "extrinsic": {"from": "base", "quaternion_wxyz": [1, 0, 0, 0]},
-    "lens": {
+    "camera_model": {
         "K": [[6, 0, 3.5], [0, 6, 2.5], [0, 0, 1]],
         "coefficients": [0.1, 0, 0, 0],
         "width": 8,
@@ -67,16 +67,16 @@ class Raw(str):
     __slots__ = ()
 
 
-def places(value: Any, keys: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+def locations(value: Any, keys: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
     """The keys of every value inside a value."""
     inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, item in inner:
         yield (*keys, key)
-        yield from places(item, (*keys, key))
+        yield from locations(item, (*keys, key))
 
 
 def replaced(value: Any, keys: tuple[Any, ...], new: Any) -> Any:
-    """The value with another one at a place; None takes the key away."""
+    """The value with another one at a location; None takes the key away."""
     if not keys:
         return new
     if isinstance(value, dict):
@@ -114,13 +114,13 @@ def folder(tmp_path: Path) -> Path:
 
 
 def read_everything(folder: Path, *, lenient: bool = False) -> bool:
-    """Open the folder and read all of it; say whether that went well."""
+    """Open the folder and read all of it; report whether that went well."""
     try:
         scene = FORMAT.open(folder, lenient=lenient)
         for lidar in scene.lidars:
             assert all(np.isfinite(frame.points.positions).all() for frame in lidar.frames)
         for camera in scene.cameras:
-            assert all(picture.rgb.dtype == np.uint8 for picture in camera.pictures)
+            assert all(image.rgb.dtype == np.uint8 for image in camera.images)
     except SceneloomError:
         return False
     return True
@@ -135,13 +135,13 @@ def test_the_folder_itself_opens(folder):
 )
 @pytest.mark.few(4)
 def test_any_value_may_be_another(folder, text):
-    for keys in places(RIG):
+    for keys in locations(RIG):
         write(folder, replaced(RIG, keys, Raw(text)))
         read_everything(folder)
 
 
 def test_any_key_may_be_missing_or_misspelt(folder):
-    for keys in places(RIG):
+    for keys in locations(RIG):
         write(folder, replaced(RIG, keys, None))
         read_everything(folder)
         if isinstance(keys[-1], str) and keys[-2:-1] not in [("columns",), ("use",)]:
@@ -161,10 +161,10 @@ def test_a_manifest_cut_anywhere_opens_or_is_refused(folder):
 @pytest.mark.few(4)
 def test_a_file_that_is_cut_or_has_a_byte_flipped_is_read_or_refused(folder, name, lenient):
     content = (folder / name).read_bytes()
-    for place in range(0, len(content), 1 if name.endswith(("csv", "txt")) else 3):
+    for location in range(0, len(content), 1 if name.endswith(("csv", "txt")) else 3):
         broken = bytearray(content)
-        broken[place] ^= 0x81
-        for changed in (content[:place], bytes(broken)):
+        broken[location] ^= 0x81
+        for changed in (content[:location], bytes(broken)):
             (folder / name).write_bytes(changed)
             read_everything(folder, lenient=lenient)
 

@@ -13,8 +13,8 @@ from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.service.call_errors import CallError
 from sceneloom.service.methods import METHODS
 
-STAMP = fusion_pb2.Timestamp(s=1, ns=2)
-POSE = fusion_pb2.Pose(timestamp=STAMP, position=[1, 2, 3], quaternion_xyzw=[0, 0, 0, 1])
+TIMESTAMP = fusion_pb2.Timestamp(s=1, ns=2)
+POSE = fusion_pb2.Pose(timestamp=TIMESTAMP, position=[1, 2, 3], quaternion_xyzw=[0, 0, 0, 1])
 LIST = fusion_pb2.ValueList(values=[fusion_pb2.Value(integer_value=k) for k in (0, -1, 2)])
 FORWARD = (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
 
@@ -34,7 +34,7 @@ REQUESTS = {
     "SendMotion": fusion_pb2.SendMotionRequest(poses=[POSE]),
     "Send": fusion_pb2.SendRequest(
         points=fusion_pb2.PointCloudData(
-            timestamp=STAMP, number=1, fields=["x", "y", "z"], fields_number=3, data=bytes(12)
+            timestamp=TIMESTAMP, number=1, fields=["x", "y", "z"], fields_number=3, data=bytes(12)
         ),
         session="a",
     ),

@@ -15,7 +15,7 @@ from sceneloom.formats.video.remux import encode_to_mp4
 
 TWO = np.array([[1, 2, 3], [4, 5, 6]], np.float32)
 POSES = {"timestamps": [0, 100], "values": [[1, 2, 3, 0, 0, 0, 1], [1, 2, 3, 0, 0, 0.6, 0.8]]}
-LENS = {"fx": 9.5, "fy": 9, "cx": 3.5, "cy": 3.5, "width": 8, "height": 8}
+CAMERA_MODEL = {"fx": 9.5, "fy": 9, "cx": 3.5, "cy": 3.5, "width": 8, "height": 8}
 
 
 def clouds():
@@ -59,25 +59,25 @@ def annotations():
 
 def drawn_annotations():
     """One of each type that the golden file above lacks."""
-    stamps, row = {"timestamps": [0]}, [1.0] * 9
-    seen = {"sensor_id": "f", **stamps, "confirmed": [None]}
+    timestamps, row = {"timestamps": [0]}, [1.0] * 9
+    seen = {"sensor_id": "f", **timestamps, "confirmed": [None]}
     return {
         "version": "1.0",
         "annotations": [
             {
                 "id": 1,
                 "type": "cuboid",
-                "path": {**stamps, "values": [row]},
-                "activations": [{"sensor_id": "f", **stamps, "durations": [1], "cuboids": [row]}],
+                "path": {**timestamps, "values": [row]},
+                "activations": [{"sensor_id": "f", **timestamps, "durations": [1], "cuboids": [row]}],
                 "projections": [{**seen, "boxes": [None], "cuboids": [row]}],
             },
-            {"id": 2, "type": "box_2d", "sensor_id": "f", "path": {**stamps, "values": [[1, 2, 3, 4]]}},
-            {"id": 3, "type": "polyline", "is_closed": True, "path": {**stamps, "values": [[1, 2]]}},
+            {"id": 2, "type": "box_2d", "sensor_id": "f", "path": {**timestamps, "values": [[1, 2, 3, 4]]}},
+            {"id": 3, "type": "polyline", "is_closed": True, "path": {**timestamps, "values": [[1, 2]]}},
             {
                 "id": 4,
                 "type": "points",
                 "labels": ["a"],
-                "paths": [{"id": 0, **stamps, "values": [[1, 2, 3]]}],
+                "paths": [{"id": 0, **timestamps, "values": [[1, 2, 3]]}],
                 "projections": [[{**seen, "points": [[1, 2]], "positions": [None]}]],
             },
             {"id": 5, "type": "localization_adjustment", "poses": POSES},
@@ -86,7 +86,7 @@ def drawn_annotations():
                 "type": "camera_calibration",
                 "sensor_id": "f",
                 "poses": POSES,
-                "intrinsics": {**LENS, "distortion": {"model": "fisheye", "params": [0.1]}},
+                "intrinsics": {**CAMERA_MODEL, "distortion": {"model": "fisheye", "params": [0.1]}},
                 "time_offset": 1,
             },
             {"id": 7, "type": "link", "from_id": 1, "to_id": 2},
@@ -99,20 +99,20 @@ def our_metadata():
     note = {
         "id": "c",
         "mount": [[1.0, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3]],
-        "camera": {"model": "pinhole", "coefficients": [], **LENS},
-        "pictures": {
-            "cameras": [{"model": "fisheye", "coefficients": [1.0], **LENS}],
-            "camera_of_picture": [0],
+        "camera": {"model": "pinhole", "coefficients": [], **CAMERA_MODEL},
+        "images": {
+            "cameras": [{"model": "fisheye", "coefficients": [1.0], **CAMERA_MODEL}],
+            "camera_of_image": [0],
         },
     }
     ours = {
         "sensor_notes": [note],
         "sensors": [{"id": "i", "type": "imu", "streams": {"gyroscope": imu}}],
-        "notices": [{"kind": "assumed", "code": "a", "place": "b", "message": "c", "count": 1}],
+        "warnings": [{"kind": "assumed", "code": "a", "location": "b", "message": "c", "count": 1}],
         "exact_attributes": [{"index": 0, "timestamps": [1], "values": [1.5], "written": [1500]}],
     }
     jpeg = np.frombuffer(simplejpeg.encode_jpeg(np.zeros((8, 8, 3), np.uint8), 50), np.uint8)
-    camera = {"id": "c", "type": "camera", "poses": POSES, "intrinsics": LENS}
+    camera = {"id": "c", "type": "camera", "poses": POSES, "intrinsics": CAMERA_MODEL}
     return {
         "version": "1.0",
         "sensors": [{**camera, "images": [{"timestamp": 3, "content": jpeg}]}],
@@ -125,18 +125,18 @@ def video():
     target = io.BytesIO()
     encode_to_mp4([np.zeros((16, 16, 3), np.uint8)] * 2, target, fps=10.0)
     content = {"timestamps": [0, 100], "content": np.frombuffer(target.getvalue(), np.uint8), "fps": 10}
-    camera = {"id": "c", "type": "camera", "poses": POSES, "intrinsics": LENS, "video": content}
+    camera = {"id": "c", "type": "camera", "poses": POSES, "intrinsics": CAMERA_MODEL, "video": content}
     return {"version": "1.0", "sensors": [camera]}
 
 
 def look_at_everything(scene):
-    """Touch every frame and picture, and write the scene into nothing."""
+    """Touch every frame and image, and write the scene into nothing."""
     for sensor in scene.sensors:
         for frame in getattr(sensor, "frames", ()):
             float(np.nansum(frame.points.positions, dtype=np.float64))
             assert frame.points.timestamps_ns is None or frame.points.timestamps_ns.dtype == np.int64
-        for picture in getattr(sensor, "pictures", ()):
-            assert picture.rgb.ndim == 3
+        for image in getattr(sensor, "images", ()):
+            assert image.rgb.ndim == 3
 
 
 @pytest.fixture
@@ -165,7 +165,7 @@ WITH_DRAWN = {**GOLDEN, "drawn": lambda: copy.deepcopy(drawn_annotations())}
 
 
 THINNED = [4, pytest.param(1, marks=pytest.mark.slow)]
-"""Every how many places are changed: a few of each kind, or every one."""
+"""Every how many locations are changed: a few of each kind, or every one."""
 
 
 @pytest.mark.parametrize("step", THINNED)
@@ -183,23 +183,23 @@ def test_a_changed_byte_anywhere_gives_a_scene_or_an_error_of_ours(golden, step,
     content = encode_sfs(golden())
     rng = np.random.default_rng(7)
     swaps = b'0-9"[]{},:.eE\0\xff '
-    for place in range(0, len(content), step):
+    for location in range(0, len(content), step):
         changed = bytearray(content)
-        changed[place] = swaps[int(rng.integers(len(swaps)))]
+        changed[location] = swaps[int(rng.integers(len(swaps)))]
         survives(bytes(changed))
 
 
 STRANGE = [None, True, -1, 7, 2**63, 1e300, 0.5, float("nan"), "", "x", [], [None], [[]], {}, {"a": 1}, TWO]
 
 
-def places(node, path=()):
+def locations(node, path=()):
     """The keys of every value of a header, outermost first."""
     if path:
         yield path
     for key, value in (
         node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
     ):
-        yield from places(value, (*path, key))
+        yield from locations(value, (*path, key))
 
 
 def with_value(golden, path, value):
@@ -223,15 +223,15 @@ def with_value(golden, path, value):
 def test_a_value_of_another_kind_anywhere_gives_a_scene_or_an_error_of_ours(
     golden, step, encode_sfs, survives
 ):
-    """Every value of the header is replaced in turn by everything else that JSON can say, or by a part of that."""
-    for number, path in enumerate(places(golden())):
+    """Every value of the header is replaced in order by everything else that JSON can state, or by a part of that."""
+    for number, path in enumerate(locations(golden())):
         for value in STRANGE[number % step :: step]:
             survives(encode_sfs(with_value(golden, path, value)))
 
 
 @pytest.mark.parametrize("golden", WITH_DRAWN.values(), ids=WITH_DRAWN)
 def test_a_value_that_is_missing_anywhere_gives_a_scene_or_an_error_of_ours(golden, encode_sfs, survives):
-    for path in places(golden()):
+    for path in locations(golden()):
         header = golden()
         node = header
         for key in path[:-1]:
@@ -240,12 +240,12 @@ def test_a_value_that_is_missing_anywhere_gives_a_scene_or_an_error_of_ours(gold
         survives(encode_sfs(header))
 
 
-def test_a_damaged_video_gives_pictures_or_errors_of_ours(encode_sfs, survives):
+def test_a_damaged_video_gives_images_or_errors_of_ours(encode_sfs, survives):
     content = encode_sfs(video())
     rng = np.random.default_rng(8)
-    for place in range(content.index(b"ftyp"), len(content), 97):
+    for location in range(content.index(b"ftyp"), len(content), 97):
         changed = bytearray(content)
-        changed[place] ^= int(rng.integers(1, 256))
+        changed[location] ^= int(rng.integers(1, 256))
         survives(bytes(changed))
 
 
@@ -253,7 +253,7 @@ def test_a_damaged_video_gives_pictures_or_errors_of_ours(encode_sfs, survives):
 @pytest.mark.parametrize("profile", ["sfs", "scale"])
 @pytest.mark.parametrize("golden", WITH_DRAWN.values(), ids=WITH_DRAWN)
 def test_whatever_opens_is_written_or_refused_with_an_error_of_ours(golden, encode_sfs, tmp_path, profile):
-    for number, path in enumerate(places(golden())):
+    for number, path in enumerate(locations(golden())):
         for other, value in enumerate(STRANGE):
             source, target = tmp_path / f"{number} {other}.sfs", tmp_path / "target.sfs"
             source.write_bytes(encode_sfs(with_value(golden, path, value)))

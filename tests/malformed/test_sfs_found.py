@@ -31,7 +31,7 @@ MAP = {
 FOUND = {
     "a map at fault with poses, which a map does not have": {"version": "1.0", "sensors": [MAP]},
     "an unknown sensor whose images have text for times": {"version": "1.0", "sensors": [STRANGER]},
-    "an unknown annotation with lists of numbers in the place of projections": {
+    "an unknown annotation with lists of numbers in the position of projections": {
         "version": "1.0",
         "annotations": [UNKNOWN],
     },

@@ -17,29 +17,29 @@ FORMS = sorted(TRAJECTORY_FORMS)
 
 def written(form: str) -> bytes:
     """A small file of that form."""
-    stamps = np.arange(3, dtype=np.int64) * 100_000_000
+    timestamps = np.arange(3, dtype=np.int64) * 100_000_000
     half = np.sqrt(0.5)
-    turns = np.array([[0.0, 0, 0, 1], [0, 0, half, half], [0.5, -0.5, 0.5, -0.5]])
-    way = Trajectory("way", stamps, np.arange(9.0).reshape(3, 3) / 7, turns)
+    rotations = np.array([[0.0, 0, 0, 1], [0, 0, half, half], [0.5, -0.5, 0.5, -0.5]])
+    trajectory = Trajectory("trajectory", timestamps, np.arange(9.0).reshape(3, 3) / 7, rotations)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "way.txt")
-        write_trajectory(way, path, form=form, origin_lla=(49.0, 8.0, 100.0))
+        path = Path(folder, "trajectory.txt")
+        write_trajectory(trajectory, path, form=form, origin_lla=(49.0, 8.0, 100.0))
         return path.read_bytes()
 
 
 def read_or_refuse(content: bytes, form: str | None, suffix: str, *, lenient: bool) -> None:
     """Read a file; what is read is fit to be computed with."""
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, f"way{suffix}")
+        path = Path(folder, f"trajectory{suffix}")
         path.write_bytes(content)
         try:
-            way = read_trajectory_file(path, form=form, rate_hz=10.0, lenient=lenient).trajectory
+            trajectory = read_trajectory_file(path, form=form, rate_hz=10.0, lenient=lenient).trajectory
         except SceneloomError:
             return
-    assert (np.diff(way.timestamps_ns) > 0).all()
-    assert np.isfinite(way.positions).all()
-    if way.quaternions_xyzw is not None:
-        assert (np.abs(np.linalg.norm(way.quaternions_xyzw, axis=1) - 1) <= 0.011).all()
+    assert (np.diff(trajectory.timestamps_ns) > 0).all()
+    assert np.isfinite(trajectory.positions).all()
+    if trajectory.quaternions_xyzw is not None:
+        assert (np.abs(np.linalg.norm(trajectory.quaternions_xyzw, axis=1) - 1) <= 0.011).all()
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -56,8 +56,8 @@ def test_a_file_cut_anywhere_is_read_or_refused(form: str) -> None:
 def test_a_file_with_other_bytes_is_read_or_refused(form: str, data: st.DataObject) -> None:
     content = bytearray(written(form))
     for _ in range(data.draw(st.integers(1, 4))):
-        place = data.draw(st.integers(0, len(content) - 1))
-        content[place] = data.draw(st.integers(0, 255) | st.sampled_from(b' ,;\n"eE-.{}[]#9'))
+        location = data.draw(st.integers(0, len(content) - 1))
+        content[location] = data.draw(st.integers(0, 255) | st.sampled_from(b' ,;\n"eE-.{}[]#9'))
     named = data.draw(st.booleans())
     suffix = data.draw(st.sampled_from([".txt", ".csv", ".jsonl", ".tum", ".kitti"]))
     read_or_refuse(bytes(content), form if named else None, suffix, lenient=data.draw(st.booleans()))

@@ -1,4 +1,4 @@
-"""Whatever bytes a video or a PNG folder consists of, reading gives pictures or raises one of our errors."""
+"""Whatever bytes a video or a PNG folder consists of, reading gives images or raises one of our errors."""
 
 import io
 from contextlib import suppress
@@ -16,7 +16,7 @@ from sceneloom.formats.video.writer import VideoWriter
 COUNT = 12
 
 
-def picture(number: int) -> np.ndarray:
+def image(number: int) -> np.ndarray:
     """A bright bar that moves on with the number over a steady ramp."""
     rgb = np.empty((48, 64, 3), np.uint8)
     rgb[:] = np.linspace(20, 120, 64, dtype=np.uint8)[None, :, None]
@@ -33,7 +33,7 @@ def make(container: str, codec: str) -> bytes:
     file = io.BytesIO()
     with VideoWriter(file, 64, 48, 10.0, container=container, codec=codec) as writer:
         for number in range(COUNT):
-            writer.add(picture(number))
+            writer.add(image(number))
     return file.getvalue()
 
 
@@ -41,7 +41,7 @@ VIDEOS = {name: make(*name.split()) for name in ("matroska h264", "mp4 h264", "m
 
 
 def read_all(content: bytes) -> dict[int, np.ndarray]:
-    """All pictures that can be had, by number; anything but a DataError passes through and fails the test."""
+    """All images that can be had, by number; anything but a DataError passes through and fails the test."""
     found: dict[int, np.ndarray] = {}
     problems: list[str] = []
     try:
@@ -56,7 +56,7 @@ def read_all(content: bytes) -> dict[int, np.ndarray]:
 
 
 @pytest.mark.parametrize("kind", VIDEOS)
-def test_a_video_cut_anywhere_gives_its_first_pictures_or_an_error(kind):
+def test_a_video_cut_anywhere_gives_its_first_images_or_an_error(kind):
     content = VIDEOS[kind]
     whole = read_all(content)
     assert [bar(whole[index]) for index in range(COUNT)] == list(range(COUNT))
@@ -67,31 +67,31 @@ def test_a_video_cut_anywhere_gives_its_first_pictures_or_an_error(kind):
 
 @pytest.mark.parametrize("kind", VIDEOS)
 @pytest.mark.few(1)
-def test_a_video_with_any_bytes_changed_gives_pictures_or_an_error(kind):
+def test_a_video_with_any_bytes_changed_gives_images_or_an_error(kind):
     rng = np.random.default_rng(11)
     for _ in range(80):
         content = np.frombuffer(VIDEOS[kind], np.uint8).copy()
-        places = rng.integers(0, len(content), rng.integers(1, 6))
-        content[places] ^= rng.integers(1, 256, len(places)).astype(np.uint8)
+        locations = rng.integers(0, len(content), rng.integers(1, 6))
+        content[locations] ^= rng.integers(1, 256, len(locations)).astype(np.uint8)
         for rgb in read_all(content.tobytes()).values():
             assert rgb.dtype == np.uint8
             assert rgb.ndim == 3
 
 
 def refused(content: bytes) -> set[int]:
-    """The pictures that cannot be had, read in their order."""
+    """The images that cannot be had, read in their order."""
     with open_video(content) as reader:
         return set(range(reader.count)) - set(read_all(content))
 
 
 @pytest.mark.parametrize("kind", ["mp4 h264", "matroska ffv1"])
-def test_a_decoder_that_works_ahead_refuses_the_same_pictures_as_one_that_does_not(kind, monkeypatch):
+def test_a_decoder_that_works_ahead_refuses_the_same_images_as_one_that_does_not(kind, monkeypatch):
     rng = np.random.default_rng(15)
     heads, found = 600, 0
     for _ in range(40):
         content = np.frombuffer(VIDEOS[kind], np.uint8).copy()
-        places = rng.integers(heads, len(content), 3)
-        content[places] ^= rng.integers(1, 256, len(places)).astype(np.uint8)
+        locations = rng.integers(heads, len(content), 3)
+        content[locations] ^= rng.integers(1, 256, len(locations)).astype(np.uint8)
         with suppress(DataError):
             monkeypatch.setattr("sceneloom.formats.video.source.processors", lambda: 4)
             ahead = refused(content.tobytes())
@@ -103,11 +103,11 @@ def test_a_decoder_that_works_ahead_refuses_the_same_pictures_as_one_that_does_n
 
 @pytest.mark.parametrize("kind", VIDEOS)
 @pytest.mark.few(1)
-def test_bytes_changed_in_the_head_of_a_container_give_pictures_or_an_error(kind):
+def test_bytes_changed_in_the_head_of_a_container_give_images_or_an_error(kind):
     rng = np.random.default_rng(12)
-    for place in range(min(120, len(VIDEOS[kind]))):
+    for location in range(min(120, len(VIDEOS[kind]))):
         content = bytearray(VIDEOS[kind])
-        content[place] ^= int(rng.integers(1, 256))
+        content[location] ^= int(rng.integers(1, 256))
         read_all(bytes(content))
 
 
@@ -116,19 +116,19 @@ def test_copying_a_damaged_video_gives_a_video_or_an_error(kind):
     rng = np.random.default_rng(13)
     for _ in range(30):
         content = np.frombuffer(VIDEOS[kind], np.uint8).copy()
-        places = rng.integers(0, len(content), 4)
-        content[places] ^= rng.integers(1, 256, len(places)).astype(np.uint8)
+        locations = rng.integers(0, len(content), 4)
+        content[locations] ^= rng.integers(1, 256, len(locations)).astype(np.uint8)
         try:
             remux_to_mp4(content.tobytes(), io.BytesIO())
         except (DataError, OutputError, OptionError):
             continue
 
 
-def test_a_png_folder_with_any_bytes_changed_gives_pictures_or_an_error(tmp_path: Path):
+def test_a_png_folder_with_any_bytes_changed_gives_images_or_an_error(tmp_path: Path):
     from PIL import Image
 
     path = tmp_path / "00000000.png"
-    Image.fromarray(picture(3)).save(path)
+    Image.fromarray(image(3)).save(path)
     content, rng = path.read_bytes(), np.random.default_rng(14)
     damaged = [content[:cut] for cut in range(0, len(content), 7)]
     for _ in range(60):

@@ -7,18 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.properties.planted import planted_scene
+from tests.properties.injected import injected_scene
 
 from sceneloom.errors import MissingExtraError, OptionError
-from sceneloom.formats.holdings import unknown_names
-from sceneloom.formats.loss import Fate, LossReport
+from sceneloom.formats.loss import LossReport, Support
+from sceneloom.formats.supported_fields import unknown_names
 from sceneloom.formats.table import FORMATS, find_format, format_named
 from sceneloom.geometry.rotations import matrix_from_quaternion
-from sceneloom.pipeline.converting.fates import field_fates
 from sceneloom.pipeline.converting.field_names import fields_meant, kinds_by_id
+from sceneloom.pipeline.converting.supports import field_supports
 from sceneloom.scene import LazyFrames, Scene, VideoContent
 from sceneloom.scene.contents import MODEL_FIELDS
-from sceneloom.scene.counting import Counting, frame_values, frames_of, standing_values
+from sceneloom.scene.counting import Counting, frame_values, frames_of, stationary_values
 
 WRITTEN = [name for name in FORMATS if format_named(name).writes]
 REFERENCES = ("sensor_id", "order", "parent_id", "from_id", "to_id")
@@ -37,20 +37,20 @@ FREE = ("metadata", "extras")
 @cache
 def scene(odd: bool, corrections: bool = True) -> Scene:
     """The drive; `corrections`: with its corrections as annotations, else with them applied."""
-    drive = planted_scene(odd=odd)
+    drive = injected_scene(odd=odd)
     return drive if corrections else drive.corrected()
 
 
 def framed(sensor) -> bool:
-    return isinstance(getattr(sensor, "frames", getattr(sensor, "pictures", None)), LazyFrames)
+    return isinstance(getattr(sensor, "frames", getattr(sensor, "images", None)), LazyFrames)
 
 
 def values_of(drive: Scene) -> dict[str, list]:
     """All values of each field, in the order of the sensors, annotations and frames."""
     found: dict[str, list] = {}
-    for name, value in standing_values(drive):
+    for name, value in stationary_values(drive):
         found.setdefault(name, []).append(plain(value))
-    # cameras that only poses place have no mounting: those of others stay beside theirs
+    # cameras that only poses location have no mounting: those of others stay beside theirs
     if "sensors.camera.mount" in found:
         found["sensors.camera.mount"] = [plain(camera.mount) for camera in drive.cameras]
     for sensor in filter(framed, drive.sensors):
@@ -78,8 +78,8 @@ def plain(value):
     return value
 
 
-def lens(numbers: dict) -> dict:
-    """A lens without the zeros that its model adds at the end."""
+def camera_model(numbers: dict) -> dict:
+    """A camera model without the zeros that its model adds at the end."""
     return {**numbers, "coefficients": np.trim_zeros(numbers["coefficients"], "b")}
 
 
@@ -109,7 +109,7 @@ def same(one, other) -> bool:
         return np.array_equal(one, other, equal_nan=one.dtype.kind == "f" and other.dtype.kind == "f")
     if isinstance(one, dict) and isinstance(other, dict):
         if "coefficients" in one and "coefficients" in other:
-            one, other = lens(one), lens(other)
+            one, other = camera_model(one), camera_model(other)
         return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
     if isinstance(one, list | tuple) and isinstance(other, list | tuple):
         return len(one) == len(other) and all(map(same, one, other))
@@ -117,15 +117,15 @@ def same(one, other) -> bool:
 
 
 def written(name: str, odd: bool, folder: Path) -> tuple[Path, LossReport, Counting, Scene]:
-    """Write the drive: to a folder where a file cannot hold it, with corrections where they have a place."""
+    """Write the drive: to a folder where a file cannot hold it, with corrections where they have a location."""
     form, suffix = format_named(name), next(iter(format_named(name).suffixes), "")
     # what is written in other formats is corrected before, as `write_in` does
     corrections = form.holds_corrections
-    for place in (folder / f"drive{suffix}", folder / "drive"):
+    for location in (folder / f"drive{suffix}", folder / "drive"):
         drive = scene(odd, corrections)
         counting = Counting(drive)
         try:
-            return place, form.write(counting.scene, place), counting, drive
+            return location, form.write(counting.scene, location), counting, drive
         except MissingExtraError as error:
             pytest.skip(str(error))
         except OptionError as error:
@@ -136,53 +136,56 @@ def written(name: str, odd: bool, folder: Path) -> tuple[Path, LossReport, Count
 def unexplained(name: str, odd: bool, folder: Path) -> list[str]:
     """What vanished or changed without a line that says so."""
     form = format_named(name)
-    place, losses, counting, source = written(name, odd, folder)
+    location, losses, counting, source = written(name, odd, folder)
     for sensor in filter(framed, counting.scene.sensors):
-        list(frames_of(sensor))  # also of sensors that the format has no place for
-    fates = field_fates(counting.counts(), form.supports, losses, kinds_by_id(source))
-    told = {fate.field: fate.fate for fate in fates}
+        list(frames_of(sensor))  # also of sensors that the format has no field for
+    supports = field_supports(counting.counts(), form.supports, losses, kinds_by_id(source))
+    reported = {support.field: support.support for support in supports}
     if not form.reads:
         return []
-    assert find_format(place).name == name
+    assert find_format(location).name == name
     before = values_of(source)
-    with form.open(place) as drive:
+    with form.open(location) as drive:
         after = values_of(drive)
-    renamed = any(field.endswith(".id") and fate != Fate.KEPT for field, fate in told.items())
+    renamed = any(field.endswith(".id") and support != Support.KEPT for field, support in reported.items())
     checked = {
         field: values for field, values in before.items() if not (renamed and field.endswith(REFERENCES))
     }
     # points and poses of the odd drive are brought into other frames, where their numbers are others
-    rounded = Fate.KEPT if odd else Fate.CONVERTED
+    rounded = Support.KEPT if odd else Support.CONVERTED
     faults = [
-        difference(field, values, after.get(field), told[field])
+        difference(field, values, after.get(field), reported[field])
         for field, values in checked.items()
-        if told[field] in (Fate.KEPT, rounded)
+        if reported[field] in (Support.KEPT, rounded)
     ]
     return [fault for fault in faults if fault]
 
 
-def difference(field: str, before: list, after: list | None, fate: Fate) -> str:
-    if fate == Fate.KEPT and after is None:
+def difference(field: str, before: list, after: list | None, support: Support) -> str:
+    if support == Support.KEPT and after is None:
         return f"{field} vanished"
-    if fate == Fate.KEPT and not same_values(field, before, after):
+    if support == Support.KEPT and not same_values(field, before, after):
         return f"{field} changed from {str(before)[:300]} to {str(after)[:300]}"
-    if fate == Fate.CONVERTED and after is not None and field not in FREE_NUMBERS:
+    if support == Support.CONVERTED and after is not None and field not in FREE_NUMBERS:
         off = farthest(before, after)
         if off > ROUNDING:
-            return f"{field} is off by {off} of {ROUNDING} and only said to be converted"
+            return f"{field} is off by {off} of {ROUNDING} and only stated to be converted"
     return ""
 
 
-def same_turns(fields: dict) -> dict:
+def same_rotations(fields: dict) -> dict:
     """Fields with rotations as matrices: a quaternion and its negative are one rotation."""
-    turns = fields.get("quaternions_xyzw")
-    return fields if turns is None else {**fields, "quaternions_xyzw": matrix_from_quaternion(turns)}
+    rotations = fields.get("quaternions_xyzw")
+    return fields if rotations is None else {**fields, "quaternions_xyzw": matrix_from_quaternion(rotations)}
 
 
 def farthest(one, other) -> float:
-    """How far numbers are from those in the same places, as a share of what rounding may do to them; 0 for others."""
+    """How far numbers are from those in the same locations, as a share of what rounding may do to them.
+
+    0 for others.
+    """
     if isinstance(one, dict) and isinstance(other, dict):
-        one, other = (same_turns(values) for values in (one, other))
+        one, other = (same_rotations(values) for values in (one, other))
         return max((farthest(one[key], other[key]) for key in one.keys() & other.keys()), default=0.0)
     if isinstance(one, list | tuple) and isinstance(other, list | tuple) and len(one) <= len(other):
         return max(map(farthest, one, other), default=0.0)
@@ -198,7 +201,7 @@ def farthest(one, other) -> float:
 @pytest.mark.parametrize("odd", [False, True], ids=["usual", "odd"])
 @pytest.mark.parametrize("name", WRITTEN)
 @pytest.mark.few(20)
-def test_what_vanishes_or_changes_is_told(name, odd, tmp_path):
+def test_what_vanishes_or_changes_is_reported(name, odd, tmp_path):
     assert unexplained(name, odd, tmp_path) == []
 
 
@@ -207,15 +210,15 @@ def test_a_format_says_something_of_every_field_in_names_that_exist(name):
     supports = format_named(name).supports
     assert "" in supports
     assert unknown_names(supports) == []
-    assert all(bool(holding.how) == (holding.fate != Fate.KEPT) for holding in supports.values())
+    assert all(bool(holding.how) == (holding.support != Support.KEPT) for holding in supports.values())
 
 
 @pytest.mark.parametrize("name", WRITTEN)
 def test_every_loss_is_about_something_that_the_drive_holds(name, tmp_path):
     _, losses, _, source = written(name, False, tmp_path)
     kinds = kinds_by_id(source)
-    told = [loss.field for loss in losses if loss.fate != Fate.KEPT]  # the rest are remarks
-    assert [field for field in told if not fields_meant(field, kinds)] == []
+    reported = [loss.field for loss in losses if loss.support != Support.KEPT]  # the rest are notes
+    assert [field for field in reported if not fields_meant(field, kinds)] == []
 
 
 def test_the_drive_holds_every_field_of_the_model():

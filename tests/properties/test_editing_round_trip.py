@@ -18,7 +18,7 @@ from sceneloom.scene import (
     LidarSensor,
     OdometrySensor,
     PointsFrame,
-    PosePath,
+    Poses,
     Scene,
     ShapeAnnotation,
     ShapeType,
@@ -37,18 +37,18 @@ def drives(draw):
     frames = draw(st.integers(1, 6))
     numbers = np.random.default_rng(seed)
     times = np.arange(-1, frames + 1, dtype=np.int64) * PERIOD_NS
-    turns = numbers.normal(size=(len(times), 4))
-    path = PosePath(
+    rotations = numbers.normal(size=(len(times), 4))
+    path = Poses(
         times,
         numbers.uniform(-1, 1, (len(times), 3)).cumsum(axis=0) * draw(st.floats(0.0, 3.0)),
-        turns / np.linalg.norm(turns, axis=1, keepdims=True),
+        rotations / np.linalg.norm(rotations, axis=1, keepdims=True),
     )
-    stamps = times[1:-1]
-    points = [LidarPoints(numbers.uniform(-50, 50, (20, 3)).astype(np.float32)) for _ in stamps]
-    sweeps = [LidarFrame(int(t), p) for t, p in zip(stamps, points, strict=True)]
+    timestamps = times[1:-1]
+    points = [LidarPoints(numbers.uniform(-50, 50, (20, 3)).astype(np.float32)) for _ in timestamps]
+    sweeps = [LidarFrame(int(t), p) for t, p in zip(timestamps, points, strict=True)]
     mount = RigidTransform.from_quaternion(numbers.uniform(-2, 2, 3), numbers.normal(size=4))
     lidar = LidarSensor(
-        "lidar", LazyFrames.of(sweeps, stamps.tolist()), mount=mount, points_frame=PointsFrame.WORLD
+        "lidar", LazyFrames.of(sweeps, timestamps.tolist()), mount=mount, points_frame=PointsFrame.WORLD
     )
     rows = np.concatenate(
         [
@@ -58,30 +58,30 @@ def drives(draw):
         ],
         axis=1,
     )
-    corners = tuple(numbers.uniform(-50, 50, (4, 3)) for _ in stamps)
+    corners = tuple(numbers.uniform(-50, 50, (4, 3)) for _ in timestamps)
     annotations = (
-        CuboidAnnotation("box", CuboidPath(stamps, rows)),
-        CuboidAnnotation("parked", CuboidPath(stamps[:1], rows[:1]), stationary=True),
-        ShapeAnnotation("area", ShapeType.POLYGON_TOPDOWN, VertexPath(stamps, corners)),
+        CuboidAnnotation("box", CuboidPath(timestamps, rows)),
+        CuboidAnnotation("parked", CuboidPath(timestamps[:1], rows[:1]), stationary=True),
+        ShapeAnnotation("area", ShapeType.POLYGON_TOPDOWN, VertexPath(timestamps, corners)),
     )
-    way = Trajectory("ego", path.timestamps_ns, path.positions, path.quaternions_xyzw)
+    trajectory = Trajectory("ego", path.timestamps_ns, path.positions, path.quaternions_xyzw)
     unit, order = draw(st.sampled_from(["degrees", "radians"])), draw(st.sampled_from(["xyz", "zyx", "yxz"]))
     return Scene(
         (lidar, OdometrySensor("ego", path)),
         annotations,
-        trajectories={"ego": way},
+        trajectories={"ego": trajectory},
         metadata={"sceneloom": {"euler_unit": unit, "euler_order": order}},
     )
 
 
 def assert_same_cuboids(scene, before, after):
-    """Rows with equal numbers, and equal rotations whichever angles say them."""
+    """Rows with equal numbers, and equal rotations whichever angles state them."""
     angles = CuboidAngles.of(scene)
     assert after.path.timestamps_ns.tolist() == before.path.timestamps_ns.tolist()
     np.testing.assert_allclose(after.path.values[:, :6], before.path.values[:, :6], atol=1e-9)
-    turns = [angles.quaternions(annotation.path.values[:, 6:]) for annotation in (before, after)]
+    rotations = [angles.quaternions(annotation.path.values[:, 6:]) for annotation in (before, after)]
     # a quaternion and its negative are one rotation
-    np.testing.assert_allclose(np.abs((turns[0] * turns[1]).sum(axis=1)), 1.0, atol=1e-9)
+    np.testing.assert_allclose(np.abs((rotations[0] * rotations[1]).sum(axis=1)), 1.0, atol=1e-9)
 
 
 @given(drives())
@@ -98,7 +98,7 @@ def test_the_world_seen_from_the_ego_and_back_is_the_world(scene):
 
 
 @given(drives())
-def test_points_come_back_from_the_sensor_by_way_of_the_ego(scene):
+def test_points_come_back_from_the_sensor_by_ego_trajectory(scene):
     on_ego = to_ego(to_sensor(scene)).sensor("lidar").frames
     for direct, around in zip(to_ego(scene).sensor("lidar").frames, on_ego, strict=True):
         np.testing.assert_allclose(around.points.positions, direct.points.positions, atol=4e-5)
@@ -107,11 +107,11 @@ def test_points_come_back_from_the_sensor_by_way_of_the_ego(scene):
 @given(drives(), st.floats(0.0, 0.6))
 def test_parts_of_a_scene_are_joined_to_the_whole(scene, seconds):
     lidar = scene.sensor("lidar")
-    stamps = lidar.frames.timestamps_ns
-    cut = int(np.searchsorted(stamps, seconds * 1e9))
-    if not 0 < cut < len(stamps):
+    timestamps = lidar.frames.timestamps_ns
+    cut = int(np.searchsorted(timestamps, seconds * 1e9))
+    if not 0 < cut < len(timestamps):
         return
-    at = (stamps[cut] - stamps[0]) * 1e-9
+    at = (timestamps[cut] - timestamps[0]) * 1e-9
     parts = [crop_scene(scene, stop=at), crop_scene(scene, start=at)]
     joined = merge_scenes(parts, join=True)
     for before, after in zip(lidar.frames, joined.sensor("lidar").frames, strict=True):
@@ -141,4 +141,4 @@ def test_cropping_twice_is_cropping_once(scene, reach):
     for a, b in zip(once.sensor("lidar").frames, twice.sensor("lidar").frames, strict=True):
         np.testing.assert_array_equal(a.points.positions, b.points.positions)
     assert [a.id for a in once.annotations] == [a.id for a in twice.annotations]
-    assert replace(once, notices=()).source == scene.source
+    assert replace(once, warnings=()).source == scene.source

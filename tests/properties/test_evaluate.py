@@ -13,30 +13,35 @@ from sceneloom.evaluate import TrajectoryReport
 from sceneloom.scene import Trajectory
 
 GROUPS = {"none": (0, 0, 0), "yaw": (1, 0, 0), "origin": (1, 1, 0), "se3": (1, 1, 0), "sim3": (1, 1, 1)}
-"""Whether a kind of alignment leaves open the heading and the place, the other turns, and the scale."""
+"""Whether a kind of alignment leaves open the heading and the location, the other rotations, and the scale."""
 
 seeds = st.integers(0, 10_000)
 
 
-def ways(seed: int) -> tuple[Trajectory, Trajectory]:
-    """A winding way and a noisy copy of it."""
+def trajectories(seed: int) -> tuple[Trajectory, Trajectory]:
+    """A winding trajectory and a noisy copy of it."""
     rng = np.random.default_rng(seed)
     count = int(rng.integers(5, 60))
-    stamps = np.cumsum(rng.integers(50_000_000, 150_000_000, count))
+    timestamps = np.cumsum(rng.integers(50_000_000, 150_000_000, count))
     positions = np.cumsum(rng.normal(0, 1, (count, 3)), axis=0)
-    turns = Rotation.from_rotvec(np.cumsum(rng.normal(0, 0.2, (count, 3)), axis=0))
+    rotations = Rotation.from_rotvec(np.cumsum(rng.normal(0, 0.2, (count, 3)), axis=0))
     noisy = positions + rng.normal(0, 0.1, (count, 3))
-    noisy_turns = turns * Rotation.from_rotvec(rng.normal(0, 0.02, (count, 3)))
+    noisy_rotations = rotations * Rotation.from_rotvec(rng.normal(0, 0.02, (count, 3)))
     return (
-        Trajectory("found", stamps, noisy, noisy_turns.as_quat()),
-        Trajectory("true", stamps, positions, turns.as_quat()),
+        Trajectory("found", timestamps, noisy, noisy_rotations.as_quat()),
+        Trajectory("true", timestamps, positions, rotations.as_quat()),
     )
 
 
-def moved(way: Trajectory, world: Rotation, shift: np.ndarray, scale: float) -> Trajectory:
+def moved(trajectory: Trajectory, world: Rotation, shift: np.ndarray, scale: float) -> Trajectory:
     """The same way in another world."""
-    turns = (world * Rotation.from_quat(way.quaternions_xyzw)).as_quat()
-    return Trajectory(way.name, way.timestamps_ns, scale * world.apply(way.positions) + shift, turns)
+    rotations = (world * Rotation.from_quat(trajectory.quaternions_xyzw)).as_quat()
+    return Trajectory(
+        trajectory.name,
+        trajectory.timestamps_ns,
+        scale * world.apply(trajectory.positions) + shift,
+        rotations,
+    )
 
 
 def figures(report: TrajectoryReport) -> list[float]:
@@ -45,7 +50,9 @@ def figures(report: TrajectoryReport) -> list[float]:
     errors = [report.absolute.translation, report.absolute.rotation_deg]
     errors += [part for step in report.relative for part in (step.translation, step.rotation_deg)]
     return [
-        value for told in errors for value in (told.mean, told.rms, told.median, told.max, told.percentile_95)
+        value
+        for reported in errors
+        for value in (reported.mean, reported.rms, reported.median, reported.max, reported.percentile_95)
     ]
 
 
@@ -53,7 +60,7 @@ def figures(report: TrajectoryReport) -> list[float]:
 @settings(max_examples=12)
 @given(seed=seeds, other=seeds)
 def test_moving_the_estimate_by_what_is_aligned_changes_nothing(kind: str, seed: int, other: int) -> None:
-    found, true = ways(seed)
+    found, true = trajectories(seed)
     rng = np.random.default_rng(other)
     heading, tilt, scale = GROUPS[kind]
     angles = rng.uniform(-3, 3, 3) * (heading, tilt, tilt)
@@ -62,7 +69,9 @@ def test_moving_the_estimate_by_what_is_aligned_changes_nothing(kind: str, seed:
         found, world, heading * rng.uniform(-1e3, 1e3, 3), float(rng.uniform(0.1, 10)) if scale else 1.0
     )
     deltas = ("1f", "3m", "1s")
-    before, after = (evaluate_trajectory(way, true, align=kind, rpe_deltas=deltas) for way in (found, there))
+    before, after = (
+        evaluate_trajectory(trajectory, true, align=kind, rpe_deltas=deltas) for trajectory in (found, there)
+    )
     # coordinates of 1e4 m leave 1e-12 m, angles of matrices 1e-8 rad or some 1e-6 degrees
     assert figures(after) == pytest.approx(figures(before), rel=1e-7, abs=1e-6)
     assert after.path_length == before.path_length
@@ -72,12 +81,12 @@ def test_moving_the_estimate_by_what_is_aligned_changes_nothing(kind: str, seed:
 @settings(max_examples=12)
 @given(seed=seeds, other=seeds)
 def test_moving_both_alike_changes_nothing(kind: str, seed: int, other: int) -> None:
-    found, true = ways(seed)
+    found, true = trajectories(seed)
     rng = np.random.default_rng(other)
-    # yaw knows what is up, so that only turns about the vertical leave it alone
+    # yaw knows what is up, so that only rotates about the vertical leave it alone
     world = Rotation.from_euler("ZYX", rng.uniform(-3, 3, 3) * (1, kind != "yaw", kind != "yaw"))
     shift = rng.uniform(-1e3, 1e3, 3)
-    there = [moved(way, world, shift, 1.0) for way in (found, true)]
+    there = [moved(trajectory, world, shift, 1.0) for trajectory in (found, true)]
     before, after = (
         evaluate_trajectory(*both, align=kind, rpe_deltas=("2f",)) for both in ((found, true), there)
     )
@@ -87,8 +96,8 @@ def test_moving_both_alike_changes_nothing(kind: str, seed: int, other: int) -> 
 @pytest.mark.parametrize("kind", GROUPS)
 @settings(max_examples=12)
 @given(seed=seeds, other=seeds)
-def test_a_moved_copy_has_no_error_and_tells_how_it_was_moved(kind: str, seed: int, other: int) -> None:
-    _, true = ways(seed)
+def test_a_moved_copy_has_no_error_and_reports_how_it_was_moved(kind: str, seed: int, other: int) -> None:
+    _, true = trajectories(seed)
     rng = np.random.default_rng(other)
     heading, tilt, scale = GROUPS[kind]
     world = Rotation.from_euler("ZYX", rng.uniform(-3, 3, 3) * (heading, tilt, tilt))
@@ -106,7 +115,7 @@ def test_a_moved_copy_has_no_error_and_tells_how_it_was_moved(kind: str, seed: i
 @settings(max_examples=12)
 @given(seed=seeds)
 def test_a_richer_alignment_leaves_less(seed: int) -> None:
-    found, true = ways(seed)
+    found, true = trajectories(seed)
     reports = [evaluate_trajectory(found, true, align=kind) for kind in ("none", "yaw", "se3", "sim3")]
     left = [report.absolute.translation.rms for report in reports]
     assert all(later <= earlier + 1e-9 for earlier, later in pairwise(left))
@@ -115,7 +124,7 @@ def test_a_richer_alignment_leaves_less(seed: int) -> None:
 @settings(max_examples=12)
 @given(seed=seeds)
 def test_the_figures_of_errors_keep_their_order(seed: int) -> None:
-    told = evaluate_trajectory(*ways(seed)).absolute.translation
-    assert told.min <= told.median <= told.percentile_95 <= told.max
-    assert told.min <= told.mean <= told.rms <= told.max
-    assert told.rms**2 == pytest.approx(told.mean**2 + told.std**2)
+    reported = evaluate_trajectory(*trajectories(seed)).absolute.translation
+    assert reported.min <= reported.median <= reported.percentile_95 <= reported.max
+    assert reported.min <= reported.mean <= reported.rms <= reported.max
+    assert reported.rms**2 == pytest.approx(reported.mean**2 + reported.std**2)

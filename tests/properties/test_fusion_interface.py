@@ -15,7 +15,7 @@ from sceneloom.fusion.algorithms import algorithm
 from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.messages import Boxes2d, Boxes3d, CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.fusion.properties.predefined import PREDEFINED
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 
 MS = 1_000_000
 PERIOD_NS = 100 * MS
@@ -43,31 +43,38 @@ PARTNERS = {"points": ("image", 0), "boxes_3d": ("boxes_2d", 1)}
 
 
 def record(kind, time_ns, seq):
-    stamp = Timestamp.of(time_ns)
+    timestamp = Timestamp.of(time_ns)
     if kind == "image":
         pixels = np.zeros(6, np.uint8)
         return ImageData(
-            sensor_id=1, timestamp=stamp, seq=seq, height=1, width=2, encoding="rgb8", channel=3, data=pixels
+            sensor_id=1,
+            timestamp=timestamp,
+            seq=seq,
+            height=1,
+            width=2,
+            encoding="rgb8",
+            channel=3,
+            data=pixels,
         )
     if kind == "points":
         points = np.array([5.0, 0, 0], np.float32)
         return PointCloudData(
             sensor_id=0,
-            timestamp=stamp,
+            timestamp=timestamp,
             seq=seq,
             number=1,
             fields=("x", "y", "z"),
             fields_number=3,
             data=points,
         )
-    return Boxes2d.empty(1, seq, stamp) if kind == "boxes_2d" else Boxes3d.empty(0, seq, stamp)
+    return Boxes2d.empty(1, seq, timestamp) if kind == "boxes_2d" else Boxes3d.empty(0, seq, timestamp)
 
 
 class Pairs:
-    """Sweeps and pictures of one fusion type, all of them kept, searched one by one."""
+    """Sweeps and images of one fusion type, all of them kept, searched one by one."""
 
     def __init__(self):
-        self.pictures = []  # (time, seq)
+        self.images = []  # (time, seq)
         self.waiting = deque()  # (time, seq, tolerance)
         self.latest_ns = 0
         self.results = deque()
@@ -75,12 +82,12 @@ class Pairs:
     def fuse(self, lateness_ns, *, final=False):
         while self.waiting:
             time_ns, seq, tolerance_ns = self.waiting[0]
-            distances = [abs(time - time_ns) for time, _ in self.pictures]
-            known = any(time >= time_ns for time, _ in self.pictures) and min(distances) <= PERIOD_NS // 2
+            distances = [abs(time - time_ns) for time, _ in self.images]
+            known = any(time >= time_ns for time, _ in self.images) and min(distances) <= PERIOD_NS // 2
             if not (final or known or self.latest_ns > time_ns + tolerance_ns + lateness_ns):
                 return
             self.waiting.popleft()
-            near = [(abs(time - time_ns), time, number) for time, number in self.pictures]
+            near = [(abs(time - time_ns), time, number) for time, number in self.images]
             near = [found for found in near if found[0] <= tolerance_ns]
             if near:
                 self.results.append((seq, min(near)[2]))
@@ -94,7 +101,7 @@ class Clause5(RuleBasedStateMachine):
         self.fusion = FusionInterface(inline=True)
         self.added = {}
         self.tolerance_ms, self.timeout_ms, self.fusion_type = 0.0, 100, 0
-        self.lateness_ns = self.told_ns = None
+        self.lateness_ns = self.stated_ns = None
         self.calibrated = self.closed = False
         self.now_ns = 1_000_000 * MS
         self.streams = {kind: {} for kind in KINDS}
@@ -163,13 +170,13 @@ class Clause5(RuleBasedStateMachine):
     def move(self, back, count):
         times_ns = self.now_ns - back * MS + np.arange(count, dtype=np.int64) * 10 * MS
         quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
-        outcome = self.fusion.send_motion(PosePath(times_ns, np.zeros((count, 3)), quaternions))
-        newer = self.told_ns is None or times_ns[0] > self.told_ns
-        cause = "" if newer or times_ns[0] < self.told_ns - CLOCK_JUMP_NS else "bad-motion"
+        outcome = self.fusion.send_motion(Poses(times_ns, np.zeros((count, 3)), quaternions))
+        newer = self.stated_ns is None or times_ns[0] > self.stated_ns
+        cause = "" if newer or times_ns[0] < self.stated_ns - CLOCK_JUMP_NS else "bad-motion"
         cause = "closed" if self.closed else cause
         assert (outcome.status, outcome.cause) == (int(not cause), cause)
         if not cause:
-            self.told_ns = int(times_ns[-1])
+            self.stated_ns = int(times_ns[-1])
 
     @rule()
     def list_all(self):
@@ -205,7 +212,7 @@ class Clause5(RuleBasedStateMachine):
             tolerance_ns = int(self.tolerance_ms * MS) or PERIOD_NS
             pairs.waiting.append((time_ns, seq, tolerance_ns))
         else:
-            pairs.pictures.append((time_ns, seq))
+            pairs.images.append((time_ns, seq))
         for either in self.pairs.values():
             either.fuse(self.lateness_ns)
 
@@ -296,7 +303,7 @@ def test_every_record_is_accounted_for(inline, policy, sends, most, failing, flu
     assert fusion.set_property("queue_policy", policy)
     assert fusion.set_property("queue_length", most)
     assert fusion.set_property("result_queue_length", 2)
-    for lidar_id in (0, 2):  # so that pictures go to two
+    for lidar_id in (0, 2):  # so that images go to two
         assert fusion.set_calibration(CALIBRATION, camera_id=1, lidar_id=lidar_id)
     time_ns = 10**9 * MS
     with patch("sceneloom.fusion.system.algorithm", FailsNowAndThen if failing else algorithm):

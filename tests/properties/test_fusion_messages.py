@@ -1,4 +1,4 @@
-"""Records of DB34/T 4101-2022 come back from every form as they were; what is not a record is told as such."""
+"""Records of DB34/T 4101-2022 come back from every form as they were; what is not a record is reported as such."""
 
 import json
 
@@ -76,7 +76,7 @@ class Draws:
         return value if self.rng.random() < 0.5 else None
 
     def pixels(self):
-        """Height, width, encoding, channels and values of a picture."""
+        """Height, width, encoding, channels and values of an image."""
         height, width = int(self.rng.integers(1, 6)), int(self.rng.integers(1, 6))
         encoding = self.one(sorted(ENCODINGS))
         channel = self.one(sorted(ENCODINGS[encoding].channels))
@@ -332,7 +332,7 @@ def record_or_fault(read, *arguments):
 
 
 def mutations(value):
-    """Other values than the one that stands at a place of a JSON document."""
+    """Other values than the one that stands at a location of a JSON document."""
     others = [
         None,
         True,
@@ -355,15 +355,15 @@ def mutations(value):
     return st.sampled_from(others) | st.just([value, value]) | st.just({"a": value}) | st.text(max_size=5)
 
 
-def places(content, path=()):
+def locations(content, path=()):
     """All paths to the values of a JSON document."""
     yield path
     if isinstance(content, dict):
         for name, value in content.items():
-            yield from places(value, (*path, name))
+            yield from locations(value, (*path, name))
     elif isinstance(content, list):
         for k, value in enumerate(content[:20]):
-            yield from places(value, (*path, k))
+            yield from locations(value, (*path, k))
 
 
 @KINDS
@@ -371,7 +371,7 @@ def places(content, path=()):
 @given(seed=SEEDS, data=st.data())
 def test_json_with_another_value_somewhere_is_a_record_or_a_fault(kind, seed, data):
     content = json.loads(json.dumps(to_json(RECORDS[kind](Draws(seed)), lists=data.draw(st.booleans()))))
-    *path, last = data.draw(st.sampled_from([p for p in places(content) if p] or [("nothing",)]))
+    *path, last = data.draw(st.sampled_from([p for p in locations(content) if p] or [("nothing",)]))
     parent = content
     for step in path:
         parent = parent[step]
@@ -428,6 +428,6 @@ def test_a_request_with_other_bytes_somewhere_is_a_record_or_a_fault(kind, seed,
 
 @settings(max_examples=200)
 @given(st.builds(Timestamp, st.integers(0, 2**32 - 1), st.integers(0, 10**9 - 1)))
-def test_a_time_stamp_comes_back_from_nanoseconds_and_from_text(timestamp):
+def test_a_timestamp_comes_back_from_nanoseconds_and_from_text(timestamp):
     assert Timestamp.of(timestamp.nanoseconds) == timestamp
     assert Timestamp.parse(str(timestamp)) == timestamp

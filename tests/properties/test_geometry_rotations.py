@@ -87,7 +87,7 @@ def test_a_rotation_is_its_own_nearest_rotation(a):
 @given(quaternions(), quaternions(), st.floats(0, 1))
 def test_slerp_shares_the_angle_in_the_given_proportion(a, b, fraction):
     whole, part = angle_between(a, b), slerp(a, b, fraction)
-    assume(whole < np.pi - 1e-6)  # at half a turn there are two shortest ways
+    assume(whole < np.pi - 1e-6)  # at half a rotation there are two shortest ways
     assert abs(angle_between(a, part) - fraction * whole) < 10 * ROUNDING
     assert abs(angle_between(part, b) - (1 - fraction) * whole) < 10 * ROUNDING
 
@@ -121,7 +121,7 @@ def test_boxes_hold_points_towards_their_corners_and_none_beyond_them(pose, size
     arrays(np.float64, 3, elements=st.floats(-5e4, 5e4)),
     st.tuples(st.floats(-90, 90), st.floats(-180, 180), st.floats(-400, 9000)),
 )
-def test_offsets_east_north_and_up_give_their_place_back(enu, origin):
+def test_offsets_east_north_and_up_give_their_location_back(enu, origin):
     # Degrees of 1e-14 relative rounding are 1e-8 m on the ground; longitudes lose nothing near the poles, since
     # there a wrong longitude is a small distance.
     assert np.abs(enu_from_geodetic(geodetic_from_enu(enu, origin), origin) - enu).max() < 3e-8

@@ -23,7 +23,7 @@ ROUNDING = 1e-7
 
 
 def table(boxes: np.ndarray, ids: np.ndarray | None = None) -> ObjectTable:
-    """All boxes in one frame; or two frames of the same two objects, where ids say so."""
+    """All boxes in one frame; or two frames of the same two objects, where ids report it."""
     numbers = np.arange(len(boxes)) if ids is None else ids
     frames = np.zeros(len(boxes), np.int64) if ids is None else np.arange(len(boxes)) // 2
     return ObjectTable(frames, numbers.astype(np.int64), ("car",) * len(boxes), boxes=boxes)
@@ -44,11 +44,11 @@ def test_overlaps_are_the_same_from_either_side_and_never_above_one(first, secon
 
 
 @given(BOXES, BOXES, SPACES, NUMBERS, arrays(float, 3, elements=NUMBERS))
-def test_overlaps_do_not_change_where_both_move_together(first, second, similarity, turn, shift):
+def test_overlaps_do_not_change_where_both_move_together(first, second, similarity, delta_rotation, shift):
     def moved(boxes: np.ndarray) -> np.ndarray:
-        cosine, sine = np.cos(turn), np.sin(turn)
+        cosine, sine = np.cos(delta_rotation), np.sin(delta_rotation)
         rotation = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
-        return np.hstack([boxes[:, :3] @ rotation.T + shift, boxes[:, 3:6], boxes[:, 6:] + turn])
+        return np.hstack([boxes[:, :3] @ rotation.T + shift, boxes[:, 3:6], boxes[:, 6:] + delta_rotation])
 
     expected = overlaps(first, second, similarity)
     np.testing.assert_allclose(
@@ -57,10 +57,10 @@ def test_overlaps_do_not_change_where_both_move_together(first, second, similari
 
 
 @given(BOXES, SPACES)
-def test_overlaps_do_not_change_where_a_box_is_turned_by_half_a_circle(boxes, similarity):
-    turned = boxes + np.array([0, 0, 0, 0, 0, 0, np.pi])
+def test_overlaps_do_not_change_where_a_box_is_rotated_by_half_a_circle(boxes, similarity):
+    rotated = boxes + np.array([0, 0, 0, 0, 0, 0, np.pi])
     np.testing.assert_allclose(
-        overlaps(boxes, turned, similarity), overlaps(boxes, boxes, similarity), rtol=0, atol=ROUNDING
+        overlaps(boxes, rotated, similarity), overlaps(boxes, boxes, similarity), rtol=0, atol=ROUNDING
     )
 
 
@@ -68,9 +68,9 @@ def test_overlaps_do_not_change_where_a_box_is_turned_by_half_a_circle(boxes, si
 def test_figures_do_not_depend_on_how_objects_are_called(truth, found, names):
     rules = TrackingRules(similarity=Similarity.ABOVE, least_similarity=0.1)
     ids = np.array([0, 1, 0, 1])
-    told = score_sequence(table(found, ids), table(truth, ids), "car", rules=rules)
+    reported = score_sequence(table(found, ids), table(truth, ids), "car", rules=rules)
     renamed = score_sequence(table(found, np.array(names)[ids]), table(truth, ids + 7), "car", rules=rules)
-    assert renamed.hota.hota == told.hota.hota or abs(renamed.hota.hota - told.hota.hota) < 1e-12
-    assert (renamed.clear.tp, renamed.clear.idsw) == (told.clear.tp, told.clear.idsw)
-    assert renamed.identity == told.identity
-    assert told.clear.tp + told.clear.fn == told.clear.tp + told.clear.fp == 4
+    assert renamed.hota.hota == reported.hota.hota or abs(renamed.hota.hota - reported.hota.hota) < 1e-12
+    assert (renamed.clear.tp, renamed.clear.idsw) == (reported.clear.tp, reported.clear.idsw)
+    assert renamed.identity == reported.identity
+    assert reported.clear.tp + reported.clear.fn == reported.clear.tp + reported.clear.fp == 4

@@ -1,4 +1,4 @@
-"""Clouds of any columns, frames of any tree and stamps of any length come back as they were."""
+"""Clouds of any columns, frames of any tree and timestamps of any length come back as they were."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.formats.clouds.layout import TYPES, parse_layout
 from sceneloom.formats.clouds.table import read_cloud
-from sceneloom.formats.rig.stamps import NamePattern, parse_stamp
+from sceneloom.formats.rig.timestamps import NamePattern, parse_timestamp
 from sceneloom.formats.rig.transforms import Edge, FrameTree
 from sceneloom.geometry.rigid import RigidTransform
 
@@ -38,7 +38,7 @@ def records(draw, types=TYPES):
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory):
+def location(tmp_path_factory):
     """A folder for the files."""
     return tmp_path_factory.mktemp("clouds")
 
@@ -60,19 +60,19 @@ def layout(written):
 
 
 @given(written=records())
-def test_bin_files_come_back_bit_by_bit(place, written):
-    (place / "a.bin").write_bytes(written.tobytes())
-    check(place / "a.bin", written)
+def test_bin_files_come_back_bit_by_bit(location, written):
+    (location / "a.bin").write_bytes(written.tobytes())
+    check(location / "a.bin", written)
 
 
 @given(written=records())
-def test_npy_files_come_back_bit_by_bit(place, written):
-    np.save(place / "a.npy", written)
-    check(place / "a.npy", written)
+def test_npy_files_come_back_bit_by_bit(location, written):
+    np.save(location / "a.npy", written)
+    check(location / "a.npy", written)
 
 
 @given(written=records(), text=st.booleans())
-def test_pcd_files_come_back_bit_by_bit(place, written, text):
+def test_pcd_files_come_back_bit_by_bit(location, written, text):
     kinds = [written.dtype[name] for name in written.dtype.names]
     head = "\n".join(
         [
@@ -83,27 +83,27 @@ def test_pcd_files_come_back_bit_by_bit(place, written, text):
         ]
     )
     lines = "".join(" ".join(repr(value.item()) for value in row) + "\n" for row in written)
-    (place / "a.pcd").write_bytes(head.encode() + (lines.encode() if text else written.tobytes()))
-    check(place / "a.pcd", written)
+    (location / "a.pcd").write_bytes(head.encode() + (lines.encode() if text else written.tobytes()))
+    check(location / "a.pcd", written)
 
 
 @given(written=records(tuple(PLY_TYPES)), order=st.sampled_from(["little", "big"]))
-def test_ply_files_come_back_bit_by_bit(place, written, order):
+def test_ply_files_come_back_bit_by_bit(location, written, order):
     properties = "".join(f"property {PLY_TYPES[written.dtype[n].name]} {n}\n" for n in written.dtype.names)
     head = f"ply\nformat binary_{order}_endian 1.0\nelement vertex {len(written)}\n{properties}end_header\n"
-    turned = written.astype(written.dtype.newbyteorder(">" if order == "big" else "<"))
-    (place / "a.ply").write_bytes(head.encode() + turned.tobytes())
-    check(place / "a.ply", written)
+    rotated = written.astype(written.dtype.newbyteorder(">" if order == "big" else "<"))
+    (location / "a.ply").write_bytes(head.encode() + rotated.tobytes())
+    check(location / "a.ply", written)
 
 
 @given(st.integers(-9 * 10**18, 9 * 10**18))
-def test_stamps_of_any_length_lose_no_nanosecond(stamp_ns):
-    sign, (whole, rest) = "-" if stamp_ns < 0 else "", divmod(abs(stamp_ns), 10**9)
-    assert parse_stamp(f"{sign}{whole}.{rest:09d}", "seconds") == stamp_ns
-    assert parse_stamp(str(stamp_ns), "nanoseconds") == stamp_ns
-    if stamp_ns >= 0:
-        assert NamePattern("a_{s}_{ns}").read(f"a_{whole}_{rest}.bin") == stamp_ns
-        assert NamePattern("*-{ns}").read(f"x1-2-{stamp_ns}.png") == stamp_ns
+def test_timestamps_of_any_length_lose_no_nanosecond(timestamp_ns):
+    sign, (whole, rest) = "-" if timestamp_ns < 0 else "", divmod(abs(timestamp_ns), 10**9)
+    assert parse_timestamp(f"{sign}{whole}.{rest:09d}", "seconds") == timestamp_ns
+    assert parse_timestamp(str(timestamp_ns), "nanoseconds") == timestamp_ns
+    if timestamp_ns >= 0:
+        assert NamePattern("a_{s}_{ns}").read(f"a_{whole}_{rest}.bin") == timestamp_ns
+        assert NamePattern("*-{ns}").read(f"x1-2-{timestamp_ns}.png") == timestamp_ns
 
 
 @given(data=st.data(), count=st.integers(1, 8), seed=st.integers(0, 2**32 - 1))

@@ -1,4 +1,4 @@
-"""Any `frames` lines of a recording, opened and written, say the same again, be it by way of a scene file."""
+"""Any `frames` lines of a recording, opened and written, state the same again, be it through a scene file."""
 
 import copy
 import json
@@ -18,7 +18,7 @@ from sceneloom.formats import open_scene, write_scene
 
 SIZE = 8
 ROWS = [[1.0, 0.0, 0.0, 0.25], [0.0, 1.0, 0.0, 0.5], [0.0, 0.0, 1.0, 0.75], [0.0, 0.0, 0.0, 1.0]]
-LENS = {
+CAMERA_MODEL = {
     "model": "pinhole",
     "focalLengthX": 9.0,
     "focalLengthY": 9.0,
@@ -38,7 +38,7 @@ beside_line = st.dictionaries(st.sampled_from(["status", "note"]), st.one_of(st.
 
 
 @st.composite
-def lenses(draw: st.DrawFn) -> dict[str, Any]:
+def camera_models(draw: st.DrawFn) -> dict[str, Any]:
     """Parameters in any spelling, some or all of them."""
     coefficients = st.floats(-0.01, 0.01)
     name, count = draw(
@@ -69,9 +69,9 @@ def lenses(draw: st.DrawFn) -> dict[str, Any]:
 def mounts(draw: st.DrawFn) -> list[Any]:
     """A matrix with rounded digits, by rows or flat by columns."""
     matrix = np.eye(4)
-    turn = draw(st.lists(st.floats(-3, 3), min_size=3, max_size=3))
+    rotation = draw(st.lists(st.floats(-3, 3), min_size=3, max_size=3))
     # five digits leave a rotation within 1e-4 of one, which is read without a word
-    matrix[:3, :3] = Rotation.from_rotvec(turn).as_matrix().round(5)
+    matrix[:3, :3] = Rotation.from_rotvec(rotation).as_matrix().round(5)
     matrix[:3, 3] = draw(st.lists(st.floats(-5, 5), min_size=3, max_size=3))
     return draw(st.sampled_from([matrix.tolist(), matrix.T.ravel().tolist()]))
 
@@ -81,7 +81,7 @@ def entries(draw: st.DrawFn, index: int, seconds: float) -> dict[str, Any]:
     entry = {"cameraInd": index, "time": seconds + draw(st.sampled_from([0, 0, 1e-9, -0.004, 0.4]))}
     entry |= draw(beside)
     if draw(st.booleans()):
-        entry["cameraParameters"] = draw(lenses())
+        entry["cameraParameters"] = draw(camera_models())
     if draw(st.booleans()):
         entry["imuToCamera"] = draw(mounts())
     entry |= draw(st.sampled_from([{}, {}, {"missingBitmap": True}, {"missingBitmap": False}]))
@@ -90,7 +90,7 @@ def entries(draw: st.DrawFn, index: int, seconds: float) -> dict[str, Any]:
 
 @st.composite
 def drives(draw: st.DrawFn) -> list[dict[str, Any]]:
-    """Lines of pictures, each of some cameras, with a sample between."""
+    """Lines of images, each of some cameras, with a sample between."""
     first, count = draw(st.sampled_from([0, 0, 28])), draw(st.integers(1, 5))
     cameras = draw(st.integers(1, 2))
     steps = draw(st.lists(st.sampled_from([0.1, 0.033, 1.5]), min_size=count, max_size=count))
@@ -108,7 +108,7 @@ def cameras_of(drive: list[dict[str, Any]]) -> list[int]:
     return sorted({entry["cameraInd"] for line in drive for entry in line.get("frames", [])})
 
 
-def pictures_of(drive: list[dict[str, Any]], index: int) -> int:
+def images_of(drive: list[dict[str, Any]], index: int) -> int:
     shown = [entry for line in drive for entry in line.get("frames", []) if entry["cameraInd"] == index]
     return sum(entry.get("missingBitmap") is not True for entry in shown)
 
@@ -116,12 +116,12 @@ def pictures_of(drive: list[dict[str, Any]], index: int) -> int:
 def write_drive(folder: Path, drive: list[dict[str, Any]], *, calibrated: int) -> None:
     folder.mkdir()
     (folder / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in drive), "utf-8")
-    (folder / "calibration.json").write_text(json.dumps({"cameras": [LENS] * calibrated}))
+    (folder / "calibration.json").write_text(json.dumps({"cameras": [CAMERA_MODEL] * calibrated}))
     for index in range(calibrated):
-        pictures = folder / f"frames{index + 1}"
-        pictures.mkdir()
+        images = folder / f"frames{index + 1}"
+        images.mkdir()
         for number in range(sum("frames" in line for line in drive)):
-            Image.new("RGB", (SIZE, SIZE), (10 * number, 0, 100 * index)).save(pictures / f"{number:08d}.png")
+            Image.new("RGB", (SIZE, SIZE), (10 * number, 0, 100 * index)).save(images / f"{number:08d}.png")
 
 
 def read_lines(folder: Path) -> list[dict[str, Any]]:
@@ -138,25 +138,25 @@ def by_camera(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def written_again(folder: Path, temporary: Path) -> list[list[dict[str, Any]]]:
-    """The lines as they are written, and as they are by way of a scene file."""
+    """The lines as they are written, and as they are through a scene file."""
     with open_scene(folder) as scene:
-        write_scene(scene, temporary / "again", pictures="png")
+        write_scene(scene, temporary / "again", images="png")
         write_scene(scene, temporary / "scene.sfs", time_unit="nanoseconds")
     with open_scene(temporary / "scene.sfs") as scene:
-        write_scene(scene, temporary / "from_scene", pictures="png")
+        write_scene(scene, temporary / "from_scene", images="png")
     return [read_lines(temporary / name) for name in ("again", "from_scene")]
 
 
-def check_pictures(drive: list[dict[str, Any]], index: int, folder: Path) -> None:
-    """There is a picture for each line, and its own one where it has one."""
+def check_images(drive: list[dict[str, Any]], index: int, folder: Path) -> None:
+    """There is an image for each line, and its own one where it has one."""
     lines = [line["frames"] for line in drive if "frames" in line]
     files = sorted(folder.iterdir())
     assert len(files) == len(lines)
-    for place, (path, listed) in enumerate(zip(files, lines, strict=True)):
+    for location, (path, listed) in enumerate(zip(files, lines, strict=True)):
         if any(e["cameraInd"] == index and e.get("missingBitmap") is not True for e in listed):
             shown = np.asarray(Image.open(path))[0, 0].astype(int)
-            # scene files hold JPEG, which is off by a step or two where a picture is of one colour
-            assert np.abs(shown - [10 * place, 0, 100 * index]).max() <= 4
+            # scene files hold JPEG, which is off by a step or two where an image is of one colour
+            assert np.abs(shown - [10 * location, 0, 100 * index]).max() <= 4
 
 
 @settings(deadline=None)
@@ -166,12 +166,12 @@ def test_frames_lines_are_written_as_they_were(drive):
     if (
         not cameras
         or cameras != list(range(len(cameras)))
-        or not all(pictures_of(drive, index) for index in cameras)
+        or not all(images_of(drive, index) for index in cameras)
     ):
-        return  # a camera without any picture is left out, and the loss report says so
-    lenses = [entry.get("cameraParameters") for line in drive for entry in line.get("frames", ())]
-    if any(lens is not None and "focalLengthX" not in lens for lens in lenses):
-        return  # a part of a lens is written whole where the calibration becomes that of the images
+        return  # a camera without any image is left out, and the loss report says so
+    camera_models = [entry.get("cameraParameters") for line in drive for entry in line.get("frames", ())]
+    if any(camera_model is not None and "focalLengthX" not in camera_model for camera_model in camera_models):
+        return  # a part of a camera model is written whole where the calibration becomes that of the images
     with TemporaryDirectory() as temporary:
         folder = Path(temporary, "drive")
         write_drive(folder, drive, calibrated=len(cameras))
@@ -180,15 +180,15 @@ def test_frames_lines_are_written_as_they_were(drive):
             assert by_camera(found) == expected
         for name in ("again", "from_scene"):
             for index in cameras:
-                check_pictures(drive, index, Path(temporary, name, f"frames{index + 1}"))
+                check_images(drive, index, Path(temporary, name, f"frames{index + 1}"))
 
 
-TURN = {"w": 0.53464, "x": -0.15299, "y": -0.826976, "z": -0.082863}
+ROTATION = {"w": 0.53464, "x": -0.15299, "y": -0.826976, "z": -0.082863}
 RECORDED: list[dict[str, Any]] = [
     {
         "groundTruth": {
             "position": {"x": -0.0081264712, "y": 0.022171846215, "z": 0.0079135264873},
-            "orientation": TURN,
+            "orientation": ROTATION,
         },
         "time": 1.410257080078125,
     },
@@ -231,7 +231,7 @@ def test_lines_of_a_recorder_come_back_without_a_loss(tmp_path):
     assert found == RECORDED
     assert from_scene == RECORDED
     with open_scene(tmp_path / "drive") as scene:
-        report = write_scene(scene, tmp_path / "once more", pictures="png")
+        report = write_scene(scene, tmp_path / "once more", images="png")
     assert [loss for loss in report if loss.field != "replay"] == []
 
 
@@ -239,9 +239,9 @@ def frames_written(drive, tmp_path, change=lambda scene: scene):
     calibrated = len(cameras_of(drive))
     write_drive(tmp_path / "drive", drive, calibrated=calibrated)
     with open_scene(tmp_path / "drive") as scene:
-        report = write_scene(change(scene), tmp_path / "again", pictures="png")
-    told = {loss.field: loss for loss in report if loss.field != "replay"}
-    return [line for line in read_lines(tmp_path / "again") if "frames" in line], told
+        report = write_scene(change(scene), tmp_path / "again", images="png")
+    reported = {loss.field: loss for loss in report if loss.field != "replay"}
+    return [line for line in read_lines(tmp_path / "again") if "frames" in line], reported
 
 
 def test_a_mounting_that_was_normalised_is_written_as_it_was_taken(tmp_path):
@@ -256,11 +256,11 @@ def test_a_mounting_that_was_normalised_is_written_as_it_was_taken(tmp_path):
     assert kept.tolist() == drive[0]["frames"][1]["imuToCamera"]
 
 
-def test_a_lens_that_was_changed_is_written_as_it_is_now(tmp_path):
+def test_a_camera_model_that_was_changed_is_written_as_it_is_now(tmp_path):
     def wider(scene):
         camera = scene.sensor("camera0")
-        pictures = [replace(shot, camera=replace(shot.camera, fx=200.0)) for shot in camera.pictures]
-        changed = replace(camera, pictures=type(camera.pictures).of(pictures, camera.pictures.timestamps_ns))
+        images = [replace(shot, camera=replace(shot.camera, fx=200.0)) for shot in camera.images]
+        changed = replace(camera, images=type(camera.images).of(images, camera.images.timestamps_ns))
         return replace(
             scene, sensors=tuple(changed if sensor is camera else sensor for sensor in scene.sensors)
         )
@@ -282,17 +282,17 @@ def numbered(numbers: list[int]) -> list[dict[str, Any]]:
 
 @pytest.mark.parametrize("numbers", [[0, 1, 2], [28, 29, 30], [28, 30, 31]])
 def test_numbers_stay_with_their_gaps(numbers, tmp_path):
-    found, told = frames_written(numbered(numbers), tmp_path)
+    found, reported = frames_written(numbered(numbers), tmp_path)
     assert [line["number"] for line in found] == numbers
-    assert "frames[].number" not in told
+    assert "frames[].number" not in reported
 
 
-def test_pictures_that_were_left_out_are_not_counted(tmp_path):
+def test_images_that_were_left_out_are_not_counted(tmp_path):
     def shorter(scene):
         camera = scene.cameras[0]
-        kept = [camera.pictures[k] for k in (1, 2)]
-        pictures = type(camera.pictures).of(kept, [shot.timestamp_ns for shot in kept])
-        return replace(scene, sensors=(replace(camera, pictures=pictures),))
+        kept = [camera.images[k] for k in (1, 2)]
+        images = type(camera.images).of(kept, [shot.timestamp_ns for shot in kept])
+        return replace(scene, sensors=(replace(camera, images=images),))
 
     drive = numbered([28, 29, 30])
     found, _ = frames_written(drive, tmp_path, shorter)
@@ -300,32 +300,32 @@ def test_pictures_that_were_left_out_are_not_counted(tmp_path):
     assert [line["time"] for line in found] == [0.1, 0.2]
 
 
-def test_lines_whose_clock_was_moved_are_put_together_anew_and_that_is_told(tmp_path):
+def test_lines_whose_clock_was_moved_are_put_together_anew_and_that_is_reported(tmp_path):
     def later(scene):
         moved = []
         for camera in scene.cameras:
             shots = [
-                replace(shot, timestamp_ns=shot.timestamp_ns + 10**9, extras={}) for shot in camera.pictures
+                replace(shot, timestamp_ns=shot.timestamp_ns + 10**9, extras={}) for shot in camera.images
             ]
-            pictures = type(camera.pictures).of(shots, [shot.timestamp_ns for shot in shots])
-            moved.append(replace(camera, pictures=pictures))
+            images = type(camera.images).of(shots, [shot.timestamp_ns for shot in shots])
+            moved.append(replace(camera, images=images))
         return replace(scene, sensors=tuple(moved))
 
     drive = numbered([0, 1, 2])
     drive[0]["time"] = -0.05
     drive[1]["frames"][0]["missingBitmap"] = True
-    found, told = frames_written(drive, tmp_path, later)
+    found, reported = frames_written(drive, tmp_path, later)
     assert [line["time"] for line in found] == [1.0, 1.2]
     assert [line["number"] for line in found] == [0, 1]
-    assert told["frames"].count == 2
+    assert reported["frames"].count == 2
 
 
-def test_cameras_that_a_line_does_not_list_are_not_listed_and_that_is_told(tmp_path):
+def test_cameras_that_a_line_does_not_list_are_not_listed_and_that_is_reported(tmp_path):
     short = {"frames": [{"cameraInd": 1, "time": 2.0}], "number": 32, "time": 2.0}
     drive = [*copy.deepcopy(RECORDED[1:2]), short]
     write_drive(tmp_path / "drive", drive, calibrated=2)
     with open_scene(tmp_path / "drive") as scene:
-        report = write_scene(scene, tmp_path / "again", pictures="png")
+        report = write_scene(scene, tmp_path / "again", images="png")
     assert read_lines(tmp_path / "again") == drive
     assert [loss.count for loss in report if "do not list every camera" in loss.what] == [1]
     assert not [loss for loss in report if "not in step" in loss.what]

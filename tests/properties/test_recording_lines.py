@@ -1,4 +1,4 @@
-"""Any lines of a recording, opened and written, say the same again: sorted by time, and else as they were."""
+"""Any lines of a recording, opened and written, state the same again: sorted by time, and else as they were."""
 
 import json
 import struct
@@ -14,7 +14,7 @@ from PIL import Image
 from sceneloom.formats import open_scene, write_scene
 
 ROWS = [[1.0, 0.0, 0.0, 0.25], [0.0, 1.0, 0.0, 0.5], [0.0, 0.0, 1.0, 0.75], [0.0, 0.0, 0.0, 1.0]]
-LENS = {
+CAMERA_MODEL = {
     "model": "pinhole",
     "focalLengthX": 9.0,
     "focalLengthY": 9.0,
@@ -22,7 +22,7 @@ LENS = {
     "principalPointY": 3.5,
     "imuToCamera": ROWS,
 }
-TURN = {"w": 0.53464, "x": -0.15299, "y": -0.826976, "z": -0.082863}
+ROTATION = {"w": 0.53464, "x": -0.15299, "y": -0.826976, "z": -0.082863}
 TIMES = (0, 0.1 + 0.2, 1.5, 1.5000000000000002, 1.4497692636718750, 7, -3.25, 1e-10, 1e-9, 123456.789012345)
 """Few, so that many lines have one; some closer than a nanosecond."""
 
@@ -64,7 +64,7 @@ def poses(draw: st.DrawFn) -> dict[str, Any]:
     pose: dict[str, Any] = {"position": draw(axes("xyz")) | draw(beside)}
     # a trajectory has an orientation with each pose, or with none
     if root in {"groundTruth", "ARKit", ""}:
-        pose["orientation"] = TURN
+        pose["orientation"] = ROTATION
     if root == "pose" and draw(st.booleans()):
         pose["name"] = "slam"
     pose |= draw(beside)
@@ -101,7 +101,7 @@ def lines(draw: st.DrawFn) -> dict[str, Any]:
 
 @st.composite
 def drives(draw: st.DrawFn) -> list[dict[str, Any]]:
-    """All lines of a recording: of records, of pictures, of sweeps, without time or subject; in any order."""
+    """All lines of a recording: of records, of images, of sweeps, without time or subject; in any order."""
     found = draw(st.lists(lines(), max_size=8))
     times = sorted(draw(st.lists(st.sampled_from(TIMES), max_size=3, unique=True)))
     for number, time in enumerate(times):
@@ -120,7 +120,7 @@ def write_drive(folder: Path, drive: list[dict[str, Any]]) -> None:
     count = sum("frames" in line for line in drive)
     (folder / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in drive), "utf-8")
     (folder / "calibration.json").write_text(
-        json.dumps({"cameras": [LENS] if count else [], "lidars": [{"imuToLidar": ROWS}]})
+        json.dumps({"cameras": [CAMERA_MODEL] if count else [], "lidars": [{"imuToLidar": ROWS}]})
     )
     (folder / "points.bin").write_bytes(struct.pack("<fffBHd", 1, 2, 3, 4, 5, 0.5))
     if count:
@@ -185,7 +185,7 @@ def test_lines_are_written_as_they_were(drive):
         if not drive:
             return
         with open_scene(folder) as scene:
-            write_scene(scene, target, pictures="png")
+            write_scene(scene, target, images="png")
         check(drive, target)
 
 
@@ -201,11 +201,11 @@ EVERY_KIND: list[dict[str, Any]] = [
     {"rtkgps": {"latitude": 60, "longitude": 25, "altitude": 14.1, "accuracy": 0.02}, "time": 0.5},
     {"barometer": {"pressureHectopascals": 1013.25}, "time": 0.5},
     {"status": "TRACKING"},
-    {"groundTruth": {"orientation": TURN, "position": {"x": 1, "y": 2, "z": 3}}, "time": 0.75},
-    {"groundTruth": {"orientation": TURN, "position": {"x": 1, "y": 2, "z": 4}}, "time": 0.75},
+    {"groundTruth": {"orientation": ROTATION, "position": {"x": 1, "y": 2, "z": 3}}, "time": 0.75},
+    {"groundTruth": {"orientation": ROTATION, "position": {"x": 1, "y": 2, "z": 4}}, "time": 0.75},
     {"pose": {"name": "slam", "position": {"x": 1, "y": 2, "z": 3}}, "time": 1.25},
     {"gnssEnu": {"mean": [1, 2, 3], "covariance": [0.5]}, "time": 1.25},
-    {"time": 1.5, "position": {"x": 1, "y": 2, "z": 3}, "orientation": TURN, "status": "TRACKING"},
+    {"time": 1.5, "position": {"x": 1, "y": 2, "z": 3}, "orientation": ROTATION, "status": "TRACKING"},
     {"droppedFrame": True, "time": 1.5},
     {
         "sensor": {"type": "gyroscope", "values": [9, 9, 9]},
@@ -234,9 +234,9 @@ def test_what_was_changed_is_written_and_the_rest_of_its_line_stays(tmp_path):
     with open_scene(tmp_path / "drive") as scene:
         imu = scene.sensor("imu")
         gyroscope = imu.streams["gyroscope"]
-        turned = {**imu.streams, "gyroscope": replace(gyroscope, values=gyroscope.values + 1)}
+        rotated = {**imu.streams, "gyroscope": replace(gyroscope, values=gyroscope.values + 1)}
         others = tuple(sensor for sensor in scene.sensors if sensor.id != "imu")
-        write_scene(replace(scene, sensors=(*others, replace(imu, streams=turned))), tmp_path / "again")
+        write_scene(replace(scene, sensors=(*others, replace(imu, streams=rotated))), tmp_path / "again")
     expected = [
         {**line, "sensor": {**line["sensor"], "values": [value + 1 for value in line["sensor"]["values"]]}}
         if line.get("sensor", {}).get("type") == "gyroscope"

@@ -31,7 +31,7 @@ from sceneloom.scene import (
     PointPath,
     PointProjection,
     PointsAnnotation,
-    PosePath,
+    Poses,
     Projection,
     Scene,
     ShapeAnnotation,
@@ -53,20 +53,20 @@ JSON = st.recursive(
 )
 EXTRAS = st.dictionaries(NAMES.map(lambda name: f"x {name}"), JSON, max_size=2)
 DURATIONS = st.integers(0, 2**40) | st.integers(0, 2**40).map(lambda n: n + 0.5)
-SAID = {
+STATED = {
     "label": st.none() | NAMES,
     "parent_id": st.none() | st.just("o"),
     "attributes": st.deferred(lambda: st.lists(attribute_paths(), max_size=2).map(tuple)),
     "extras": EXTRAS,
 }
-OF_OBJECT = {**SAID, "stationary": FLAGS}
+OF_OBJECT = {**STATED, "stationary": FLAGS}
 
 
 def optional(strategy):
     return st.none() | strategy
 
 
-def stamps(count):
+def timestamps(count):
     within = st.integers(START_NS, START_NS + 10**9 - 1)
     return st.lists(within, min_size=count, max_size=count, unique=True).map(
         lambda times: np.array(sorted(times), np.int64)
@@ -102,7 +102,7 @@ def attribute_paths(draw):
     )
     static = draw(FLAGS)
     count = draw(st.integers(0, 3)) if static else len(values)
-    times = draw(optional(stamps(count)))
+    times = draw(optional(timestamps(count)))
     return AttributePath(
         draw(NAMES),
         tuple(values),
@@ -119,7 +119,7 @@ def activations(draw):
     count = draw(st.integers(0, 3))
     return Activation(
         draw(OF_SENSOR),
-        draw(stamps(count)),
+        draw(timestamps(count)),
         durations_ns=draw(optional(st.tuples(*[DURATIONS] * count))),
         cuboids=draw(optional(with_nothing(count, 9))),
         extras=draw(EXTRAS),
@@ -134,7 +134,9 @@ def seen(kind, columns):
         count = draw(st.integers(0, 3))
         arrays = {name: draw(optional(with_nothing(count, width))) for name, width in columns.items()}
         confirmed = draw(optional(st.tuples(*[FLAGS] * count)))
-        return kind(draw(OF_SENSOR), draw(stamps(count)), confirmed=confirmed, extras=draw(EXTRAS), **arrays)
+        return kind(
+            draw(OF_SENSOR), draw(timestamps(count)), confirmed=confirmed, extras=draw(EXTRAS), **arrays
+        )
 
     return build()
 
@@ -142,7 +144,7 @@ def seen(kind, columns):
 @st.composite
 def row_paths(draw, kind, columns):
     count = draw(st.integers(0, 3))
-    return kind(draw(stamps(count)), draw(numbers(count, columns)), extras=draw(EXTRAS))
+    return kind(draw(timestamps(count)), draw(numbers(count, columns)), extras=draw(EXTRAS))
 
 
 @st.composite
@@ -153,7 +155,7 @@ def shapes(draw, identifier):
     return ShapeAnnotation(
         identifier,
         kind,
-        VertexPath(draw(stamps(count)), vertices, draw(EXTRAS)),
+        VertexPath(draw(timestamps(count)), vertices, draw(EXTRAS)),
         draw(OF_SENSOR if dimensions == 2 else optional(OF_SENSOR)),
         draw(FLAGS) if kind is ShapeType.POLYLINE else None,
         **{name: draw(strategy) for name, strategy in OF_OBJECT.items()},
@@ -168,17 +170,17 @@ def keypoints(draw, identifier):
         columns = draw(st.sampled_from([3, 3, 9])) if count else 3
         values = draw(numbers(count, columns))
         paths.append(
-            PointPath(draw(stamps(count)), values, draw(st.sampled_from([None, number])), draw(EXTRAS))
+            PointPath(draw(timestamps(count)), values, draw(st.sampled_from([None, number])), draw(EXTRAS))
         )
     projections = st.lists(seen(PointProjection, {"points": 2, "positions": 3}), max_size=2).map(tuple)
-    said = {name: draw(strategy) for name, strategy in OF_OBJECT.items() if name != "label"}
+    stated = {name: draw(strategy) for name, strategy in OF_OBJECT.items() if name != "label"}
     return PointsAnnotation(
         identifier,
         tuple(paths),
         labels=draw(optional(st.tuples(*[NAMES] * len(paths)))),
         projections=draw(st.lists(projections, max_size=2).map(tuple)),
         sensor_id=draw(optional(OF_SENSOR)),
-        **said,
+        **stated,
     )
 
 
@@ -188,11 +190,11 @@ def pose_paths(draw):
     count = draw(st.integers(1, 3))
     quaternions = draw(hnp.arrays(np.float64, (count, 4), elements=st.floats(0.1, 1.0)))
     quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
-    return PosePath(draw(stamps(count)), draw(numbers(count, 3)), quaternions, endless=count == 1)
+    return Poses(draw(timestamps(count)), draw(numbers(count, 3)), quaternions, static=count == 1)
 
 
 @st.composite
-def lenses(draw):
+def camera_models(draw):
     model = draw(st.sampled_from(["pinhole", "from-the-future", *COEFFICIENT_COUNTS]))
     count = COEFFICIENT_COUNTS.get(model, 0 if model == "pinhole" else 3)
     focal, centre = st.floats(0.5, 1e4), st.floats(-1e4, 1e4)
@@ -215,9 +217,9 @@ def calibrations(draw, identifier):
         identifier,
         draw(OF_SENSOR),
         poses=poses,
-        intrinsics=draw(optional(lenses())),
+        intrinsics=draw(optional(camera_models())),
         time_offset_ns=draw(optional(DURATIONS)),
-        parent_id=draw(SAID["parent_id"]),
+        parent_id=draw(STATED["parent_id"]),
         extras=draw(corrections_extras(poses)),
     )
 
@@ -225,7 +227,7 @@ def calibrations(draw, identifier):
 @st.composite
 def adjustments(draw, identifier):
     poses = draw(pose_paths())
-    parent = draw(SAID["parent_id"])
+    parent = draw(STATED["parent_id"])
     return LocalizationAdjustment(identifier, poses, parent, extras=draw(corrections_extras(poses)))
 
 
@@ -239,7 +241,7 @@ def labelled_points(draw, identifier):
         tuple(parts),
         is_instance=draw(FLAGS),
         type=draw(st.sampled_from(["labeled_points", "point_segmentation"])),
-        **{name: draw(strategy) for name, strategy in SAID.items()},
+        **{name: draw(strategy) for name, strategy in STATED.items()},
     )
 
 
@@ -265,14 +267,14 @@ def of_one(identifier):
             st.integers(START_NS, START_NS + 10**9 - 1),
             duration_ns=optional(DURATIONS),
             sensor_id=sensors,
-            **SAID,
+            **STATED,
         ),
         labelled_points(identifier),
         adjustments(identifier),
         calibrations(identifier),
-        st.builds(ObjectAnnotation, one, type=st.sampled_from(["object", "attributes"]), **SAID),
-        st.builds(GroupAnnotation, one, **SAID),
-        st.builds(LinkAnnotation, one, IDS, IDS, is_bidirectional=FLAGS, sensor_id=sensors, **SAID),
+        st.builds(ObjectAnnotation, one, type=st.sampled_from(["object", "attributes"]), **STATED),
+        st.builds(GroupAnnotation, one, **STATED),
+        st.builds(LinkAnnotation, one, IDS, IDS, is_bidirectional=FLAGS, sensor_id=sensors, **STATED),
         st.builds(PlainAnnotation, one, NAMES.map(lambda name: f"x {name}"), EXTRAS),
     )
 
@@ -316,11 +318,14 @@ def everything(annotations):
 
 
 def as_scale_holds(annotation):
-    """Its library loads no lens of a model that it does not know; such a one becomes a pinhole, as the report tells."""
-    lens = getattr(annotation, "intrinsics", None)
-    if lens is None or lens.model == "pinhole" or lens.model in COEFFICIENT_COUNTS:
+    """Its library loads no camera model of a model that it does not know; such a one becomes a pinhole.
+
+    As the report reports.
+    """
+    camera_model = getattr(annotation, "intrinsics", None)
+    if camera_model is None or camera_model.model == "pinhole" or camera_model.model in COEFFICIENT_COUNTS:
         return annotation
-    return replace(annotation, intrinsics=replace(lens, model="pinhole", coefficients=()))
+    return replace(annotation, intrinsics=replace(camera_model, model="pinhole", coefficients=()))
 
 
 @given(scenes())

@@ -23,7 +23,7 @@ from sceneloom.scene import (
     LidarSensor,
     OdometrySensor,
     PointsFrame,
-    PosePath,
+    Poses,
     Scene,
     Trajectory,
     VectorSamples,
@@ -76,7 +76,7 @@ def pose_paths(draw, start_ns):
     count = draw(st.integers(1, 4))
     steps = draw(st.lists(st.integers(1, 10**9), min_size=count, max_size=count))
     quaternions = draw(hnp.arrays(np.float64, (count, 4), elements=st.floats(0.1, 1.0)))
-    return PosePath(
+    return Poses(
         start_ns + np.cumsum(steps),
         draw(hnp.arrays(np.float64, (count, 3), elements=st.floats(-1e7, 1e7))),
         quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True),
@@ -151,12 +151,12 @@ def scenes(draw):
     other = EventAnnotation(
         "event", start_ns + 9, extras=draw(extras_beside("start", "duration", "sensor_id"))
     )
-    way = Trajectory("truth", np.array([start_ns]), np.ones((1, 3)), None, np.array([0.1]))
+    trajectory = Trajectory("truth", np.array([start_ns]), np.ones((1, 3)), None, np.array([0.1]))
     annotations = (cuboid,) if cuboid.id == "event" else (cuboid, other)
     return Scene(
         (cloud, *moving),
         annotations,
-        trajectories={"truth": way},
+        trajectories={"truth": trajectory},
         metadata=draw(st.dictionaries(NAMES.filter(lambda name: name != "sceneloom"), JSON, max_size=2)),
         attributes=attributes,
     )
@@ -199,7 +199,7 @@ def test_writing_what_was_read_gives_the_same_bytes(target, assert_same, scene):
 
 
 NEAR_HALVES = st.builds(
-    lambda stamp, off: stamp * 1000 + 500 + off, st.integers(-(2**40), 2**40), st.integers(-1, 1)
+    lambda timestamp, off: timestamp * 1000 + 500 + off, st.integers(-(2**40), 2**40), st.integers(-1, 1)
 )
 
 
@@ -208,15 +208,15 @@ NEAR_HALVES = st.builds(
     st.sampled_from([1, 1000]),
     st.integers(-(10**9), 10**9),
 )
-def test_stamps_are_the_nearest_and_of_two_nearest_the_even(timestamp_ns, tick_ns, offset):
+def test_timestamps_are_the_nearest_and_of_two_nearest_the_even(timestamp_ns, tick_ns, offset):
     from fractions import Fraction
 
     clock = FileClock(tick_ns, offset * tick_ns)
     exact = Fraction(timestamp_ns, tick_ns) - offset
-    assert clock.stamp(timestamp_ns) == round(exact)
-    stamps, inexact = clock.stamp_array(np.array([timestamp_ns]))
-    assert (stamps.tolist(), inexact) == ([round(exact)], int(exact.denominator != 1))
-    assert clock.absolute_array(stamps).tolist() == [clock.absolute_ns(round(exact))]
+    assert clock.timestamp(timestamp_ns) == round(exact)
+    timestamps, inexact = clock.timestamp_array(np.array([timestamp_ns]))
+    assert (timestamps.tolist(), inexact) == ([round(exact)], int(exact.denominator != 1))
+    assert clock.absolute_array(timestamps).tolist() == [clock.absolute_ns(round(exact))]
 
 
 @given(st.integers(-(2**62), 2**62))

@@ -1,4 +1,4 @@
-"""What is left out of a path is told by what stays, within the tolerances, for whatever path."""
+"""What is left out of a path is known by what stays, within the tolerances, for whatever path."""
 
 from itertools import pairwise
 
@@ -16,7 +16,7 @@ from sceneloom.scene import (
     OdometrySensor,
     PointPath,
     PointsAnnotation,
-    PosePath,
+    Poses,
     Scene,
 )
 
@@ -27,59 +27,59 @@ ARITHMETIC = 1e-6
 
 @st.composite
 def paths(draw, columns):
-    stamps = np.cumsum(draw(STEPS)).astype(np.int64)
-    smooth = np.sin(stamps[:, None] * draw(st.floats(1e-11, 1e-8)) + np.arange(columns))
-    rough = draw(arrays(np.float64, (len(stamps), columns), elements=st.floats(-1.0, 1.0, width=32)))
-    return stamps, draw(st.sampled_from([0.1, 3.0, 50.0])) * smooth + draw(
+    timestamps = np.cumsum(draw(STEPS)).astype(np.int64)
+    smooth = np.sin(timestamps[:, None] * draw(st.floats(1e-11, 1e-8)) + np.arange(columns))
+    rough = draw(arrays(np.float64, (len(timestamps), columns), elements=st.floats(-1.0, 1.0, width=32)))
+    return timestamps, draw(st.sampled_from([0.1, 3.0, 50.0])) * smooth + draw(
         st.sampled_from([0.0, 0.01, 1.0])
     ) * rough
 
 
-def straight(stamps, values, times):
+def straight(timestamps, values, times):
     return np.column_stack(
-        [np.interp(times.astype(float), stamps.astype(float), column) for column in values.T]
+        [np.interp(times.astype(float), timestamps.astype(float), column) for column in values.T]
     )
 
 
 @given(paths(9), st.sampled_from([0.001, 0.05, 1.0]), st.sampled_from([0.01, 1.0, 20.0]))
-def test_stamps_left_out_of_a_cuboid_are_told_by_scipy_within_the_tolerances(path, metres, degrees):
-    stamps, values = path
+def test_timestamps_left_out_of_a_cuboid_are_reported_by_scipy_within_the_tolerances(path, metres, degrees):
+    timestamps, values = path
     values[:, 6:] *= 40.0
-    cuboid = CuboidAnnotation("a", CuboidPath(stamps, values))
+    cuboid = CuboidAnnotation("a", CuboidPath(timestamps, values))
     (simple,) = simplify_scene(Scene((), (cuboid,)), tolerance_m=metres, tolerance_deg=degrees).annotations
-    kept = np.isin(stamps, simple.path.timestamps_ns)
+    kept = np.isin(timestamps, simple.path.timestamps_ns)
     np.testing.assert_array_equal(simple.path.values, values[kept])
     assert kept[[0, -1]].all()
-    between = straight(simple.path.timestamps_ns, simple.path.values[:, :6], stamps)
+    between = straight(simple.path.timestamps_ns, simple.path.values[:, :6], timestamps)
     for part in (slice(0, 3), slice(3, 6)):
         away = np.linalg.norm(between[:, part] - values[:, part], axis=1)
         assert away.max() <= metres * (1 + ARITHMETIC) + 1e-12
     if len(simple.path.timestamps_ns) > 1:
-        turns = Rotation.from_euler("XYZ", values[:, 6:], degrees=True)
-        told = Slerp(simple.path.timestamps_ns.astype(float), turns[kept])(stamps.astype(float))
-        assert np.degrees((told.inv() * turns).magnitude()).max() <= degrees * (1 + ARITHMETIC) + 1e-6
+        rotations = Rotation.from_euler("XYZ", values[:, 6:], degrees=True)
+        reported = Slerp(simple.path.timestamps_ns.astype(float), rotations[kept])(timestamps.astype(float))
+        assert np.degrees((reported.inv() * rotations).magnitude()).max() <= degrees * (1 + ARITHMETIC) + 1e-6
 
 
 @given(paths(3), st.sampled_from([0.0, 0.001, 0.1]))
-def test_stamps_left_out_of_a_keypoint_are_told_within_the_tolerance(path, metres):
-    stamps, values = path
-    points = PointsAnnotation("a", (PointPath(stamps, values),))
+def test_timestamps_left_out_of_a_keypoint_are_reported_within_the_tolerance(path, metres):
+    timestamps, values = path
+    points = PointsAnnotation("a", (PointPath(timestamps, values),))
     (simple,) = simplify_scene(Scene((), (points,)), tolerance_m=metres).annotations
-    between = straight(simple.paths[0].timestamps_ns, simple.paths[0].values, stamps)
+    between = straight(simple.paths[0].timestamps_ns, simple.paths[0].values, timestamps)
     assert np.linalg.norm(between - values, axis=1).max() <= metres * (1 + ARITHMETIC) + 1e-12
 
 
 @given(paths(7), st.sampled_from([0.01, 1.0]))
-def test_poses_left_out_of_a_way_are_told_within_the_tolerances(path, metres):
-    stamps, values = path
+def test_poses_left_out_of_a_trajectory_are_reported_within_the_tolerances(path, metres):
+    timestamps, values = path
     quaternions = values[:, 3:] + [0.0, 0.0, 0.0, 200.0]
     quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
-    poses = PosePath(stamps, values[:, :3].copy(), quaternions)
+    poses = Poses(timestamps, values[:, :3].copy(), quaternions)
     (simple,) = simplify_scene(Scene((OdometrySensor("ego", poses),)), tolerance_m=metres).sensors
-    told = simple.poses.interpolate(stamps)
-    assert (told.coverage == 0).all()
-    assert np.linalg.norm(told.positions - poses.positions, axis=1).max() <= metres * (1 + ARITHMETIC)
-    away = Rotation.from_quat(told.quaternions_xyzw).inv() * Rotation.from_quat(quaternions)
+    reported = simple.poses.interpolate(timestamps)
+    assert (reported.coverage == 0).all()
+    assert np.linalg.norm(reported.positions - poses.positions, axis=1).max() <= metres * (1 + ARITHMETIC)
+    away = Rotation.from_quat(reported.quaternions_xyzw).inv() * Rotation.from_quat(quaternions)
     assert np.degrees(away.magnitude()).max() <= 0.1 * (1 + ARITHMETIC) + 1e-6
 
 

@@ -104,13 +104,13 @@ def test_any_lidar_on_any_street_gives_points_within_their_sweep_near_where_they
 )
 @pytest.mark.slow
 def test_any_camera_on_any_street_sees_depth_where_it_sees_something(seed, yaw, pitch, model):
-    lens = Camera(model[0], 64, 48, 40.0, 42.0, 31.0, 24.0, model[1])
-    spec = CameraSpec(lens, camera_mount(yaw_deg=yaw, pitch_deg=pitch))
+    camera_model = Camera(model[0], 64, 48, 40.0, 42.0, 31.0, 24.0, model[1])
+    spec = CameraSpec(camera_model, camera_mount(yaw_deg=yaw, pitch_deg=pitch))
     drive = simulate_street(seed, frames=1, lidar=LidarSpec(beams=1, steps=1), cameras=(spec,))
-    picture = drive.truth.picture("camera0", 0)
-    assert ((picture.depths > 0) == (picture.instances >= 0)).all()
-    assert picture.instances.max() <= len(drive.truth.objects)
-    np.testing.assert_array_equal(drive.scene.cameras[0].pictures[0].rgb, picture.colors)
+    image = drive.truth.image("camera0", 0)
+    assert ((image.depths > 0) == (image.instances >= 0)).all()
+    assert image.instances.max() <= len(drive.truth.objects)
+    np.testing.assert_array_equal(drive.scene.cameras[0].images[0].rgb, image.colors)
 
 
 @settings(max_examples=6, deadline=None)
@@ -119,13 +119,13 @@ def test_any_camera_on_any_street_sees_depth_where_it_sees_something(seed, yaw, 
     cars=st.floats(0, 6),
     cyclists=st.floats(0, 10),
     pedestrians=st.floats(0, 15),
-    standing=st.floats(0, 0.5),
+    stationary=st.floats(0, 0.5),
 )
 @pytest.mark.slow
 def test_in_any_traffic_points_lie_on_what_is_there_at_their_times(
-    seed, cars, cyclists, pedestrians, standing
+    seed, cars, cyclists, pedestrians, stationary
 ):
-    traffic = TrafficSpec(cars=cars, cyclists=cyclists, pedestrians=pedestrians, standing=standing)
+    traffic = TrafficSpec(cars=cars, cyclists=cyclists, pedestrians=pedestrians, stationary=stationary)
     spec = LidarSpec(beams=16, steps=300, range_sigma=0.0, drop_rate=0.0)
     drive = simulate_street(seed, frames=2, lidar=spec, cameras=(), traffic=traffic)
     truth, clean = drive.truth, drive.truth.clean_points_world(1)

@@ -26,8 +26,8 @@ def test_a_raster_shoots_at_each_of_its_cells_once_and_in_the_order_of_time(
     directions = shots.rays.spread()
     azimuths = np.degrees(np.arctan2(directions[:, 1], directions[:, 0]))
     cells = np.rint((40.0 - azimuths) / (80.0 / (columns * channels)) - 0.5).astype(int)
-    places = set(zip(shots.rings.tolist(), cells.tolist(), strict=True))
-    assert places == {(ring, cell) for ring in range(rows) for cell in range(columns * channels)}
+    locations = set(zip(shots.rings.tolist(), cells.tolist(), strict=True))
+    assert locations == {(ring, cell) for ring in range(rows) for cell in range(columns * channels)}
     assert len(shots.moments) == rows * columns * channels
     assert (np.diff(shots.moments) >= 0).all()
     assert 0 == shots.offsets_ns[0] <= shots.offsets_ns[-1] < period_ns
@@ -35,13 +35,13 @@ def test_a_raster_shoots_at_each_of_its_cells_once_and_in_the_order_of_time(
 
 @given(
     fov_deg=st.floats(1.0, 160.0),
-    turns=st.tuples(st.floats(-9000, 9000), st.floats(-9000, 9000)),
+    rotations=st.tuples(st.floats(-9000, 9000), st.floats(-9000, 9000)),
     share=st.floats(0.0, 1.0),
     elapsed_ns=st.integers(0, 10**12),
 )
 @settings(max_examples=60, deadline=None)
-def test_a_rosette_stays_between_its_least_and_its_greatest_bend(fov_deg, turns, share, elapsed_ns):
-    shots = Rosette(fov_deg, 5000.0, turns, share).plan_shots(20_000_000)(elapsed_ns)
+def test_a_rosette_stays_between_its_least_and_its_greatest_bend(fov_deg, rotations, share, elapsed_ns):
+    shots = Rosette(fov_deg, 5000.0, rotations, share).plan_shots(20_000_000)(elapsed_ns)
     off_axis = np.degrees(np.arccos(shots.rays.spread()[:, 0].clip(-1.0, 1.0)))
     # The arc cosine loses half of the digits near the axis: 1e-8 rad.
     assert off_axis.max() <= fov_deg / 2 + 2e-6
@@ -56,7 +56,7 @@ def test_a_rosette_stays_between_its_least_and_its_greatest_bend(fov_deg, turns,
     readout_ns=st.integers(1, 10**8),
     left_to_right=st.booleans(),
 )
-def test_the_lines_of_a_shutter_lie_evenly_around_the_pictures_time(height, width, readout_ns, left_to_right):
+def test_the_lines_of_a_shutter_lie_evenly_around_the_images_time(height, width, readout_ns, left_to_right):
     camera = Camera("pinhole", width, height, 30.0, 30.0, 10.0, 10.0)
     offsets = CameraSpec(camera, readout_ns=readout_ns, left_to_right=left_to_right).line_offsets_ns()
     count = width if left_to_right else height

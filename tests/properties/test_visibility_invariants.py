@@ -75,13 +75,13 @@ def test_directions_of_any_points_stay_in_the_map_and_in_the_outputs(points, ids
         elements=st.one_of(any_float32, st.floats(-2, 2, width=32), st.floats(0, 0.015625, width=32)),
     ),
     window_deg=st.sampled_from([0.3, 2.5]),
-    known_way=st.booleans(),
+    known_trajectory=st.booleans(),
 )
-def test_visibility_of_any_directions_stays_in_its_output(rows, window_deg, known_way):
+def test_visibility_of_any_directions_stays_in_its_output(rows, window_deg, known_trajectory):
     visible, check = guarded((rows.shape[1],), np.bool_, True)
     near = math.radians(0.3) ** -2
     cell = math.radians(0.16)
-    eyes = np.array([[0.1, -0.5, 0.3], [0.2, -0.4, math.inf]])[: 2 if known_way else 0]
+    eyes = np.array([[0.1, -0.5, 0.3], [0.2, -0.4, math.inf]])[: 2 if known_trajectory else 0]
     ids, fractions = np.arange(rows.shape[1]), np.ones(rows.shape[1], np.float32)
     extent = measure_extent(rows[:2], rows[2])
     mark_unhidden(
@@ -119,7 +119,7 @@ def test_what_is_measured_in_any_directions_is_within_bounds_or_unknown(rows):
     size=st.sampled_from([(1, 1), (1, 7), (3, 1), (3, 7)]),
     data=st.data(),
 )
-def test_pictures_and_colours_are_written_nowhere_else(pixels, size, data):
+def test_images_and_colours_are_written_nowhere_else(pixels, size, data):
     count = len(pixels)
     depths = data.draw(hnp.arrays(np.float32, count, elements=any_float32))
     visible = data.draw(hnp.arrays(np.bool_, count))
@@ -173,7 +173,7 @@ def test_the_nearest_point_is_always_visible(points):
 
 @given(points=tame_clouds(), seed=st.integers(0, 99))
 def test_the_order_of_the_points_does_not_matter(points, seed):
-    # Equally near points of a cell are told apart by their order only.
+    # Equally near points of a cell are distinguished by their order only.
     points = points * (1 + 1e-3 * np.arange(len(points)))[:, None]
     order = np.random.default_rng(seed).permutation(len(points))
     ids = np.arange(len(points))

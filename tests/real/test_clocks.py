@@ -25,18 +25,18 @@ def oxts(data_dir: Path):
 
 
 def test_rates_of_the_oxts_unit_are_means_over_the_sample_before(data_dir):
-    """So they are half a sample late: the turn from pose k to k + 1 is rate k + 1, not the mean of both."""
-    gyroscope, way = oxts(data_dir)
-    found = gyroscope_against_trajectory(gyroscope, way)
+    """So they are half a sample late: the rotation from pose k to k + 1 is rate k + 1, not the mean of both."""
+    gyroscope, trajectory = oxts(data_dir)
+    found = gyroscope_against_trajectory(gyroscope, trajectory)
     assert found.offset_ns == pytest.approx(-5e7, abs=8e6)
     assert found.verdict is ClockVerdict.OFF
 
 
 @pytest.mark.parametrize("offset_ns", [-1_000_000_000, -30_000_000, 30_000_000, 300_000_000, 1_000_000_000])
-def test_a_planted_offset_comes_back_on_top_of_that(data_dir, offset_ns):
-    gyroscope, way = oxts(data_dir)
-    late = replace(way, timestamps_ns=way.timestamps_ns + offset_ns, file_seconds=None)
-    as_it_is = gyroscope_against_trajectory(gyroscope, way).offset_ns
+def test_an_injected_offset_comes_back_on_top_of_that(data_dir, offset_ns):
+    gyroscope, trajectory = oxts(data_dir)
+    late = replace(trajectory, timestamps_ns=trajectory.timestamps_ns + offset_ns, file_seconds=None)
+    as_it_is = gyroscope_against_trajectory(gyroscope, trajectory).offset_ns
     # the same samples, cut a little differently at the ends
     assert gyroscope_against_trajectory(gyroscope, late).offset_ns - as_it_is == pytest.approx(
         offset_ns, abs=2e6
@@ -51,7 +51,7 @@ def test_fixes_that_are_the_trajectory_are_in_step_with_it(data_dir):
 
 
 @pytest.mark.parametrize("name", ["pandaset"])
-def test_half_a_second_is_too_short_to_tell_anything(data_dir, name):
+def test_half_a_second_is_too_short_to_report_anything(data_dir, name):
     with opened(data_dir, name) as scene:
         report = sync(scene, streams=("groundTruth", "camera0"))
     assert {c.estimate.verdict for c in report.comparisons} == {ClockVerdict.NOT_OBSERVABLE}
@@ -59,7 +59,7 @@ def test_half_a_second_is_too_short_to_tell_anything(data_dir, name):
 
 
 def test_rates_in_degrees_change_no_clock(data_dir):
-    gyroscope, way = oxts(data_dir)
+    gyroscope, trajectory = oxts(data_dir)
     scaled = replace(gyroscope, values=np.degrees(gyroscope.values))
-    found = gyroscope_against_trajectory(scaled, way)
+    found = gyroscope_against_trajectory(scaled, trajectory)
     assert found.verdict is ClockVerdict.NOT_OBSERVABLE or found.offset_ns == pytest.approx(-5e7, abs=2e7)

@@ -6,7 +6,7 @@ from PIL import Image
 from scipy.interpolate import LinearNDInterpolator
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring import LidarWay, view_points
+from sceneloom.colouring import LidarTrajectory, view_points
 from sceneloom.depth import METHODS, complete_depth
 from sceneloom.geometry.rigid import RigidTransform
 
@@ -30,8 +30,10 @@ def halved(request, data_dir):
     odd = np.concatenate([[0], np.cumsum((azimuths[1:] >= 0) & (azimuths[:-1] < 0))]) % 2 == 1
 
     def view(chosen):
-        way = LidarWay(np.zeros((2, 3)), np.zeros(int(chosen.sum()), np.float32))
-        return view_points(points[chosen], camera, pose, rgb, camera_id="left", timestamp_ns=0, way=way)
+        trajectory = LidarTrajectory(np.zeros((2, 3)), np.zeros(int(chosen.sum()), np.float32))
+        return view_points(
+            points[chosen], camera, pose, rgb, camera_id="left", timestamp_ns=0, trajectory=trajectory
+        )
 
     whole = view(np.ones(len(points), bool))
     judged = whole.visible & odd[whole.point_ids]
@@ -70,5 +72,5 @@ def test_what_is_surer_is_more_often_right(halved, method):
     depths, confidence = found_at(complete_depth(view, method=method), pixels)
     right = np.abs(depths - truth) < np.maximum(0.5, 0.05 * truth)
     sure, doubtful = confidence > 0.95, (confidence > 0) & (confidence < 0.9)
-    assert right[sure].mean() > 0.95  # said: 0.97 and 0.99, on simulated streets
+    assert right[sure].mean() > 0.95  # stated: 0.97 and 0.99, on simulated streets
     assert right[doubtful].mean() < right[sure].mean() - 0.03

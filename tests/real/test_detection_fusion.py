@@ -1,4 +1,4 @@
-"""Detection fusion on drives of KITTI: real detectors of pictures and sweeps, against people's labels."""
+"""Detection fusion on drives of KITTI: real detectors of images and sweeps, against people's labels."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,14 +18,14 @@ CLASSES = ("Car", "Pedestrian")
 ALIKE = {"Car": ("Car", "Van"), "Pedestrian": ("Pedestrian", "Person", "Person_sitting", "Cyclist")}
 """Labels that a detector of the class may also find: not counted, if they are not of it."""
 LEAST_HEIGHT = 25.0
-"""What is lower in the picture is not counted, as in KITTI's moderate level [px]."""
+"""What is lower in the image is not counted, as in KITTI's moderate level [px]."""
 SEQUENCES = ("0003", "0006", "0012", "0014", "0016")
 THRESHOLD = 0.7
 
 
 @dataclass(frozen=True)
 class Drive:
-    """One sequence: detections by frame, and labels: boxes in the picture, places in the lidar's frame, classes."""
+    """One sequence: detections by frame, and labels: boxes in the image, locations in the lidar's frame, classes."""
 
     pairs: list[DetectionPair]
     truth: list[tuple[np.ndarray, np.ndarray, list[str]]]
@@ -49,7 +49,7 @@ def read_calibration(path):
 
 
 def boxes_in_lidar(rows, scores, labels, rectified_from_lidar):
-    """Boxes of rows h, w, l, x, y, z, ry, the place being the middle of the bottom in the camera's frame."""
+    """Boxes of rows h, w, l, x, y, z, ry, the location being the middle of the bottom in the camera's frame."""
     rows = np.asarray(rows, np.float64).reshape(-1, 7)
     centers = rows[:, 3:6] - np.array([0, 1, 0]) * rows[:, :1] / 2
     return Boxes3D(
@@ -96,10 +96,10 @@ def read_drive(folder: Path, sequence: str) -> Drive:
         pairs.append(DetectionPair(boxes_3d, boxes_2d, camera, camera_from_lidar))
         own = [row for row in labels if int(row[0]) == frame]
         known = [row for row in own if row[2] != "DontCare"]
-        places = boxes_in_lidar(
+        locations = boxes_in_lidar(
             [row[10:17] for row in known], [0] * len(known), [row[2] for row in known], rectified
         )
-        centers = np.vstack([places.centers, np.full((len(own) - len(known), 3), np.nan)])
+        centers = np.vstack([locations.centers, np.full((len(own) - len(known), 3), np.nan)])
         ordered = [*known, *(row for row in own if row[2] == "DontCare")]
         truth.append(
             (
@@ -121,15 +121,15 @@ def overlaps(one, others):
 
 def count(boxes_xyxy, scores, labels, truth, wanted):
     """True and false boxes of a class in one frame, and its labels; the surest box of a label is true."""
-    places, _, classes = truth
-    high = (places[:, 3] - places[:, 1]) >= LEAST_HEIGHT
+    locations, _, classes = truth
+    high = (locations[:, 3] - locations[:, 1]) >= LEAST_HEIGHT
     own = np.array([c == wanted for c in classes], np.bool_) & high
     passed = np.array([c in ("DontCare", "Misc", *ALIKE[wanted]) for c in classes], np.bool_) & ~own
-    taken, true, false = np.zeros(len(places), np.bool_), 0, 0
+    taken, true, false = np.zeros(len(locations), np.bool_), 0, 0
     for k in np.argsort(-scores, kind="stable"):
         if labels[k] != wanted or scores[k] < THRESHOLD:
             continue
-        common, ious = overlaps(boxes_xyxy[k], places)
+        common, ious = overlaps(boxes_xyxy[k], locations)
         free = np.where(own & ~taken, ious, 0.0)
         if len(free) and free.max() >= 0.5:
             taken[free.argmax()] = True
@@ -148,7 +148,7 @@ def drives(data_dir):
 
 
 def recall_and_precision(drives, wanted):
-    """Of the detector of pictures, of that of sweeps, and of both fused."""
+    """Of the detector of images, of that of sweeps, and of both fused."""
     sums = np.zeros((3, 3))
     for drive in drives:
         for pair, truth in zip(drive.pairs, drive.truth, strict=True):

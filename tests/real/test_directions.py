@@ -28,7 +28,7 @@ KNOWN = {
 
 
 @pytest.mark.parametrize("drive", KNOWN)
-def test_cameras_look_where_their_names_say(data_dir, drive):
+def test_cameras_look_where_their_names_state(data_dir, drive):
     with open_scene(data_dir / drive) as scene:
         axes = ego_axes(scene)
         found = {str(camera.id): mounting_text(camera, axes) for camera in scene.cameras}

@@ -21,8 +21,8 @@ def test_points_in_the_cuboids_of_an_argoverse_log_are_as_many_as_it_says(data_d
     assert [lidar.id for lidar in scene.lidars] == ["up_lidar", "down_lidar"]
     away = []
     for column, cuboid in enumerate(scene.annotations):
-        for k, stamp in enumerate(scene.lidars[0].frames.timestamps_ns):
-            row = np.flatnonzero(cuboid.path.timestamps_ns == stamp)
+        for k, timestamp in enumerate(scene.lidars[0].frames.timestamps_ns):
+            row = np.flatnonzero(cuboid.path.timestamps_ns == timestamp)
             if len(row):
                 counted = sum(int(lidar.counts[k, column]) for lidar in found)
                 away.append(abs(counted - cuboid.attributes[0].values[int(row[0])]))
@@ -48,7 +48,7 @@ def test_the_lasers_of_an_argoverse_lidar_keep_their_elevation_seen_from_it(data
 
 
 def seen(scene, camera):
-    """Which points of the first sweep a camera's first picture shows, over the world."""
+    """Which points of the first sweep a camera's first image shows, over the world."""
     lidar = scene.lidars[0]
     points = lidar.frames[0].points.positions.astype(np.float64)
     if lidar.points_frame == "sensor":
@@ -70,9 +70,9 @@ def test_each_camera_of_nuscenes_shows_the_points_that_its_own_calibration_says(
     points = np.fromfile(infos / frame["lidar_points"]["lidar_path"], np.float32).reshape(-1, 5)[:, :3]
     assert len(scene.cameras) == 6
     for camera in scene.cameras:
-        told = frame["images"][camera.id]
-        x, y, z = np.array(told["lidar2cam"])[:3] @ np.column_stack([points, np.ones(len(points))]).T
-        u, v, w = np.array(told["cam2img"]) @ [x, y, z]
+        reported = frame["images"][camera.id]
+        x, y, z = np.array(reported["lidar2cam"])[:3] @ np.column_stack([points, np.ones(len(points))]).T
+        u, v, w = np.array(reported["cam2img"]) @ [x, y, z]
         with np.errstate(divide="ignore", invalid="ignore"):
             expected = (z > 0) & (abs(u / w - 799.5) <= 800) & (abs(v / w - 449.5) <= 450)
         visible = seen(scene, camera)
@@ -81,14 +81,14 @@ def test_each_camera_of_nuscenes_shows_the_points_that_its_own_calibration_says(
         assert (visible != expected).sum() <= 5
 
 
-def test_the_boxes_of_nuscenes_hold_as_many_points_as_its_tables_say(data_dir, tmp_path):
+def test_the_boxes_of_nuscenes_hold_as_many_points_as_its_tables_state(data_dir, tmp_path):
     scene = sceneloom.open(from_infos(data_dir / "real" / "nuscenes_one_sample", tmp_path).write())
     counts = count_points(scene).lidars[0].counts[0]
-    told = [a.attributes[1].values[0] for a in scene.annotations]
-    away = np.abs(counts - np.array(told))
+    reported = [a.attributes[1].values[0] for a in scene.annotations]
+    away = np.abs(counts - np.array(reported))
     # boxes of infos.json have lost their tilt: of 69, few differ, none by much of its points
     assert (away <= 1).mean() > 0.9
-    assert away.sum() < 0.05 * sum(told)
+    assert away.sum() < 0.05 * sum(reported)
 
 
 def test_cameras_of_a_folder_of_scales_toolkit_show_known_shares_of_all_points(data_dir):

@@ -70,7 +70,7 @@ def test_parts_of_a_fused_drive_are_joined_to_the_whole(fused: Path, tmp_path: P
                 np.testing.assert_array_equal(after.points.positions, before.points.positions)
                 np.testing.assert_array_equal(after.points.camera_index, before.points.camera_index)
             for before, after in zip(scene.cameras, joined.cameras, strict=True):
-                assert after.pictures.timestamps_ns.tolist() == before.pictures.timestamps_ns.tolist()
+                assert after.images.timestamps_ns.tolist() == before.images.timestamps_ns.tolist()
 
 
 def test_sensors_parted_and_merged_are_the_whole(fused: Path) -> None:
@@ -86,11 +86,11 @@ def test_a_drive_with_another_origin_is_brought_into_the_world_of_the_first(fuse
     )
     with sceneloom.open(fused) as scene:
         world_from_file = np.array(scene.metadata["sceneloom"]["world_from_file"])
-        turned = with_ours(
+        rotated = with_ours(
             moved_world(scene, FrameChange.constant(other_from_file)),
             world_from_file=(world_from_file @ other_from_file.inverse().matrix).tolist(),
         )
-        merged = merge_scenes([scene, turned], rename=True)
+        merged = merge_scenes([scene, rotated], rename=True)
         for before, after in zip(merged.lidars[0].frames, merged.lidars[1].frames, strict=True):
             np.testing.assert_allclose(
                 after.points.positions, before.points.positions, atol=2 * FLOAT32_AT_100_M
@@ -112,10 +112,10 @@ def test_thinned_points_are_some_of_those_there_were(fused: Path) -> None:
 def test_cropped_cuboids_have_their_points(reference: Path) -> None:
     with sceneloom.open(reference) as scene:
         near = crop_scene(scene, reach=30.0)
-        places = scene.lidars[0].poses.positions
+        locations = scene.lidars[0].poses.positions
         kept = {annotation.id for annotation in near.annotations}
         for annotation in scene.annotations:
-            centers = annotation.path.values[:, None, 3:6] - places
+            centers = annotation.path.values[:, None, 3:6] - locations
             away = np.linalg.norm(centers, axis=2).min()
             # the lidar and the boxes move less than a metre between two sweeps
             assert (annotation.id in kept) == (away <= 30.0) or abs(away - 30.0) < 1.0
@@ -127,10 +127,10 @@ def test_cropped_cuboids_have_their_points(reference: Path) -> None:
 def test_cuboids_of_another_library_come_back_from_the_ego(reference: Path) -> None:
     with sceneloom.open(reference) as scene:
         lidar = scene.lidars[0]
-        way = Trajectory(
+        trajectory = Trajectory(
             "own", lidar.poses.timestamps_ns, lidar.poses.positions, lidar.poses.quaternions_xyzw
         )
-        told = replace(scene, trajectories={"own": way})
-        again = to_world(to_ego(told))
+        reported = replace(scene, trajectories={"own": trajectory})
+        again = to_world(to_ego(reported))
         for before, after in zip(scene.annotations, again.annotations, strict=True):
             np.testing.assert_allclose(after.path.values, before.path.values, atol=1e-6)

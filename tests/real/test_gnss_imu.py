@@ -1,4 +1,4 @@
-"""The way from satellite fixes and IMU of a real car, against fixes that were left out."""
+"""The trajectory from satellite fixes and IMU of a real car, against fixes that were left out."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -26,15 +26,15 @@ def squares(
     """Mean square horizontal error at fixes left out: ours, and that of straight lines between the fixes kept."""
     imu = next(sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor))
     gnss = next(sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor))
-    places = gnss.positions_lla[rows]
+    locations = gnss.positions_lla[rows]
     if noise is not None:
-        places = geodetic_from_enu(enu_from_geodetic(places, places[0]) + noise, places[0])
+        locations = geodetic_from_enu(enu_from_geodetic(locations, locations[0]) + noise, locations[0])
     kept = GnssSensor(
-        "gnss", gnss.timestamps_ns[rows], places, gnss.accuracies[rows], gnss.vertical_accuracies[rows]
+        "gnss", gnss.timestamps_ns[rows], locations, gnss.accuracies[rows], gnss.vertical_accuracies[rows]
     )
     run = gnss_imu_motion(Scene((imu, kept), source=scene.source))
     truth = enu_from_geodetic(gnss.positions_lla[left], run.origin_lla)[:, :2]
-    known = enu_from_geodetic(places, run.origin_lla)
+    known = enu_from_geodetic(locations, run.origin_lla)
     found = []
     for times, positions in (
         (run.trajectory.timestamps_ns, run.trajectory.positions),
@@ -50,7 +50,7 @@ def between(rows: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("first", [0, 4])
-def test_with_one_fix_in_ten_the_way_between_is_better_than_straight_lines(scene, first):
+def test_with_one_fix_in_ten_the_trajectory_between_is_better_than_straight_lines(scene, first):
     rows = np.arange(first, 154, 10)
     ours, lines = squares(scene, rows, between(rows))
     assert ours < 0.5 * lines
@@ -79,7 +79,7 @@ def test_noise_of_a_metre_and_jumps_of_ten_are_a_third_of_what_they_are_on_strai
     assert lines > 3.0 * ours
 
 
-def test_the_way_of_all_fixes_has_the_heading_of_the_navigation_unit(scene):
+def test_the_trajectory_of_all_fixes_has_the_heading_of_the_navigation_unit(scene):
     found = sceneloom.find_ego_motion(replace(scene, trajectories={}))
     assert found.name == "gnss"
     truth = scene.trajectories["groundTruth"].poses.interpolate(found.path.timestamps_ns)

@@ -1,4 +1,7 @@
-"""KITTI's own frames and sequences as scenes: what is known of them from elsewhere, and the way there and back."""
+"""KITTI's own frames and sequences as scenes: what is known of them from elsewhere.
+
+And the trajectory there and back.
+"""
 
 import numpy as np
 import pytest
@@ -18,15 +21,15 @@ def frames(data_dir):
     return open_scene(data_dir / "real" / "kitti_object")
 
 
-def test_a_sixth_of_the_points_of_each_frame_is_in_its_picture(frames):
+def test_a_sixth_of_the_points_of_each_frame_is_in_its_image(frames):
     lidar, camera = frames.sensor("velodyne"), frames.sensor("camera2")
-    for frame, picture in zip(lidar.frames, camera.pictures, strict=True):
-        points = picture.mount.inverse().apply(frame.points.positions)
-        _, visible = project(picture.camera, points)
+    for frame, image in zip(lidar.frames, camera.images, strict=True):
+        points = image.mount.inverse().apply(frame.points.positions)
+        _, visible = project(image.camera, points)
         assert 0.14 < visible.mean() < 0.19
 
 
-def test_labelled_boxes_hold_points_and_look_as_their_boxes_in_pictures(frames):
+def test_labelled_boxes_hold_points_and_look_as_their_boxes_in_images(frames):
     lidar, camera = frames.sensor("velodyne"), frames.sensor("camera2")
     empty, overlaps = [], []
     for box in (a for a in frames.annotations if isinstance(a, CuboidAnnotation)):
@@ -35,9 +38,9 @@ def test_labelled_boxes_hold_points_and_look_as_their_boxes_in_pictures(frames):
         row = int(np.searchsorted(lidar.frames.timestamps_ns, box.path.timestamps_ns[0]))
         if not points_in_box(lidar.frames[row].points.positions, *at, margin=0.05).any():
             empty.append(box.id)
-        picture = camera.pictures[row]
-        corners = picture.mount.inverse().apply(box_corners(*at))
-        extents, _ = box_extents(picture.camera, corners[None])
+        image = camera.images[row]
+        corners = image.mount.inverse().apply(box_corners(*at))
+        extents, _ = box_extents(image.camera, corners[None])
         left, top, width, height = box.projections[0].boxes[0]
         overlaps.append(overlap(extents[0], (left, top, left + width, top + height)))
     assert len(empty) <= 1  # one object of frame 114 has no points
@@ -64,13 +67,13 @@ def test_frames_come_back_as_they_were(frames, data_dir, tmp_path):
     assert [float(word) for word in after if ":" not in word] == [
         float(word) for word in before if ":" not in word
     ]
-    for before, after in zip(frames.cameras[0].pictures, back.cameras[0].pictures, strict=True):
+    for before, after in zip(frames.cameras[0].images, back.cameras[0].images, strict=True):
         assert after.camera == before.camera
         np.testing.assert_array_equal(after.mount.matrix, before.mount.matrix)
 
 
 @pytest.mark.parametrize("name", [pytest.param("0000", marks=pytest.mark.slow), "0012"])
-def test_tracks_come_back_and_stand_where_pictures_show_them(data_dir, name, tmp_path):
+def test_tracks_come_back_and_stand_where_images_show_them(data_dir, name, tmp_path):
     scene = open_scene(data_dir / "real" / "kitti_tracking", sequence=name)
     camera = scene.sensor("camera2")
     source = PoseSource(scene.trajectories["oxts"].poses, camera.mount)

@@ -1,4 +1,4 @@
-"""Sequences of KITTI's tracking benchmark with the lists of two detectors, held against what others say of them."""
+"""Sequences of KITTI's tracking benchmark with the lists of two detectors, held against what others state of them."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from sceneloom.formats.kitti.tracking_folder import open_tracking_folder
 from sceneloom.formats.rig.csv_files import read_table
 from sceneloom.fusion import FusionConfiguration
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pipeline.detections.detected import calibration_notices, kitti_drive
+from sceneloom.pipeline.detections.detected import calibration_warnings, kitti_drive
 from sceneloom.pipeline.detections.fused import iter_fused_detections
 from sceneloom.pipeline.tracking.kitti_results import projected_boxes
 
@@ -35,7 +35,7 @@ def test_every_sequence_is_read_whole_and_without_doubts(tracking):
     assert set(PART) <= set(tracking.sequences)
     for name in PART:
         sequence = tracking.sequence(name)
-        assert sequence.notices == ()
+        assert sequence.warnings == ()
         assert sequence.classes_2d == sequence.classes_3d == {"Car", "Pedestrian"}
         assert len(sequence.world_from_ego.timestamps_ns) == sequence.frame_count
 
@@ -59,18 +59,18 @@ def test_boxes_of_sweeps_are_outlined_where_their_detector_says(tracking, name):
     assert np.quantile(differences, 0.95) < 3.0
 
 
-def test_what_people_labelled_as_standing_stands_in_the_world(tracking, folder):
+def test_what_people_labelled_as_stationary_stands_in_the_world(tracking, folder):
     sequence = tracking.sequence("0014")
     labels = read_labels(folder / "label_02" / "0014.txt")
-    labels = labels.select(labels.have_place)
-    places = kitti_drive(sequence).places()
+    labels = labels.select(labels.have_position)
+    locations = kitti_drive(sequence).locations()
     centers, _, _ = lidar_boxes(
         labels.sizes_hwl, labels.bottoms, labels.rotations_y, sequence.rectified_from_lidar
     )
     world = np.array(
-        [places[f].apply(center) for f, center in zip(labels.frames.tolist(), centers, strict=True)]
+        [locations[f].apply(center) for f, center in zip(labels.frames.tolist(), centers, strict=True)]
     )
-    driven = np.linalg.norm(places[-1].translation - places[0].translation)
+    driven = np.linalg.norm(locations[-1].translation - locations[0].translation)
     assert driven > 20.0
     spreads = []
     for track in np.unique(labels.track_ids):
@@ -81,30 +81,36 @@ def test_what_people_labelled_as_standing_stands_in_the_world(tracking, folder):
     assert (np.array(spreads) < 1.5).sum() >= 3
 
 
-def turned_deg(rotations):
+def rotated_deg(rotations):
     """How far each rotation is from the first one."""
     cosines = (np.einsum("ij,nij->n", rotations[0], rotations) - 1) / 2
     return np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
 
 
-def test_the_way_turns_as_pictures_say(tracking, folder):
-    places = kitti_drive(tracking.sequence("0006")).places()
+def test_the_trajectory_rotates_as_images_state(tracking, folder):
+    locations = kitti_drive(tracking.sequence("0006")).locations()
     rows = read_table(folder / "orbslam3_poses" / "0006.txt", named=False).numbers(range(12))
-    by_unit = turned_deg(np.array([place.rotation for place in places]))
-    by_pictures = turned_deg(rows.reshape(-1, 3, 4)[:, :, :3])
-    assert by_pictures.max() > 60.0  # the drive turns a corner
-    # half a degree is what the odometry of pictures and the mounting of the unit are off together
-    assert np.abs(by_unit - by_pictures).max() < 1.0
+    by_unit = rotated_deg(np.array([location.rotation for location in locations]))
+    by_images = rotated_deg(rows.reshape(-1, 3, 4)[:, :, :3])
+    assert by_images.max() > 60.0  # the drive rotates a corner
+    # half a degree is what the odometry of images and the mounting of the unit are off together
+    assert np.abs(by_unit - by_images).max() < 1.0
 
 
-@pytest.mark.parametrize(("degrees", "told"), [(0.0, False), (2.5, True)])
-def test_a_calibration_that_is_turned_is_noticed_by_the_boxes(tracking, degrees, told):
+@pytest.mark.parametrize(("degrees", "reported"), [(0.0, False), (2.5, True)])
+def test_a_calibration_that_is_rotated_is_noticed_by_the_boxes(tracking, degrees, reported):
     sequence = tracking.sequence("0014")
-    turn = np.radians(degrees)
-    rotation = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
+    delta_rotation = np.radians(degrees)
+    rotation = np.array(
+        [
+            [np.cos(delta_rotation), 0, np.sin(delta_rotation)],
+            [0, 1, 0],
+            [-np.sin(delta_rotation), 0, np.cos(delta_rotation)],
+        ]
+    )
     wrong = RigidTransform(rotation, np.zeros(3)) @ sequence.camera_from_lidar
-    notices = calibration_notices(kitti_drive(replace(sequence, camera_from_lidar=wrong)))
-    assert ("calibration-off" in {notice.code for notice in notices}) == told
+    warnings = calibration_warnings(kitti_drive(replace(sequence, camera_from_lidar=wrong)))
+    assert ("calibration-off" in {warning.code for warning in warnings}) == reported
 
 
 def test_labels_are_written_as_they_were_read(folder, tmp_path):
@@ -140,7 +146,7 @@ def test_detectors_that_the_configuration_names_count_before_those_that_are_know
     named = next(
         iter_fused_detections(drive, configuration=FusionConfiguration(detectors="independent"))
     ).fused
-    said = next(iter_fused_detections(drive, settings=settings)).fused
+    stated = next(iter_fused_detections(drive, settings=settings)).fused
     known = next(iter_fused_detections(drive)).fused
-    np.testing.assert_array_equal(named.scores, said.scores)
+    np.testing.assert_array_equal(named.scores, stated.scores)
     assert not np.array_equal(named.scores, known.scores)

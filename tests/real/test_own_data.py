@@ -1,4 +1,4 @@
-"""Real clouds and pictures in nobody's format, described by a manifest; judged by what is known of the data."""
+"""Real clouds and images in nobody's format, described by a manifest; judged by what is known of the data."""
 
 import json
 from pathlib import Path
@@ -43,16 +43,16 @@ type = "camera"
 frame = "rectified"
 files = "{camera}"
 times = {{ rate_hz = 10 }}
-lens = {{ P = {rows(numbers["P2"], 3)} }}
+camera_model = {{ P = {rows(numbers["P2"], 3)} }}
 """)
     return folder
 
 
 def shares(folder: Path, **options: str) -> dict[str, float]:
-    """Which share of all points falls into the pictures of each camera [%]."""
+    """Which share of all points falls into the images of each camera [%]."""
     with sceneloom.open(folder) as scene:
         report = sceneloom.fuse(scene, **options)
-    return {str(camera.camera): camera.in_picture_percent for camera in report.cameras}
+    return {str(camera.camera): camera.in_image_percent for camera in report.cameras}
 
 
 @pytest.mark.parametrize("frame", ["000000", "000001", "000002", "000114"])
@@ -79,7 +79,7 @@ def test_kitti_frames_project_as_a_plain_matrix_product_does(data_dir, tmp_path,
     pixels, visible = project(camera.camera, camera.mount.inverse().apply(points.positions))
     # the file's rotations have 12 digits; made orthonormal, pixels move by less than 1e-3
     np.testing.assert_allclose(pixels[visible & front], expected[visible & front], atol=1e-3)
-    height, width = camera.pictures[0].rgb.shape[:2]
+    height, width = camera.images[0].rgb.shape[:2]
     inside = front & (expected >= -0.5).all(axis=1) & (expected < [width - 0.5, height - 0.5]).all(axis=1)
     assert 0.15 < visible.mean() < 0.18
     assert abs(int(visible.sum()) - int(inside.sum())) <= 2, "points on the very edge"
@@ -105,7 +105,7 @@ id = "LIDAR_TOP"
 type = "lidar"
 files = "*LIDAR_TOP*.pcd.bin"
 times = {{ pattern = "*__{{us}}" }}
-stamp = "end"
+timestamp = "end"
 sweep_s = 0.05
 extrinsic = {{ to = "base", matrix = {known["lidar_points"]["lidar2ego"]} }}"""
     ]
@@ -116,22 +116,22 @@ type = "camera"
 files = "*__{name}__*.jpg"
 times = {{ pattern = "*__{{us}}" }}
 extrinsic = {{ from = "base", matrix = {np.linalg.inv(camera["cam2ego"]).tolist()} }}
-lens = {{ K = {camera["cam2img"]} }}""")
+camera_model = {{ K = {camera["cam2img"]} }}""")
     (tmp_path / "rig.toml").write_text(f'root = "{data}"\n' + "\n".join(sensors))
     scene = sceneloom.open(tmp_path)
     frame = scene.lidars[0].frames[0]
     assert frame.timestamp_ns == 1_532_402_927_647_951_000 - 25_000_000
     assert set(np.unique(frame.points.rings)) == set(range(32))
     for camera in scene.cameras:
-        stamp = known["images"][camera.id]["timestamp"]
-        assert camera.pictures.timestamps_ns[0] == round(stamp * 1e6) * 1000
+        timestamp = known["images"][camera.id]["timestamp"]
+        assert camera.images.timestamps_ns[0] == round(timestamp * 1e6) * 1000
         # the calibration is rounded to float32
         np.testing.assert_allclose(camera.mount.matrix, known["images"][camera.id]["cam2ego"], atol=2e-6)
-    # the data's own share is 9 to 14 %; here the ego stands still between lidar and pictures
+    # the data's own share is 9 to 14 %; here the ego is stationary between lidar and images
     assert all(8.0 < share < 15.0 for share in shares(tmp_path, trajectory="identity").values())
 
 
-def test_pandaset_clouds_and_poses_fall_into_the_pictures_as_they_should(data_dir, tmp_path):
+def test_pandaset_clouds_and_poses_fall_into_the_images_as_they_should(data_dir, tmp_path):
     data = data_dir / "real" / "pandaset_scale_sample"
     text = f"""root = "{data}"
 [[trajectories]]
@@ -147,15 +147,15 @@ deskewed = true
 times = {{ pattern = "{{index}}", rate_hz = 10 }}
 """
     for name in ("front_camera", "front_left_camera", "back_camera"):
-        place = json.loads((data / "cameras" / name / "extrinsics.json").read_text())
-        lens = json.loads((data / "cameras" / name / "intrinsics.json").read_text())
+        location = json.loads((data / "cameras" / name / "extrinsics.json").read_text())
+        camera_model = json.loads((data / "cameras" / name / "intrinsics.json").read_text())
         text += f"""[[sensors]]
 id = "{name}"
 type = "camera"
 files = "cameras/{name}/*.jpg"
 times = {{ pattern = "{{index}}", rate_hz = 10 }}
-extrinsic = {{ to = "base", translation = {place["position"]}, quaternion_wxyz = {place["heading"]} }}
-lens = {{ fx = {lens["fx"]}, fy = {lens["fy"]}, cx = {lens["cx"]}, cy = {lens["cy"]} }}
+extrinsic = {{ to = "base", translation = {location["position"]}, quaternion_wxyz = {location["heading"]} }}
+camera_model = {{ fx = {camera_model["fx"]}, fy = {camera_model["fy"]}, cx = {camera_model["cx"]}, cy = {camera_model["cy"]} }}
 """
     (tmp_path / "rig.toml").write_text(text)
     lines = ["timestamp,x,y,z,qw,qx,qy,qz"]
@@ -186,7 +186,7 @@ def test_a_look_into_real_folders_finds_their_sensors(data_dir, folder, lidars, 
 def test_a_recording_described_by_hand_is_the_recording(data_dir, tmp_path):
     data = data_dir / "recordings" / "kitti_drive"
     numbers = json.loads((data / "calibration.json").read_text())
-    lens, lidar = numbers["cameras"][0], numbers["lidars"][0]
+    camera_model, lidar = numbers["cameras"][0], numbers["lidars"][0]
     (tmp_path / "rig.toml").write_text(f"""
 ego = "imu"
 root = "{data}"
@@ -202,16 +202,16 @@ id = "camera0"
 type = "camera"
 video = "data.mkv"
 times = {{ rate_hz = 10, start_s = 0.05 }}
-extrinsic = {{ from = "imu", matrix = {lens["imuToCamera"]} }}
-lens = {{ fx = {lens["focalLengthX"]}, cx = {lens["principalPointX"]}, cy = {lens["principalPointY"]} }}
+extrinsic = {{ from = "imu", matrix = {camera_model["imuToCamera"]} }}
+camera_model = {{ fx = {camera_model["focalLengthX"]}, cx = {camera_model["principalPointX"]}, cy = {camera_model["principalPointY"]} }}
 """)
     own, known = sceneloom.open(tmp_path), sceneloom.open(data)
-    assert "point-times-assumed" in [notice.code for notice in own.notices], "seconds of the clock"
+    assert "point-times-assumed" in [warning.code for warning in own.warnings], "seconds of the clock"
     for found, expected in zip(own.lidars[0].frames, known.lidars[0].frames, strict=True):
         assert found.timestamp_ns == expected.timestamp_ns
         for name in ("positions", "intensities", "rings", "timestamps_ns"):
             np.testing.assert_array_equal(getattr(found.points, name), getattr(expected.points, name))
-    for found, expected in zip(own.cameras[0].pictures, known.cameras[0].pictures, strict=True):
+    for found, expected in zip(own.cameras[0].images, known.cameras[0].images, strict=True):
         assert found.timestamp_ns == expected.timestamp_ns
         np.testing.assert_array_equal(found.rgb, expected.rgb)
     assert own.cameras[0].camera == known.cameras[0].camera

@@ -1,4 +1,4 @@
-"""Real recordings that are written again, at once or by way of a scene file, say the same line by line."""
+"""Real recordings that are written again, at once or through a scene file, state the same line by line."""
 
 import json
 

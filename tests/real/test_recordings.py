@@ -1,4 +1,4 @@
-"""The recordings that were made from real logs, held against what their sources say."""
+"""The recordings that were made from real logs, held against what their sources state."""
 
 import json
 import statistics
@@ -25,19 +25,19 @@ def calibrated(data_dir: Path, name: str, key: str, index: int, matrix: str) -> 
     return np.array(content[key][index][matrix])
 
 
-def test_kitti_drive_has_twelve_sweeps_and_pictures_half_a_sweep_apart(data_dir):
+def test_kitti_drive_has_twelve_sweeps_and_images_half_a_sweep_apart(data_dir):
     with open_recording(data_dir, "kitti_drive") as scene:
-        assert scene.notices == ()
+        assert scene.warnings == ()
         assert scene.trajectories == {}
         lidar, camera = scene.lidars[0], scene.cameras[0]
         assert lidar.frames.timestamps_ns.tolist() == [100_000_000 * k for k in range(12)]
-        assert camera.pictures.timestamps_ns.tolist() == [100_000_000 * k + 50_000_000 for k in range(12)]
+        assert camera.images.timestamps_ns.tolist() == [100_000_000 * k + 50_000_000 for k in range(12)]
         assert lidar.poses is None
         assert camera.poses is None
         assert (camera.camera.width, camera.camera.height, camera.camera.model) == (1242, 374, "pinhole")
         assert (camera.camera.fx, camera.camera.cx, camera.camera.cy) == (721.5377, 609.5593, 172.854)
-        for index, picture in enumerate(camera.pictures):
-            assert picture.rgb.shape == (374, 1242, 3), index
+        for index, image in enumerate(camera.images):
+            assert image.rgb.shape == (374, 1242, 3), index
 
 
 def test_kitti_drive_points_are_those_of_the_files_and_lie_within_their_sweep(data_dir):
@@ -53,10 +53,10 @@ def test_kitti_drive_points_are_those_of_the_files_and_lie_within_their_sweep(da
             assert frame.points.timestamps_ns is not None
             assert (frame.points.intensities[1000], frame.points.rings[1000]) == (intensity, ring)
             assert frame.points.timestamps_ns[1000] == round(time * 1e9)
-            stamps = frame.points.timestamps_ns - frame.timestamp_ns
+            timestamps = frame.points.timestamps_ns - frame.timestamp_ns
             # the times were derived from azimuths in single precision, which is worth 100 ns of a sweep
-            assert stamps.min() > -100
-            assert stamps.max() < 100_000_000 + 100
+            assert timestamps.min() > -100
+            assert timestamps.max() < 100_000_000 + 100
 
 
 def test_the_reference_of_a_sweep_is_the_median_of_its_files_point_times(data_dir):
@@ -80,7 +80,7 @@ def test_kitti_drive_mountings_are_the_inverse_of_the_files_matrices(data_dir):
 
 def test_pandaset_sensors_follow_the_ego(data_dir):
     with open_recording(data_dir, "pandaset") as scene:
-        assert scene.notices == ()
+        assert scene.warnings == ()
         truth = scene.trajectories["groundTruth"]
         assert truth.timestamps_ns.tolist() == [100_000_000 * k for k in range(5)]
         lidar = scene.lidars[0]
@@ -89,8 +89,8 @@ def test_pandaset_sensors_follow_the_ego(data_dir):
         np.testing.assert_allclose(lidar.poses.positions, truth.positions, atol=1e-12)
         assert [camera.id for camera in scene.cameras] == ["camera0", "camera1", "camera2"]
         for camera in scene.cameras:
-            assert len(camera.pictures) == 5
-            assert camera.pictures[4].rgb.shape == (1080, 1920, 3)
+            assert len(camera.images) == 5
+            assert camera.images[4].rgb.shape == (1080, 1920, 3)
             assert camera.poses is not None
             assert len(camera.poses.timestamps_ns) == 5
 
@@ -103,7 +103,7 @@ def test_pandaset_points_share_their_sweeps_time_so_that_it_is_the_reference(dat
 
 
 @pytest.mark.parametrize(("camera", "share"), [(0, 40.0), (1, 21.8), (2, 14.5)])
-def test_pandaset_points_fall_into_each_picture_as_its_source_counted(data_dir, camera, share):
+def test_pandaset_points_fall_into_each_image_as_its_source_counted(data_dir, camera, share):
     with open_recording(data_dir, "pandaset") as scene:
         sensor = scene.cameras[camera]
         assert sensor.mount is not None
@@ -118,7 +118,7 @@ def test_pandaset_points_fall_into_each_picture_as_its_source_counted(data_dir, 
 
 def test_kitti_oxts_is_a_scene_of_motion_only(data_dir):
     with open_recording(data_dir, "kitti_oxts_0000") as scene:
-        assert scene.notices == ()
+        assert scene.warnings == ()
         imu, gnss = scene.sensors
         assert isinstance(imu, ImuSensor)
         assert isinstance(gnss, GnssSensor)

@@ -9,19 +9,19 @@ from sceneloom.formats.remote import stores
 
 
 def content(scene):
-    """All points and pictures, and how many annotations there are."""
-    said = hashlib.sha256()
+    """All points and images, and how many annotations there are."""
+    stated = hashlib.sha256()
     for cloud in [sensor for sensor in scene.sensors if sensor.type in ("lidar", "radar")]:
         for frame in cloud.frames:
-            said.update(repr(frame.timestamp_ns).encode() + frame.points.positions.tobytes())
+            stated.update(repr(frame.timestamp_ns).encode() + frame.points.positions.tobytes())
     for camera in scene.cameras:
-        for picture in camera.pictures:
-            said.update(repr((picture.timestamp_ns, picture.camera)).encode() + picture.rgb.tobytes())
-    return said.hexdigest(), len(scene.annotations)
+        for image in camera.images:
+            stated.update(repr((image.timestamp_ns, image.camera)).encode() + image.rgb.tobytes())
+    return stated.hexdigest(), len(scene.annotations)
 
 
 @pytest.mark.parametrize(
-    ("place", "options", "share"),
+    ("location", "options", "share"),
     [
         ("recordings/kitti_drive", {}, 0.05),
         ("recordings/pandaset", {}, 0.15),
@@ -33,9 +33,9 @@ def content(scene):
 )
 @pytest.mark.few(3)
 def test_folders_hold_what_they_hold_on_disk_and_opening_takes_a_part(
-    data_dir, monkeypatch, place, options, share
+    data_dir, monkeypatch, location, options, share
 ):
-    if place.endswith("argoverse2"):
+    if location.endswith("argoverse2"):
         pytest.importorskip("pyarrow", reason="pyarrow is not installed")
     fetched, get = [], stores.Store.get
 
@@ -44,7 +44,7 @@ def test_folders_hold_what_they_hold_on_disk_and_opening_takes_a_part(
         fetched.append(target.stat().st_size)
 
     monkeypatch.setattr(stores.Store, "get", noted)
-    folder = data_dir / place
+    folder = data_dir / location
     whole = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
     with (
         sceneloom.open(folder, **options) as local,

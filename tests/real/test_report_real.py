@@ -7,18 +7,18 @@ from sceneloom.report import ReportSettings, write_report
 
 def test_a_drive_of_fixes_has_its_length_and_its_north(data_dir):
     found = write_report(data_dir / "recordings" / "kitti_oxts_0000")
-    (way,) = found.ways.ways
-    assert way.metres == pytest.approx(69.4, abs=0.1)
-    assert found.ways.fixes[0].usable == 154
+    (trajectory,) = found.trajectories.trajectories
+    assert trajectory.metres == pytest.approx(69.4, abs=0.1)
+    assert found.trajectories.fixes[0].usable == 154
     # its ground truth is the fixes themselves in axes east, north, up
-    assert found.ways.north.direction_deg == pytest.approx(90.0, abs=0.1)
-    assert found.ways.north.rms < 0.05
+    assert found.trajectories.north.direction_deg == pytest.approx(90.0, abs=0.1)
+    assert found.trajectories.north.rms < 0.05
 
 
 @pytest.mark.slow
-def test_shares_of_points_in_pictures_are_the_known_ones(data_dir):
+def test_shares_of_points_in_images_are_the_known_ones(data_dir):
     found = write_report(data_dir / "recordings" / "pandaset", settings=ReportSettings(quick=True))
-    shares = [camera.in_picture_percent for camera in found.fusion.cameras]
+    shares = [camera.in_image_percent for camera in found.fusion.cameras]
     assert shares == pytest.approx([40.0, 21.8, 14.5], abs=0.15)
     headings = [camera.heading_deg for camera in found.coverage.cameras]
     assert abs(headings[0]) < 5.0  # ahead

@@ -23,12 +23,12 @@ def calibration(data_dir, name):
     return json.loads((data_dir / "recordings" / name / "calibration.json").read_text())
 
 
-def test_each_sweep_of_the_kitti_drive_has_the_picture_taken_in_its_middle(data_dir):
+def test_each_sweep_of_the_kitti_drive_has_the_image_taken_in_its_middle(data_dir):
     for k, sample in enumerate(samples_of(data_dir, "kitti_drive")):
         assert sample.index == k
         assert sample.sweep.timestamp_ns == k * 100_000_000
-        assert sample.pictures["camera0"].timestamp_ns == k * 100_000_000 + 50_000_000
-        # the middle of the turn, but for the points that never came back
+        assert sample.images["camera0"].timestamp_ns == k * 100_000_000 + 50_000_000
+        # the middle of the rotation, but for the points that never came back
         assert abs(sample.time_differences_ns["camera0"]) < 10_000_000
         assert sample.missing == {}
     assert k == 11
@@ -45,27 +45,27 @@ def test_the_kitti_drive_without_poses_still_has_its_calibration(data_dir):
         np.testing.assert_allclose(found, camera_from_imu @ np.linalg.inv(lidar_from_imu), atol=1e-5)
 
 
-def test_a_way_found_from_the_sweeps_places_the_samples_of_the_kitti_drive(data_dir):
+def test_a_trajectory_found_from_the_sweeps_locations_the_samples_of_the_kitti_drive(data_dir):
     folder = data_dir / "recordings" / "kitti_drive"
     if not folder.is_dir():
         pytest.skip(f"no recording at {folder}")
     with sceneloom.open(folder) as scene:
         samples = scene.samples(trajectory=find_ego_motion(scene))
         assert samples.trajectory == "lidar"
-        ways = [
+        trajectories = [
             sample.world_from_lidar.inverse() @ later.world_from_lidar for sample, later in pairwise(samples)
         ]
     # it crawls ahead, about as fast all the time
-    forward = [way.translation[0] for way in ways]
+    forward = [trajectory.translation[0] for trajectory in trajectories]
     assert 0.1 < min(forward) <= max(forward) < 0.3
-    assert max(abs(way.translation[1]) for way in ways) < 0.03
+    assert max(abs(trajectory.translation[1]) for trajectory in trajectories) < 0.03
 
 
 def points(sample):
     return sample.sweep.points.positions
 
 
-def test_as_many_points_fall_into_the_pandaset_pictures_as_were_counted(data_dir):
+def test_as_many_points_fall_into_the_pandaset_images_as_were_counted(data_dir):
     shares = [
         [
             project(sample.cameras[camera_id], transform.apply(points(sample)))[1].mean()

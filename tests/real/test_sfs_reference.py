@@ -35,11 +35,11 @@ def test_its_cuboids_are_whole_and_come_back_from_a_file_of_ours(reference, tmp_
     for read, again, expected in zip(first.annotations, second.annotations, raw, strict=True):
         assert isinstance(read, CuboidAnnotation)
         assert read.extras == {}
-        said = expected["attributes"] or []
-        assert [attribute.name for attribute in read.attributes] == [record["name"] for record in said]
+        stated = expected["attributes"] or []
+        assert [attribute.name for attribute in read.attributes] == [record["name"] for record in stated]
         for found in (read, again):
-            stamps = [1000 * stamp for stamp in expected["path"]["timestamps"]]
-            assert found.path.timestamps_ns.tolist() == stamps
+            timestamps = [1000 * timestamp for timestamp in expected["path"]["timestamps"]]
+            assert found.path.timestamps_ns.tolist() == timestamps
             np.testing.assert_array_equal(found.path.values, expected["path"]["values"])
             assert (found.label, bool(found.stationary)) == (expected["label"], bool(expected["stationary"]))
 

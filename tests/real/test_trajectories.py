@@ -28,13 +28,13 @@ def kitti(data_dir: Path) -> Path:
     return data_dir / "real" / "kitti_tracking"
 
 
-def oxts_way(kitti: Path, sequence: str) -> Trajectory:
-    """The way of the GNSS and IMU unit at 10 Hz: east, north and up of its first place."""
+def oxts_trajectory(kitti: Path, sequence: str) -> Trajectory:
+    """The trajectory of the GNSS and IMU unit at 10 Hz: east, north and up of its first location."""
     lines = (kitti / "oxts" / f"{sequence}.txt").read_text("ascii").splitlines()
     rows = np.array([[float(word) for word in line.split()[:6]] for line in lines if line.strip()])
-    turns = Rotation.from_euler("xyz", rows[:, 3:]).as_quat()
-    stamps = np.arange(len(rows), dtype=np.int64) * 100_000_000
-    return Trajectory("oxts", stamps, enu_from_geodetic(rows[:, :3], rows[0, :3]), turns)
+    rotations = Rotation.from_euler("xyz", rows[:, 3:]).as_quat()
+    timestamps = np.arange(len(rows), dtype=np.int64) * 100_000_000
+    return Trajectory("oxts", timestamps, enu_from_geodetic(rows[:, :3], rows[0, :3]), rotations)
 
 
 @pytest.mark.parametrize(("sequence", "align"), OF_EVO)
@@ -43,15 +43,15 @@ def test_orb_slam_against_the_unit_has_the_errors_that_evo_finds(
 ) -> None:
     found = read_trajectory(kitti / "orbslam3_poses" / f"{sequence}.txt", rate_hz=10, optical=True)
     report = evaluate_trajectory(
-        found, oxts_way(kitti, sequence), align=align, associate="nearest", rpe_deltas=("5f",)
+        found, oxts_trajectory(kitti, sequence), align=align, associate="nearest", rpe_deltas=("5f",)
     )
     assert report.pairs == len(found.timestamps_ns)
     assert report.absolute.rotation_deg is not None
-    told = report.absolute.translation
+    reported = report.absolute.translation
     figures = (
-        told.mean,
-        told.rms,
-        told.max,
+        reported.mean,
+        reported.rms,
+        reported.max,
         report.absolute.rotation_deg.mean,
         report.relative[0].translation.rms,
     )
@@ -61,35 +61,38 @@ def test_orb_slam_against_the_unit_has_the_errors_that_evo_finds(
 
 def test_a_camera_taken_for_a_vehicle_is_noticed(kitti: Path) -> None:
     found = read_trajectory(kitti / "orbslam3_poses" / "0010.txt", rate_hz=10)
-    report = evaluate_trajectory(found, oxts_way(kitti, "0010"), align="sim3")
-    assert "--est-optical" in report.notices[0].message
+    report = evaluate_trajectory(found, oxts_trajectory(kitti, "0010"), align="sim3")
+    assert "--est-optical" in report.warnings[0].message
     assert report.absolute.rotation_deg is not None
     assert report.absolute.rotation_deg.median == pytest.approx(120.0, abs=2.0)
 
 
-def test_of_a_car_that_stands_the_doubt_is_told(kitti: Path) -> None:
+def test_of_a_car_that_stands_the_doubt_is_reported(kitti: Path) -> None:
     found = read_trajectory(kitti / "orbslam3_poses" / "0012.txt", rate_hz=10, optical=True)
-    report = evaluate_trajectory(found, oxts_way(kitti, "0012"))
+    report = evaluate_trajectory(found, oxts_trajectory(kitti, "0012"))
     assert report.absolute.translation.max < 0.02
-    assert [notice.code for notice in report.notices] == ["doubtful-alignment", "no-steps"]
+    assert [warning.code for warning in report.warnings] == ["doubtful-alignment", "no-steps"]
 
 
-def test_fixes_of_a_recording_are_its_way(data_dir: Path, tmp_path: Path) -> None:
+def test_fixes_of_a_recording_are_its_trajectory(data_dir: Path, tmp_path: Path) -> None:
     drive = data_dir / "recordings" / "kitti_oxts_0000"
     report = evaluate_trajectory(f"{drive}:fixes", drive, align="none")
     # both are the unit's own fixes, brought to the same metres
     assert report.absolute.translation.max < 1e-6
     assert report.coverage == 1.0
-    way = read_trajectory(drive)
-    write_trajectory(way, tmp_path / "way.csv")
-    assert evaluate_trajectory(tmp_path / "way.csv", way, align="none").absolute.translation.max == 0.0
+    trajectory = read_trajectory(drive)
+    write_trajectory(trajectory, tmp_path / "trajectory.csv")
+    assert (
+        evaluate_trajectory(tmp_path / "trajectory.csv", trajectory, align="none").absolute.translation.max
+        == 0.0
+    )
 
 
-def test_lidar_odometry_is_near_the_recorded_way(data_dir: Path) -> None:
+def test_lidar_odometry_is_near_the_recorded_trajectory(data_dir: Path) -> None:
     drive = data_dir / "recordings" / "pandaset"
     report = evaluate_trajectory(f"{drive}:lidar", drive, align="origin")
     assert report.pairs >= 5
-    # five sweeps without times of points: a hundredth of the way or two
+    # five sweeps without times of points: a hundredth of the trajectory or two
     assert report.absolute.translation.max < 0.05
     assert report.absolute.rotation_deg is not None
     assert report.absolute.rotation_deg.max < 0.5

@@ -7,13 +7,13 @@ import pytest
 import sceneloom
 
 KNOWN_FINDINGS = {
-    "recordings/kitti_drive": {"ego-way-known", "imu-there"},
+    "recordings/kitti_drive": {"ego-trajectory-known", "imu-there"},
     "recordings/kitti_oxts_0000": {"calibration-there", "stream-rate"},
     "recordings/pandaset": {"point-times-equal", "imu-there"},
     "real/sfs_reference/argoverse2_2frames_cuboids.sfs": {"reading-assumed", "cuboid-angles-unsaid"},
 }
-"""What is known of the data: no way of the ego, no IMU or a slow one, times that are the frame's own, frame and angles
-that are not said."""
+"""What is known of the data: no ego trajectory, no IMU or a slow one, times that are the frame's own, frame and angles
+that are not stated."""
 
 
 @pytest.mark.few(4)

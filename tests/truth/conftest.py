@@ -16,7 +16,7 @@ from sceneloom.scene import CameraSensor, LidarSensor, Scene
 from sceneloom.simulate import (
     CameraSpec,
     CleanPoints,
-    PictureTruth,
+    ImageTruth,
     SimulatedDrive,
     camera_mount,
     simulate_street,
@@ -34,13 +34,13 @@ CAMERAS = (
         camera_mount(position=(0.35, 0.45, 1.6), yaw_deg=62.0, pitch_deg=2.0, roll_deg=1.0),
         20_000_000,
     ),
-    # Taken after the middle of its sweep by more than half a period: the sweep's nearest picture is the one before.
+    # Taken after the middle of its sweep by more than half a period: the sweep's nearest image is the one before.
     CameraSpec(BROWN, camera_mount(position=(0.3, -0.45, 1.6), yaw_deg=-58.0), 107_000_000),
 )
-"""Three lenses whose pictures overlap, none taken at the same time as another."""
+"""Three camera models whose images overlap, none taken at the same time as another."""
 
 SEEDS = (0, 7)
-"""Streets where the ego turns, to the right and to the left, and gathers speed while the sweeps below are taken."""
+"""Streets where the ego rotates, to the right and to the left, and gathers speed while the sweeps below are taken."""
 SWEEPS = range(7, 9)
 """The sweeps that are used."""
 
@@ -49,38 +49,38 @@ Decoder = Callable[[bytes], dict[str, Any]]
 
 @dataclass(frozen=True)
 class Seen:
-    """What is true of the points of one sweep in the picture that it belongs to.
+    """What is true of the points of one sweep in the image that it belongs to.
 
     Attributes:
-        picture: number of the picture in the whole drive.
+        image: number of the image in the whole drive.
         pixels: (N, 2), where OpenCV's projection and the exact poses put the points; far outside for those behind.
         depths: (N,) [m], z.
-        free: (N,) in the picture, and nothing stands before it.
-        counted: (N,) in the picture, a pixel from its border and 2 px from outlines at least.
+        free: (N,) in the image, and nothing stands before it.
+        counted: (N,) in the image, a pixel from its border and 2 px from outlines at least.
         truth: what the camera sees.
     """
 
-    picture: int
+    image: int
     pixels: np.ndarray
     depths: np.ndarray
     free: np.ndarray
     counted: np.ndarray
-    truth: PictureTruth
+    truth: ImageTruth
 
 
 def project_with_opencv(camera: Camera, points_camera: np.ndarray) -> np.ndarray:
     """Pixels (N, 2); -1000 for points beside and behind the camera."""
-    lens = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+    camera_model = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
     coefficients = np.array(camera.coefficients or (0.0,) * 4)
     zero, pixels = np.zeros(3), np.full((len(points_camera), 2), -1000.0)
-    # Far off the axis polynomials come back into the picture; the lenses above see 50 and 90 degrees at most.
+    # Far off the axis polynomials come back into the image; the camera models above see 50 and 90 degrees at most.
     least = 0.01 if camera.model == "fisheye" else 0.5
     ahead = np.flatnonzero(points_camera[:, 2] > least * np.linalg.norm(points_camera, axis=1))
     points = points_camera[ahead][:, None]
     if camera.model == "fisheye":
-        pixels[ahead] = cv2.fisheye.projectPoints(points, zero, zero, lens, coefficients)[0][:, 0]
+        pixels[ahead] = cv2.fisheye.projectPoints(points, zero, zero, camera_model, coefficients)[0][:, 0]
     else:
-        pixels[ahead] = cv2.projectPoints(points, zero, zero, lens, coefficients)[0][:, 0]
+        pixels[ahead] = cv2.projectPoints(points, zero, zero, camera_model, coefficients)[0][:, 0]
     return pixels
 
 
@@ -98,36 +98,36 @@ class Truths:
             self._cleans[sweep] = self._drive.truth.clean_points_world(sweep)
         return self._cleans[sweep]
 
-    def nearest_picture(self, camera_id: str, sweep: int) -> int:
-        """The number of the recorded picture nearest to the median time of a sweep's points."""
+    def nearest_image(self, camera_id: str, sweep: int) -> int:
+        """The number of the recorded image nearest to the median time of a sweep's points."""
         times = self._drive.truth.cameras[camera_id].timestamps_ns[self._sweeps.start : self._sweeps.stop]
         reference = np.median(self._drive.truth.sweep(sweep).frame.points.timestamps_ns)
         return self._sweeps.start + int(np.argmin(np.abs(times - reference)))
 
     def seen(self, camera_id: str, sweep: int) -> Seen:
-        """The truth about a sweep in the picture that belongs to it."""
+        """The truth about a sweep in the image that belongs to it."""
         if (camera_id, sweep) not in self._seen:
             self._seen[camera_id, sweep] = self._look(camera_id, sweep)
         return self._seen[camera_id, sweep]
 
     def _look(self, camera_id: str, sweep: int) -> Seen:
-        truth, picture = self._drive.truth, self.nearest_picture(camera_id, sweep)
+        truth, image = self._drive.truth, self.nearest_image(camera_id, sweep)
         camera = truth.cameras[camera_id].spec.camera
         points_world = self.clean(sweep).positions_world
-        points_camera = truth.world_from_camera(camera_id, picture).inverse().apply(points_world)
+        points_camera = truth.world_from_camera(camera_id, image).inverse().apply(points_world)
         pixels = project_with_opencv(camera, points_camera)
         inside = ((pixels >= 0.5) & (pixels <= np.array([camera.width, camera.height]) - 1.5)).all(axis=1)
-        pictured = truth.picture(camera_id, picture)
+        pictured = truth.image(camera_id, image)
         column, row = np.rint(pixels[inside]).astype(int).T
         counted, free = np.zeros(len(inside), bool), np.zeros(len(inside), bool)
         counted[inside] = ~edge_mask(pictured)[row, column]
-        free[inside] = truth.visible(camera_id, picture, points_world[inside])
-        return Seen(picture, pixels, points_camera[:, 2], free, counted, pictured)
+        free[inside] = truth.visible(camera_id, image, points_world[inside])
+        return Seen(image, pixels, points_camera[:, 2], free, counted, pictured)
 
 
 @dataclass(frozen=True)
 class FusedDrive:
-    """A drive after its way over the disk.
+    """A drive after its trajectory over the disk.
 
     Attributes:
         drive: scene and truth of the whole drive.
@@ -175,37 +175,37 @@ class FusedDrive:
         """Where the points of a sweep come from."""
         return self.truths.clean(sweep)
 
-    def nearest_picture(self, camera_id: str, sweep: int) -> int:
-        """The number of the recorded picture nearest to the median time of a sweep's points."""
-        return self.truths.nearest_picture(camera_id, sweep)
+    def nearest_image(self, camera_id: str, sweep: int) -> int:
+        """The number of the recorded image nearest to the median time of a sweep's points."""
+        return self.truths.nearest_image(camera_id, sweep)
 
     def seen(self, camera_id: str, sweep: int) -> Seen:
-        """The truth about a sweep in the picture that belongs to it."""
+        """The truth about a sweep in the image that belongs to it."""
         return self.truths.seen(camera_id, sweep)
 
 
 def cut(scene: Scene, sweeps: range) -> Scene:
-    """Some sweeps of a scene, and each camera's pictures of these."""
+    """Some sweeps of a scene, and each camera's images of these."""
 
     def part(sensor: Any) -> Any:
         if isinstance(sensor, LidarSensor):
             return replace(sensor, frames=sensor.frames[sweeps.start : sweeps.stop])
         if isinstance(sensor, CameraSensor):
-            return replace(sensor, pictures=sensor.pictures[sweeps.start : sweeps.stop])
+            return replace(sensor, images=sensor.images[sweeps.start : sweeps.stop])
         return sensor
 
     return replace(scene, sensors=tuple(part(sensor) for sensor in scene.sensors))
 
 
 def fuse_over_disk(
-    drive: SimulatedDrive, truths: Truths, sweeps: range, pictures: str, folder: Path, decode: Decoder
+    drive: SimulatedDrive, truths: Truths, sweeps: range, images: str, folder: Path, decode: Decoder
 ) -> FusedDrive:
     """Write a recording, open it, give it the boxes that recordings cannot hold, fuse it, read the file."""
     recording, target, depth = folder / "drive", folder / "drive.sfs", folder / "depth"
-    sceneloom.write(cut(drive.scene, sweeps), recording, pictures=pictures)
+    sceneloom.write(cut(drive.scene, sweeps), recording, images=images)
     with sceneloom.open(recording) as scene:
         boxed = replace(scene, annotations=drive.scene.annotations, metadata=drive.scene.metadata)
-        report = fuse(boxed, outputs=FusionOutputs(scene=target, depth=depth, depth_form="npz"))
+        report = fuse(boxed, outputs=FusionOutputs(scene=target, depth=depth, depth_format="npz"))
     assert report.fused == len(sweeps)
     return FusedDrive(drive, recording, decode(target.read_bytes()), depth, sweeps, truths)
 
@@ -217,22 +217,22 @@ def take_over_disk(
     """Take some sweeps of a drive over a recording and a scene file."""
 
     def take(
-        drive: SimulatedDrive, sweeps: range, *, pictures: str, truths: Truths | None = None
+        drive: SimulatedDrive, sweeps: range, *, images: str, truths: Truths | None = None
     ) -> FusedDrive:
-        folder = tmp_path_factory.mktemp(pictures)
-        return fuse_over_disk(drive, truths or Truths(drive, sweeps), sweeps, pictures, folder, decode_sfs)
+        folder = tmp_path_factory.mktemp(images)
+        return fuse_over_disk(drive, truths or Truths(drive, sweeps), sweeps, images, folder, decode_sfs)
 
     return take
 
 
 @pytest.fixture(scope="session")
 def with_png(take_over_disk: Callable[..., FusedDrive]) -> list[FusedDrive]:
-    """Two drives after a way over recordings with PNG pictures, which lose nothing."""
+    """Two drives after a trajectory over recordings with PNG images, which lose nothing."""
     drives = [simulate_street(seed, frames=SWEEPS.stop + 2, cameras=CAMERAS) for seed in SEEDS]
-    return [take_over_disk(drive, SWEEPS, pictures="png") for drive in drives]
+    return [take_over_disk(drive, SWEEPS, images="png") for drive in drives]
 
 
 @pytest.fixture(scope="session")
 def with_h264(with_png: list[FusedDrive], take_over_disk: Callable[..., FusedDrive]) -> list[FusedDrive]:
-    """The same drives after a way over recordings with H.264 videos."""
-    return [take_over_disk(png.drive, SWEEPS, pictures="h264", truths=png.truths) for png in with_png]
+    """The same drives after a trajectory over recordings with H.264 videos."""
+    return [take_over_disk(png.drive, SWEEPS, images="h264", truths=png.truths) for png in with_png]

@@ -30,19 +30,19 @@ def coloured_by(fused: Any, camera_id: str, sweep: int) -> np.ndarray:
     return fused.points(sweep)["camera_index"] == fused.camera_ids.index(camera_id)
 
 
-def nearest_pixels(picture: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Colours (M, 3) at the pixels nearest to places inside a picture."""
+def nearest_pixels(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Colours (M, 3) at the pixels nearest to locations inside an image."""
     column, row = np.rint(pixels).astype(int).T
-    return picture[row, column].astype(int)
+    return image[row, column].astype(int)
 
 
-def levels_outside(picture: np.ndarray, pixels: np.ndarray, colours: np.ndarray) -> np.ndarray:
-    """By how many levels colours leave the range of the 3x3 pixels around places: (M,), the worst channel."""
+def levels_outside(image: np.ndarray, pixels: np.ndarray, colours: np.ndarray) -> np.ndarray:
+    """By how many levels colours leave the range of the 3x3 pixels around locations: (M,), the worst channel."""
     column, row = np.rint(pixels).astype(int).T
-    high, wide = np.array(picture.shape[:2]) - 1
+    high, wide = np.array(image.shape[:2]) - 1
     around = np.stack(
         [
-            picture[(row + dy).clip(0, high), (column + dx).clip(0, wide)]
+            image[(row + dy).clip(0, high), (column + dx).clip(0, wide)]
             for dy in (-1, 0, 1)
             for dx in (-1, 0, 1)
         ]
@@ -99,7 +99,7 @@ def depth_errors(image: np.ndarray, seen: Any) -> np.ndarray:
 
 
 def check_colours(drives: list[Any], *, exact: bool) -> None:
-    """Colours of points in plain view are those of the true picture there."""
+    """Colours of points in plain view are those of the true image there."""
     outside, differences = [], []
     for fused, camera_id, sweep in pairs(drives):
         seen = fused.seen(camera_id, sweep)
@@ -123,7 +123,7 @@ def test_depth_images_hold_the_true_depths(with_png: list[Any]) -> None:
     check_depth_images(with_png)
 
 
-def test_colours_out_of_png_pictures_are_exact(with_png: list[Any]) -> None:
+def test_colours_out_of_png_images_are_exact(with_png: list[Any]) -> None:
     check_colours(with_png, exact=True)
 
 
@@ -168,8 +168,8 @@ def expected_poses(fused: Any, sensor_id: str, times_ns: np.ndarray) -> tuple[np
     ego = truth.path.at(times_ns)
     if mount is None:
         return ego.positions, Rotation.from_matrix(ego.rotations)
-    turned = Rotation.from_matrix(ego.rotations)
-    return ego.positions + turned.apply(mount.translation.copy()), turned * Rotation.from_matrix(
+    rotated = Rotation.from_matrix(ego.rotations)
+    return ego.positions + rotated.apply(mount.translation.copy()), rotated * Rotation.from_matrix(
         mount.rotation.copy()
     )
 
@@ -181,23 +181,23 @@ def test_poses_in_the_file_are_the_true_ones(with_png: list[Any]) -> None:
             times, rows = fused.time_ns(path["timestamps"]), np.array(path["values"])
             positions, rotations = expected_poses(fused, sensor_id, times)
             assert np.abs(fused.to_world(rows[:, :3]) - positions).max() < MILLIMETRE
-            turned = Rotation.from_matrix(fused.world_from_file[:3, :3]) * Rotation.from_quat(rows[:, 3:])
-            assert (turned.inv() * rotations).magnitude().max() < HUNDREDTH_DEG
+            rotated = Rotation.from_matrix(fused.world_from_file[:3, :3]) * Rotation.from_quat(rows[:, 3:])
+            assert (rotated.inv() * rotations).magnitude().max() < HUNDREDTH_DEG
 
 
 def test_poses_between_those_in_the_file_are_true_as_well(with_png: list[Any]) -> None:
     for fused in with_png:
         for sensor_id in ("ego", "lidar", *fused.camera_ids):
             path = fused.sensor(sensor_id)["poses"]
-            stamps, rows = fused.time_ns(path["timestamps"]), np.array(path["values"])
-            times = np.linspace(stamps[0], stamps[-1], 200).astype(np.int64)
+            timestamps, rows = fused.time_ns(path["timestamps"]), np.array(path["values"])
+            times = np.linspace(timestamps[0], timestamps[-1], 200).astype(np.int64)
             positions, _ = expected_poses(fused, sensor_id, times)
-            between = np.column_stack([np.interp(times, stamps, rows[:, k]) for k in range(3)])
+            between = np.column_stack([np.interp(times, timestamps, rows[:, k]) for k in range(3)])
             # The file leaves out poses that interpolation gives within 1 mm.
             assert np.abs(fused.to_world(between) - positions).max() < 2 * MILLIMETRE
 
 
-def test_every_sweep_and_picture_has_a_pose_of_its_own(with_png: list[Any]) -> None:
+def test_every_sweep_and_image_has_a_pose_of_its_own(with_png: list[Any]) -> None:
     for fused in with_png:
         posed = set(fused.sensor("lidar")["poses"]["timestamps"])
         assert posed >= {frame["timestamp"] for frame in fused.sensor("lidar")["frames"]}
@@ -216,7 +216,7 @@ def test_the_files_world_begins_at_the_first_position_of_the_ego(with_png: list[
         np.testing.assert_allclose(matrix[:3, 3], first, atol=MILLIMETRE)
 
 
-def test_sweeps_are_paired_with_the_picture_nearest_to_the_median_time_of_their_points(
+def test_sweeps_are_paired_with_the_image_nearest_to_the_median_time_of_their_points(
     with_png: list[Any],
 ) -> None:
     before = 0
@@ -225,14 +225,14 @@ def test_sweeps_are_paired_with_the_picture_nearest_to_the_median_time_of_their_
             for sweep, frame in zip(fused.sweeps, iter_fused(scene), strict=True):
                 assert [view.camera_id for view in frame.views] == fused.camera_ids
                 for view in frame.views:
-                    picture = fused.nearest_picture(view.camera_id, sweep)
-                    time_ns = fused.drive.truth.cameras[view.camera_id].timestamps_ns[picture]
+                    image = fused.nearest_image(view.camera_id, sweep)
+                    time_ns = fused.drive.truth.cameras[view.camera_id].timestamps_ns[image]
                     assert abs(view.timestamp_ns - time_ns) <= 1
-                    before += picture < sweep
+                    before += image < sweep
     assert before > 0
 
 
-def test_points_are_coloured_by_the_picture_that_shows_them_most_centrally(with_png: list[Any]) -> None:
+def test_points_are_coloured_by_the_image_that_shows_them_most_centrally(with_png: list[Any]) -> None:
     overlapping = 0
     for fused in with_png:
         for sweep in fused.sweeps:
@@ -251,10 +251,10 @@ def test_points_are_coloured_by_the_picture_that_shows_them_most_centrally(with_
             two = ordered[1] < np.inf
             clear = two & (ordered[1] > ordered[0] + 0.02) & ~doubtful & (index < NO_CAMERA)
             overlapping += clear.sum()
-            # A visible point may be lost in one picture and coloured by the other: 3 % may.
+            # A visible point may be lost in one image and coloured by the other: 3 % may.
             assert (index[clear] == distances.argmin(axis=0)[clear]).mean() > 0.97
-            in_sight = np.isfinite(ordered[0])
-            assert (index[~in_sight & ~doubtful] == NO_CAMERA).all()
+            in_view = np.isfinite(ordered[0])
+            assert (index[~in_view & ~doubtful] == NO_CAMERA).all()
     assert overlapping > 5000
 
 
@@ -275,11 +275,13 @@ def test_boxes_hold_the_points_of_their_objects(with_png: list[Any]) -> None:
         assert fused.content["annotations"]
         for annotation in fused.content["annotations"]:
             row = np.array(annotation["path"]["values"][0])
-            turn = Rotation.from_euler("XYZ", row[6:9], degrees=True)
+            rotation = Rotation.from_euler("XYZ", row[6:9], degrees=True)
             center, inside = fused.to_world(row[3:6]), np.zeros(len(points), bool)
             reach = np.linalg.norm(row[:3] / 2 + slack)
             near = np.flatnonzero(np.abs(points[:, 0] - center[0]) < reach)
-            inside[near] = (np.abs(turn.inv().apply(points[near] - center)) < row[:3] / 2 + slack).all(axis=1)
+            inside[near] = (np.abs(rotation.inv().apply(points[near] - center)) < row[:3] / 2 + slack).all(
+                axis=1
+            )
             own = instances == truth[annotation["id"]].instance
             assert inside[own].all()
             if annotation["label"] in {"car", "bin"}:
@@ -289,7 +291,7 @@ def test_boxes_hold_the_points_of_their_objects(with_png: list[Any]) -> None:
     assert held > 10_000
 
 
-def test_pictures_change_nothing_but_colours(with_png: list[Any], with_h264: list[Any]) -> None:
+def test_images_change_nothing_but_colours(with_png: list[Any], with_h264: list[Any]) -> None:
     for png, h264 in zip(with_png, with_h264, strict=True):
         assert png.world_from_file.tolist() == h264.world_from_file.tolist()
         for sweep in png.sweeps:

@@ -1,4 +1,4 @@
-"""Lidar odometry against the exact way of made-up drives."""
+"""Lidar odometry against the exact trajectory of synthetic drives."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from sceneloom.motion.odometry.run import OdometryRun, lidar_odometry
 from sceneloom.simulate import LidarSpec, SimulatedDrive, simulate_street
 
 
-def true_way(drive: SimulatedDrive, timestamps_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def true_trajectory(drive: SimulatedDrive, timestamps_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Positions and orientations relative to the first of the times."""
     truth = drive.truth.world_from_ego(timestamps_ns)
     to_first = conjugate_quaternion(truth.quaternions_xyzw[0])
@@ -30,23 +30,25 @@ def dense_times(run: OdometryRun) -> np.ndarray:
 @pytest.mark.parametrize(
     ("lidar", "tolerance"),
     [
-        # 0.2 % of the way of about 18 m; a lidar with few beams sees less of the ground
+        # 0.2 % of the trajectory of about 18 m; a lidar with few beams sees less of the ground
         (LidarSpec(beams=32, elevations_deg=(-25.0, 15.0), steps=1200), 0.04),
         (LidarSpec(beams=16, elevations_deg=(-15.0, 15.0)), 0.08),
     ],
 )
 @pytest.mark.few(1)
-def test_the_way_of_a_drive_is_found_at_every_time_between_its_first_and_its_last_point(lidar, tolerance):
+def test_the_trajectory_of_a_drive_is_found_at_every_time_between_its_first_and_its_last_point(
+    lidar, tolerance
+):
     drive = simulate_street(4, frames=25, lidar=lidar, cameras=())
     run = lidar_odometry(drive.scene)
     times = dense_times(run)
     found = run.trajectory.poses.interpolate(times)
-    positions, quaternions = true_way(drive, times)
+    positions, quaternions = true_trajectory(drive, times)
     assert (found.coverage == 0).all()
     assert np.linalg.norm(positions[-1]) > 10.0
     assert np.linalg.norm(found.positions - positions, axis=1).max() < tolerance
     assert np.degrees(angle_between(found.quaternions_xyzw, quaternions)).max() < 0.3
-    assert run.notices == ()
+    assert run.warnings == ()
 
 
 def test_the_trajectory_spans_all_point_times():

@@ -1,4 +1,4 @@
-"""Lidar odometry over longer drives with traffic: drift, standing still, and whether the covariances are honest."""
+"""Lidar odometry over longer drives with traffic: drift, stationary, and whether the covariances are honest."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,10 @@ def follow(drive: SimulatedDrive, mount) -> list[PoseEstimate]:
 
 
 def errors(drive: SimulatedDrive, estimates: list[PoseEstimate]) -> tuple[np.ndarray, np.ndarray, float]:
-    """Shift errors (N, 3) [m] and turn errors (N,) [deg] relative to the first pose, and the length of the way."""
+    """Shift errors (N, 3) [m] and rotate errors (N,) [deg] relative to the first pose.
+
+    And the length of the trajectory.
+    """
     times = np.array([estimate.state.timestamp_ns for estimate in estimates])
     truth = drive.truth.world_from_ego(times)
     rotations = matrix_from_quaternion(truth.quaternions_xyzw)
@@ -42,8 +45,8 @@ def errors(drive: SimulatedDrive, estimates: list[PoseEstimate]) -> tuple[np.nda
         ]
     )
     cosines = np.clip((np.trace(apart, axis1=1, axis2=2) - 1) / 2, -1, 1)
-    way = float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
-    return found - found[0] - positions, np.degrees(np.arccos(cosines)), way
+    trajectory = float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
+    return found - found[0] - positions, np.degrees(np.arccos(cosines)), trajectory
 
 
 @pytest.mark.parametrize(
@@ -52,17 +55,17 @@ def errors(drive: SimulatedDrive, estimates: list[PoseEstimate]) -> tuple[np.nda
         (LidarSpec(beams=32, elevations_deg=(-25.0, 15.0), steps=1200), PathSpec()),
         (LidarSpec(beams=16, elevations_deg=(-15.0, 15.0), steps=1200), PathSpec()),
         (SolidStateSpec(), PathSpec(stops=(Stop(8.0, 2.0),), ramp=2.0)),
-        (LidarSpec(steps=1200), PathSpec(turn_rate=1.05, speeds=(4.0, 10.0))),
+        (LidarSpec(steps=1200), PathSpec(yaw_rate=1.05, speeds=(4.0, 10.0))),
     ],
     ids=["32 beams", "16 beams", "solid state with a stop", "60 deg/s"],
 )
 def test_the_drift_among_traffic_is_small_and_its_covariance_right_within_an_order_of_magnitude(spec, path):
     drive = simulate_street(31, frames=200, lidar=spec, cameras=(), path=path, traffic=BUSY)
     estimates = follow(drive, spec.mount)
-    shifts, turns, way = errors(drive, estimates)
-    assert way > 80.0
-    assert np.linalg.norm(shifts[-1]) < 0.005 * way
-    assert turns[-1] < 0.3 * max(way / 100.0, 1.0)
+    shifts, rotations, trajectory = errors(drive, estimates)
+    assert trajectory > 80.0
+    assert np.linalg.norm(shifts[-1]) < 0.005 * trajectory
+    assert rotations[-1] < 0.3 * max(trajectory / 100.0, 1.0)
     covariance = estimates[-1].covariance[3:, 3:]
     squared = shifts[-1] @ np.linalg.solve(covariance, shifts[-1]) / 3
     # ten standard deviations either way would mean that the covariance says nothing
@@ -70,11 +73,11 @@ def test_the_drift_among_traffic_is_small_and_its_covariance_right_within_an_ord
     assert np.sqrt(np.trace(covariance)) < 10 * max(float(np.linalg.norm(shifts[-1])), 0.02)
 
 
-def test_a_minute_of_standing_among_traffic_moves_the_car_by_less_than_two_centimetres():
+def test_a_minute_of_stationary_among_traffic_moves_the_car_by_less_than_two_centimetres():
     spec = LidarSpec(beams=16, elevations_deg=(-15.0, 15.0), steps=1200)
     drive = simulate_street(
         32, frames=600, lidar=spec, cameras=(), path=PathSpec(stops=(Stop(0.0, 70.0),)), traffic=BUSY
     )
-    shifts, _, way = errors(drive, follow(drive, spec.mount))
-    assert way == pytest.approx(0.0, abs=1e-6)
+    shifts, _, trajectory = errors(drive, follow(drive, spec.mount))
+    assert trajectory == pytest.approx(0.0, abs=1e-6)
     assert np.linalg.norm(shifts, axis=1).max() < 0.02

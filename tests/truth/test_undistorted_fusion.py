@@ -1,14 +1,14 @@
-"""Points get the same colours from undistorted pictures as from those that the lens took."""
+"""Points get the same colours from undistorted images as from those that the camera model took."""
 
 import numpy as np
 import pytest
 
 from sceneloom.cameras import Camera
-from sceneloom.editing import convert_lenses, undistort_scene
+from sceneloom.editing import convert_camera_models, undistort_scene
 from sceneloom.pipeline import iter_fused
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
-LENSES = {
+CAMERA_MODELS = {
     "barrel": Camera(
         "brown_conrady", 640, 400, 420.0, 430.0, 322.0, 195.0, (-0.28, 0.08, 1e-3, -5e-4, -0.01)
     ),
@@ -22,9 +22,9 @@ def colours(scene):
     return frame.points.colors.astype(int), seen
 
 
-@pytest.mark.parametrize("name", LENSES)
-def test_fusing_undistorted_pictures_gives_points_the_same_colours(name):
-    camera = CameraSpec(LENSES[name], supersampling=2)
+@pytest.mark.parametrize("name", CAMERA_MODELS)
+def test_fusing_undistorted_images_gives_points_the_same_colours(name):
+    camera = CameraSpec(CAMERA_MODELS[name], supersampling=2)
     scene = simulate_street(2, frames=1, lidar=LidarSpec(beams=32, steps=900), cameras=(camera,)).scene
     before, seen_before = colours(scene)
     after, seen_after = colours(undistort_scene(scene, keep=1.0))
@@ -36,12 +36,12 @@ def test_fusing_undistorted_pictures_gives_points_the_same_colours(name):
     assert np.mean(off > 30) < 0.1
 
 
-def test_fusing_with_a_fitted_lens_gives_points_the_same_colours():
-    camera = CameraSpec(LENSES["fisheye"], supersampling=2)
+def test_fusing_with_a_fitted_camera_model_gives_points_the_same_colours():
+    camera = CameraSpec(CAMERA_MODELS["fisheye"], supersampling=2)
     scene = simulate_street(2, frames=1, lidar=LidarSpec(beams=32, steps=900), cameras=(camera,)).scene
     before, seen_before = colours(scene)
-    after, seen_after = colours(convert_lenses(scene, "brown_conrady"))
+    after, seen_after = colours(convert_camera_models(scene, "brown_conrady"))
     assert np.mean(seen_before != seen_after) < 1e-3
     both = seen_before & seen_after
-    # a lens that is off by less than 0.1 px has another nearest pixel for few points
+    # a camera model that is off by less than 0.1 px has another nearest pixel for few points
     assert np.mean((before != after)[both].any(axis=1)) < 0.05

@@ -44,7 +44,7 @@ def test_what_fails_is_counted_and_ends_its_stage(clock):
     assert found == {"reading": 1.0, "writing": 2.0}
 
 
-def test_who_asks_around_is_told_once(clock):
+def test_who_asks_around_is_reported_once(clock):
     with timed() as outer, stage("report"):
         clock(1.0)
         with timed() as inner:

@@ -3,7 +3,7 @@
 Each has a further task at hand, so that it need not wait until the run hears that the last one has ended; what a worker
 that is busy, or gone, has at hand dask gives to another one.
 dask gives a task whose worker is gone to another one by itself. The run's record would not know, so a try is claimed by
-making its folder, which works only once: whoever comes second tells that the worker was lost, or, where that had come
+making its folder, which works only once: whoever comes second reports that the worker was lost, or, where that had come
 to its end, what it left word of. What a worker gives back is JSON; data that would have to be unpickled is refused.
 """
 
@@ -64,7 +64,7 @@ _ONE_AT_A_TIME = threading.Lock()
 
 @dataclass(slots=True)
 class _Ended:
-    """Futures that have ended, as dask's threads tell."""
+    """Futures that have ended, as dask's threads report."""
 
     queue: SimpleQueue[Future[bytes]]
 
@@ -179,9 +179,9 @@ def _close(cluster: LocalCluster) -> None:
         cluster.close(timeout=_CLOSING_SECONDS)
 
 
-def open_cluster(place: str, workers: int) -> DaskCluster:
-    """Use workers of dask: so many of our own if `place` is `local`, else those of the scheduler there."""
-    return DaskCluster.local(workers) if place == LOCAL else DaskCluster.at(place)
+def open_cluster(location: str, workers: int) -> DaskCluster:
+    """Use workers of dask: so many of our own if `location` is `local`, else those of the scheduler there."""
+    return DaskCluster.local(workers) if location == LOCAL else DaskCluster.at(location)
 
 
 def run_packed(version: str, packed: bytes) -> bytes:
@@ -196,8 +196,8 @@ def run_packed(version: str, packed: bytes) -> bytes:
     """
     number = -1
     if version != __version__:
-        told = f"this worker has sceneloom {__version__}, the run {version}; expected the same"
-        return msgspec.json.encode(Outcome(number=number, error=told, kind="OptionError"))
+        reported = f"this worker has sceneloom {__version__}, the run {version}; expected the same"
+        return msgspec.json.encode(Outcome(number=number, error=reported, kind="OptionError"))
     for name in THREADS:
         if name != NUMBA or "numba" not in sys.modules:  # it takes no other number once it is at work
             os.environ.setdefault(name, "1")
@@ -219,8 +219,10 @@ def _run_once(task: Task) -> Outcome:
     except FileExistsError:
         return _left(task)
     except FileNotFoundError:
-        told = f"{folder.parent}: is not there for the worker; expected a file system that all workers share"
-        return Outcome(number=task.number, error=told, kind="FileNotFoundError")
+        reported = (
+            f"{folder.parent}: is not there for the worker; expected a file system that all workers share"
+        )
+        return Outcome(number=task.number, error=reported, kind="FileNotFoundError")
     outcome = run_task(task)
     with suppress(OSError):  # else the try is lost if the worker goes now, as it would be a moment earlier
         (folder / OUTCOME).write_bytes(msgspec.json.encode(outcome))
@@ -252,12 +254,12 @@ def _held_by(threads: int) -> int:
 
 def _anywhere(task: Task) -> Task:
     """Name files so that they are found from other folders and machines, too."""
-    place = task.place if is_url(task.place) else str(_whole(Path(task.place)))
+    location = task.location if is_url(task.location) else str(_whole(Path(task.location)))
     draft = task.draft if task.target else task.draft.absolute()
     options, files = (
-        {name: _whole(value) for name, value in told.items()} for told in (task.options, task.files)
+        {name: _whole(value) for name, value in reported.items()} for reported in (task.options, task.files)
     )
-    return replace(task, place=place, draft=draft, options=options, files=files)
+    return replace(task, location=location, draft=draft, options=options, files=files)
 
 
 def _whole(value: Any) -> Any:

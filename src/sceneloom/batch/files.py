@@ -19,14 +19,14 @@ _PLACEHOLDER = re.compile("|".join(map(re.escape, _PLACEHOLDERS)))
 
 
 def give_files(
-    inputs: Sequence[Input], said: Mapping[str, Any], options: Mapping[str, FileOption]
+    inputs: Sequence[Input], stated: Mapping[str, Any], options: Mapping[str, FileOption]
 ) -> tuple[tuple[Input, ...], Mapping[str, Any]]:
-    """Give drives the files that are said of all of them, where a list says nothing else.
+    """Give drives the files that are stated of all of them, where a list says nothing else.
 
     Args:
         inputs: the drives.
-        said: paths by option, several as a tuple, or a name that the option takes, too. `{name}` in a path is what the
-            drive is called, as its output is but for seconds; `{drive}` its path, `{folder}` the folder it lies in.
+        stated: paths by option, several as a tuple, or a name that the option takes, too. `{name}` in a path is what
+            the drive is called, as its output is but for seconds; `{drive}` its path, `{folder}` the folder it lies in.
         options: of the verb, that take files.
 
     Returns:
@@ -39,7 +39,7 @@ def give_files(
     """
     paths = {
         option: tuple(map(Path, value)) if isinstance(value, tuple) else Path(value)
-        for option, value in said.items()
+        for option, value in stated.items()
         if value not in options[option].names
     }
     own = {option: value for option, value in paths.items() if any(map(_varies, _each(value)))}
@@ -59,7 +59,7 @@ def give_files(
 
 
 def with_files(drive: str, files: Mapping[str, Any]) -> str:
-    """Tell a drive and the files beside it from what they were at another time, as `fingerprint` does.
+    """Report a drive and the files beside it from what they were at another time, as `fingerprint` does.
 
     Args:
         drive: its fingerprint.
@@ -90,17 +90,17 @@ def _varies(path: Path) -> bool:
 def _placed(own: Mapping[str, Any], drive: Input, name: str) -> dict[str, Any]:
     """The paths of one drive."""
 
-    def place(path: Path) -> Path:
-        if is_url(drive.place) and any(sign in str(path) for sign in _PLACEHOLDERS[1:]):
+    def location(path: Path) -> Path:
+        if is_url(drive.location) and any(sign in str(path) for sign in _PLACEHOLDERS[1:]):
             raise OptionError(
                 f"{path}: {drive.name} is behind a URL, which is no path; expected {{name}} only"
             )
-        found = Path(drive.place)
+        found = Path(drive.location)
         words = dict(zip(_PLACEHOLDERS, (name, str(found), str(found.parent)), strict=True))
         return Path(_PLACEHOLDER.sub(lambda match: words[match[0]], str(path)))
 
     return {
-        option: tuple(map(place, value)) if isinstance(value, tuple) else place(value)
+        option: tuple(map(location, value)) if isinstance(value, tuple) else location(value)
         for option, value in own.items()
         if option not in drive.files
     }

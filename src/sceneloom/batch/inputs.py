@@ -38,7 +38,7 @@ class FileOption:
 
 
 def find_inputs(
-    places: Iterable[str],
+    locations: Iterable[str],
     lists: Iterable[Path] = (),
     *,
     files: Mapping[str, FileOption] = NOTHING,
@@ -47,11 +47,11 @@ def find_inputs(
     """Find drives.
 
     Args:
-        places: paths, patterns such as `drives/**/*.sfs`, or URLs.
+        locations: paths, patterns such as `drives/**/*.sfs`, or URLs.
         lists: files with a path, or an object {"path": …, "start": …, "stop": …, "reading": {"sequence": …}}, in each
             line; options of reading are named `reading.sequence` and so on.
-        files: options that a line may say as well, {"boxes3d": "boxes/a.jsonl"}: a path, or a list of them.
-        others: further options that lines may say for other verbs: they are left out, and named in `Input.unread`.
+        files: options that a line may state as well, {"boxes3d": "boxes/a.jsonl"}: a path, or a list of them.
+        others: further options that lines may state for other verbs: they are left out, and named in `Input.unread`.
 
     Returns:
         each once, in the order in which they were named; those of one pattern by their names.
@@ -60,13 +60,13 @@ def find_inputs(
         OptionError: there is none at all, none that fits a pattern, or one twice with different files.
         DataError: a list is faulty, or a file that it names is not there.
     """
-    found = [Input(place=place) for text in places for place in _places(text)]
+    found = [Input(location=location) for text in locations for location in _locations(text)]
     found += [drive for file in lists for drive in _listed(file, files, frozenset(others).difference(files))]
     if not found:
         raise OptionError("no drives; name some, a pattern in quotes, or a list of them")
     once: dict[tuple[Any, ...], Input] = {}
     for drive in found:
-        if once.setdefault((drive.place, *sorted(drive.options.items())), drive).files != drive.files:
+        if once.setdefault((drive.location, *sorted(drive.options.items())), drive).files != drive.files:
             raise OptionError(f"{drive.name}: named twice, with different files beside it; do them apart")
     return tuple(once.values())
 
@@ -78,11 +78,11 @@ def each_drive(given: Input, *, read_as: str | None = None) -> tuple[Input, ...]
         given: a drive or a data set.
         read_as: name of its format, where its content shall not decide.
     """
-    if is_url(given.place) or f"{READING}sequence" in given.options:
+    if is_url(given.location) or f"{READING}sequence" in given.options:
         return (given,)
-    found = drives_of(Path(given.place), read_as=given.options.get(f"{READING}read_as", read_as))
+    found = drives_of(Path(given.location), read_as=given.options.get(f"{READING}read_as", read_as))
     drives = [
-        replace(given, place=str(one))
+        replace(given, location=str(one))
         if isinstance(one, Path)
         else replace(given, options={**given.options, f"{READING}sequence": one})
         for one in found
@@ -90,7 +90,7 @@ def each_drive(given: Input, *, read_as: str | None = None) -> tuple[Input, ...]
     return tuple(drives) or (given,)
 
 
-def _places(text: str) -> list[str]:
+def _locations(text: str) -> list[str]:
     if is_url(text):
         return _urls(text)
     if not _WILD.intersection(text) or Path(text).exists():
@@ -128,64 +128,64 @@ def _line(
     line: str, file: Path, number: int, files: Mapping[str, FileOption], others: frozenset[str]
 ) -> Input:
     if not line.startswith("{"):
-        return Input(place=_beside(file, line))
-    place = f"line {number}"
+        return Input(location=_beside(file, line))
+    location = f"line {number}"
     try:
-        told: dict[str, Any] = json.loads(line)
+        reported: dict[str, Any] = json.loads(line)
     except (ValueError, RecursionError) as error:
-        said = repr(line[:_SHORT])
-        raise DataError(file, place, f"{said}: {error}; expected a path or an object of JSON") from error
-    path = told.pop("path", None)
+        stated = repr(line[:_SHORT])
+        raise DataError(file, location, f"{stated}: {error}; expected a path or an object of JSON") from error
+    path = reported.pop("path", None)
     if not isinstance(path, str) or not path:
-        raise DataError(file, place, f"path {path!r}; expected the path of a drive")
+        raise DataError(file, location, f"path {path!r}; expected the path of a drive")
     known = (*PART, *files, _READING)
-    unknown = [name for name in told if name not in known and name not in others]
+    unknown = [name for name in reported if name not in known and name not in others]
     if unknown:
         expected = f"path, {', '.join(known[:-1])} and {known[-1]}"
-        raise DataError(file, place, f"{unknown[0]!r}; expected {expected} only")
-    part = {name: told[name] for name in PART if told.get(name) is not None}
+        raise DataError(file, location, f"{unknown[0]!r}; expected {expected} only")
+    part = {name: reported[name] for name in PART if reported.get(name) is not None}
     for name, value in part.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < _LONGEST:
-            said = repr(value)[:_SHORT]
+            stated = repr(value)[:_SHORT]
             raise DataError(
-                file, place, f"{name} {said}; expected seconds from the beginning of the drive on"
+                file, location, f"{name} {stated}; expected seconds from the beginning of the drive on"
             )
     return Input(
-        place=_beside(file, path),
-        options={**part, **_reading(told.get(_READING), file, place)},
+        location=_beside(file, path),
+        options={**part, **_reading(reported.get(_READING), file, location)},
         files={
-            name: _own_files(told[name], option, file, f"{place}: {name}")
+            name: _own_files(reported[name], option, file, f"{location}: {name}")
             for name, option in files.items()
-            if told.get(name) is not None
+            if reported.get(name) is not None
         },
-        unread=frozenset(name for name in others if told.get(name) is not None),
+        unread=frozenset(name for name in others if reported.get(name) is not None),
     )
 
 
-def _own_files(told: Any, option: FileOption, file: Path, place: str) -> Any:
+def _own_files(reported: Any, option: FileOption, file: Path, location: str) -> Any:
     """The files of one option, as far as a line says them: beside the list, as drives are."""
-    texts = told if isinstance(told, list) and option.several else [told]
+    texts = reported if isinstance(reported, list) and option.several else [reported]
     if not texts or not all(isinstance(text, str) and text for text in texts):
         several = ", or a list of such" if option.several else ""
-        raise DataError(file, place, f"{repr(told)[:_SHORT]}; expected the path of a file{several}")
+        raise DataError(file, location, f"{repr(reported)[:_SHORT]}; expected the path of a file{several}")
     found = [text if text in option.names else file.parent / text for text in texts]
     for text, own in zip(texts, found, strict=True):
         if is_url(text):
-            raise DataError(file, place, f"{text!r} is a URL; expected the path of a file")
+            raise DataError(file, location, f"{text!r} is a URL; expected the path of a file")
         if isinstance(own, Path) and not own.exists():
             names = f"; expected a file, or one of {', '.join(sorted(option.names))}" if option.names else ""
-            raise DataError(file, place, f"{own}: no such file or folder{names}")
+            raise DataError(file, location, f"{own}: no such file or folder{names}")
     return tuple(found) if option.several else found[0]
 
 
-def _reading(told: Any, file: Path, place: str) -> dict[str, str | bool]:
+def _reading(reported: Any, file: Path, location: str) -> dict[str, str | bool]:
     """How a drive is opened, as far as a line says it."""
-    said = {} if told is None else told
-    if not isinstance(said, dict) or not all(isinstance(value, str | bool) for value in said.values()):
+    stated = {} if reported is None else reported
+    if not isinstance(stated, dict) or not all(isinstance(value, str | bool) for value in stated.values()):
         raise DataError(
-            file, place, f"reading {told!r}; expected options by their names, each a text or true"
+            file, location, f"reading {reported!r}; expected options by their names, each a text or true"
         )
-    return {READING + name: value for name, value in said.items()}
+    return {READING + name: value for name, value in stated.items()}
 
 
 def _beside(file: Path, text: str) -> str:

@@ -30,21 +30,21 @@ class Input:
     """One drive of a run.
 
     Attributes:
-        place: its path, or its URL.
+        location: its path, or its URL.
         options: what counts for it alone, as the seconds at which a part of it starts and stops.
-        files: what the verb reads beside it, by option, in place of what all drives have; as of `Job`.
+        files: what the verb reads beside it, by option, instead of what all drives have; as of `Job`.
         unread: options whose files a list names for other verbs.
     """
 
-    place: str
+    location: str
     options: Mapping[str, Any] = field(default_factory=lambda: NOTHING)
     files: Mapping[str, Any] = field(default_factory=lambda: NOTHING)
     unread: frozenset[str] = frozenset()
 
     @property
     def name(self) -> str:
-        """What the record calls it: its place without secrets, which stays the same when a URL is signed anew."""
-        return redacted(self.place)
+        """What the record calls it: its location without secrets, which stays the same when a URL is signed anew."""
+        return redacted(self.location)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,29 +53,29 @@ class Further:
 
     Attributes:
         option: the verb's option that names it.
-        place: what was said: a folder, or a file whose name stands behind those of the drives.
+        location: what was stated: a folder, or a file whose name stands behind those of the drives.
         is_folder: which of both.
     """
 
     option: str
-    place: str
+    location: str
     is_folder: bool
 
     @property
     def folder(self) -> str:
         """Where those of all drives lie."""
         if self.is_folder:
-            return self.place.rstrip("/")
-        return self.place.rpartition("/")[0] if is_url(self.place) else str(Path(self.place).parent)
+            return self.location.rstrip("/")
+        return self.location.rpartition("/")[0] if is_url(self.location) else str(Path(self.location).parent)
 
     def of(self, drive: str) -> str:
-        """The place of one drive's.
+        """The location of one drive's.
 
         Args:
             drive: what its output is called, without a suffix.
         """
-        name = drive if self.is_folder else f"{drive}.{name_of(self.place).lstrip('.')}"
-        return f"{self.folder}/{name}" if is_url(self.place) else str(Path(self.folder, name))
+        name = drive if self.is_folder else f"{drive}.{name_of(self.location).lstrip('.')}"
+        return f"{self.folder}/{name}" if is_url(self.location) else str(Path(self.folder, name))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,8 +84,8 @@ class Job:
 
     Attributes:
         verb: its name, for people and for the record.
-        call: `module:function` that does one drive: `function(place, output, options)` writes `output` and gives what
-            the record keeps, or raises.
+        call: `module:function` that does one drive: `function(location, output, options)` writes `output` and gives
+            what the record keeps, or raises.
         inputs: the drives.
         options: of the verb, alike for all; they pickle.
         files: those that name files which the verb reads beside a drive, as far as all drives have the same: a path
@@ -93,7 +93,7 @@ class Job:
         suffix: what names of outputs end in; "" for folders.
         retries: how often a drive is tried again where the cause can pass.
         modules: what workers of this machine import before they begin, once for all of them.
-        further: outputs beside these, which `call` writes where its options of these names say.
+        further: outputs beside these, which `call` writes where its options of these names state.
     """
 
     verb: str
@@ -114,8 +114,8 @@ class Task:
     Attributes:
         number: of the drive in the run.
         attempt: 1 for the first try.
-        call, place, options: as of `Job` and `Input`.
-        draft: where the output is written; from there it is moved to its place once it is whole. Below the temporary
+        call, location, options: as of `Job` and `Input`.
+        draft: where the output is written; from there it is moved to its location once it is whole. Below the temporary
             folder of the worker's machine if there is a `target`.
         target: the folder of a store that the worker sends the output to once it is whole; "" for none.
         further: where further outputs belong, by the option that names each.
@@ -125,7 +125,7 @@ class Task:
     number: int
     attempt: int
     call: str
-    place: str
+    location: str
     draft: Path
     options: Mapping[str, Any]
     target: str = ""
@@ -141,8 +141,8 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
         error: what went wrong, for a person; "" if nothing did.
         kind: name of the error's class, "Lost" for a worker that is gone.
         passing: whether the same may work another time.
-        report: what the verb told, as JSON values; if it is an object, with the seconds of its stages as `stages`, and
-            where its further outputs are as `further`.
+        report: what the verb reported, as JSON values; if it is an object, with the seconds of its stages as `stages`,
+            and where its further outputs are as `further`.
         fingerprint: of the drive as it was before.
         seconds: by the clock [s].
         processor_seconds: of the worker's processor [s].
@@ -162,6 +162,6 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     worker: str = ""
 
 
-def name_of(place: str) -> str:
+def name_of(location: str) -> str:
     """The last part of a path or address."""
-    return PurePosixPath(unquote(urlsplit(place).path)).name if is_url(place) else Path(place).name
+    return PurePosixPath(unquote(urlsplit(location).path)).name if is_url(location) else Path(location).name

@@ -38,15 +38,21 @@ def output_names(inputs: Sequence[Input], suffix: str) -> tuple[str, ...]:
 def drive_names(inputs: Sequence[Input]) -> tuple[str, ...]:
     """Name drives as their outputs are, without a suffix, and alike for all parts of one in time."""
     reading = [{name: value for name, value in one.options.items() if name not in PART} for one in inputs]
-    whole = [Input(place=one.place, options=own or NOTHING) for one, own in zip(inputs, reading, strict=True)]
-    keys = [(one.place, *sorted(one.options.items())) for one in whole]
+    whole = [
+        Input(location=one.location, options=own or NOTHING) for one, own in zip(inputs, reading, strict=True)
+    ]
+    keys = [(one.location, *sorted(one.options.items())) for one in whole]
     once = dict(zip(keys, whole, strict=True))
     names = dict(zip(once, output_names(tuple(once.values()), ""), strict=True))
     return tuple(names[key] for key in keys)
 
 
 def _parts(drive: Input) -> tuple[str, ...]:
-    text = unquote(urlsplit(drive.place).path) if is_url(drive.place) else drive.place.replace("\\", "/")
+    text = (
+        unquote(urlsplit(drive.location).path)
+        if is_url(drive.location)
+        else drive.location.replace("\\", "/")
+    )
     path = PurePosixPath(text.rstrip("/"))
     parts = [part for part in path.parts if part not in {"/", ".", ".."}] or ["drive"]
     parts[-1] = path.stem or parts[-1]

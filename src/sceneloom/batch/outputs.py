@@ -1,7 +1,7 @@
-"""Where the outputs of a run are put: a folder on disk, or a place in a store.
+"""Where the outputs of a run are put: a folder on disk, or a location in a store.
 
-On disk a worker writes a draft, and the run moves it to its place in one step. Into a store the worker itself sends it,
-as an object that appears whole or not at all; what the run has in the store beside them is a claim, an object which
+On disk a worker writes a draft, and the run moves it to its location in one step. Into a store the worker itself sends
+it, as an object that appears whole or not at all; what the run has in the store beside them is a claim, an object which
 names the one record that belongs to these outputs.
 """
 
@@ -25,7 +25,7 @@ CLAIM = ".sceneloom-run"
 """Name of the object in a store that says whose outputs lie there."""
 
 FURTHER = ".further"
-"""Name of the folder beside a draft in which a verb writes its further outputs, which go to places of their own."""
+"""Name of the folder beside a draft in which a verb writes its further outputs, which go to locations of their own."""
 
 OUTCOME = ".outcome"
 """Name of the file beside a draft that says what came of the try."""
@@ -40,7 +40,7 @@ class Outputs(Protocol):
         ...
 
     @property
-    def place(self) -> str:
+    def location(self) -> str:
         """Its path or address."""
         ...
 
@@ -54,7 +54,7 @@ class Outputs(Protocol):
         ...
 
     def accept(self, task: Task) -> None:
-        """Put what a worker made in its place, unless that has sent it there."""
+        """Put what a worker made in its location, unless that has sent it there."""
         ...
 
 
@@ -71,7 +71,7 @@ class FolderOutputs:
         return str(self.folder)
 
     @property
-    def place(self) -> str:
+    def location(self) -> str:
         """Its path."""
         return str(self.folder)
 
@@ -80,7 +80,7 @@ class FolderOutputs:
         return (self.folder / name).exists()
 
     def accept(self, task: Task) -> None:
-        """Move an output to its place, after what else the verb wrote beside it.
+        """Move an output to its location, after what else the verb wrote beside it.
 
         Raises:
             OSError: it cannot be moved.
@@ -91,7 +91,7 @@ class FolderOutputs:
 
 @dataclass(frozen=True, slots=True)
 class StoreOutputs:
-    """A place in a store.
+    """A location in a store.
 
     Attributes:
         target: its address.
@@ -107,7 +107,7 @@ class StoreOutputs:
         return redacted(self.target)
 
     @property
-    def place(self) -> str:
+    def location(self) -> str:
         """Its address."""
         return self.target
 
@@ -136,13 +136,13 @@ class Claim(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def claimed(url: str, *, run: str, record: Path) -> StoreOutputs:
-    """Claim a place in a store for the run of one record.
+    """Claim a location in a store for the run of one record.
 
-    Two runs that begin within the same moment are told apart where the store refuses to put an object twice, as S3,
+    Two runs that begin within the same moment are distinguished where the store refuses to put an object twice, as S3,
     Cloud Storage and Azure do; where it does not, the later one may take the claim while the other one goes on.
 
     Args:
-        url: the place.
+        url: the location.
         run: name of the run.
         record: where its record is.
 
@@ -153,26 +153,26 @@ def claimed(url: str, *, run: str, record: Path) -> StoreOutputs:
     from sceneloom.formats.remote.fetching import names_below
     from sceneloom.formats.remote.uploads import check_remote_output, put_first
 
-    place = f"{url.rstrip('/')}/{CLAIM}"
-    check_remote_output(place, overwrite=True)
+    location = f"{url.rstrip('/')}/{CLAIM}"
+    check_remote_output(location, overwrite=True)
     begun = datetime.now(UTC).isoformat(timespec="seconds")
     ours = Claim(run=run, record=str(record.absolute()), host=socket.gethostname(), begun=begun)
-    there = _claim(put_first(place, msgspec.json.encode(ours)), place)
+    there = _claim(put_first(location, msgspec.json.encode(ours)), location)
     if there.run != run:
         raise OutputError(
             f"{redacted(url)}: holds the outputs of a run whose record is {there.record} on {there.host}, begun "
-            f"{there.begun}; `--resume --record` goes on with it, or choose another place. If that record is lost, "
+            f"{there.begun}; `--resume --record` goes on with it, or choose another location. If that record is lost, "
             f"remove {CLAIM} there"
         )
     return StoreOutputs(url, frozenset(names_below(url)))
 
 
-def _claim(content: bytes, place: str) -> Claim:
+def _claim(content: bytes, location: str) -> Claim:
     try:
         return msgspec.json.decode(content, type=Claim)
     except msgspec.MsgspecError as error:
         raise OutputError(
-            f"{redacted(place)}: is not the claim of a run: {error}; choose another place"
+            f"{redacted(location)}: is not the claim of a run: {error}; choose another location"
         ) from error
 
 
@@ -185,8 +185,8 @@ def record_folder(url: str) -> Path:
     base = Path(state) if Path(state).is_absolute() else Path.home() / ".local" / "state"
     shown = redacted(url).rstrip("/")
     name = shown.rpartition("/")[2]
-    told = "".join(sign if sign.isalnum() or sign in "-_." else "_" for sign in name).lstrip(".")[:60]
-    return base / "sceneloom" / "runs" / f"{told}-{blake2b(shown.encode(), digest_size=4).hexdigest()}"
+    reported = "".join(sign if sign.isalnum() or sign in "-_." else "_" for sign in name).lstrip(".")[:60]
+    return base / "sceneloom" / "runs" / f"{reported}-{blake2b(shown.encode(), digest_size=4).hexdigest()}"
 
 
 def send(draft: Path, target: str) -> None:
@@ -206,10 +206,12 @@ def _own_last(draft: Path) -> list[Path]:
     return sorted(made, key=lambda path: path == draft)
 
 
-def move(made: Path, place: Path) -> None:
-    """Put something in its place in one step; a folder that is there steps aside first."""
-    if place.is_dir() and not place.is_symlink() and made.is_dir() and exchange(made, place):
+def move(made: Path, location: Path) -> None:
+    """Put something in its location in one step; a folder that is there steps aside first."""
+    if location.is_dir() and not location.is_symlink() and made.is_dir() and exchange(made, location):
         return
-    if place.is_dir() and not place.is_symlink():
-        shutil.rmtree(place) if not made.is_dir() else place.rename(made.with_name(f"{made.name}.before"))
-    made.replace(place)
+    if location.is_dir() and not location.is_symlink():
+        shutil.rmtree(location) if not made.is_dir() else location.rename(
+            made.with_name(f"{made.name}.before")
+        )
+    made.replace(location)

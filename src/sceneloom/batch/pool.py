@@ -134,7 +134,7 @@ def _context() -> ForkServerContext | SpawnContext:
 
 
 def _processes(worker: ProcessPoolExecutor) -> list[BaseProcess]:
-    # nothing public tells which process it is, to end it at once and to say how it ended
+    # nothing public reports which process it is, to end it at once and to state how it ended
     return list((worker._processes or {}).values())  # noqa: SLF001
 
 
@@ -144,8 +144,8 @@ def _lost(task: Task, process: BaseProcess, fault: BaseException) -> Outcome:
     process.join()
     code = process.exitcode
     how = signal.Signals(-code).name if code is not None and code < 0 else f"exit code {code}"
-    told = f"the worker is gone ({how}): ended from outside, out of memory, or crashed"
-    return Outcome(number=task.number, error=told, kind=LOST, passing=True)
+    reported = f"the worker is gone ({how}): ended from outside, out of memory, or crashed"
+    return Outcome(number=task.number, error=reported, kind=LOST, passing=True)
 
 
 def _begin(environment: Mapping[str, str]) -> None:
@@ -168,7 +168,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let processes that are started now have one thread in each library, unless the user said otherwise."""
+    """Let processes that are started now have one thread in each library, unless the user stated otherwise."""
     # Numba, which may be at work here, looks at its own again and again: workers set it themselves
     wanted = {name: "1" for name in THREADS if name not in os.environ and name != NUMBA}
     os.environ.update(wanted)

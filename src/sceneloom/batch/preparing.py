@@ -1,4 +1,4 @@
-"""Before a run begins: whose place it is, which drives are new, which have to be done anew."""
+"""Before a run begins: whose location it is, which drives are new, which have to be done anew."""
 
 import secrets
 from collections.abc import Iterator, Mapping
@@ -7,7 +7,7 @@ from hashlib import blake2b
 from typing import Any
 
 from sceneloom.batch.files import with_files
-from sceneloom.batch.further import Places, check_places
+from sceneloom.batch.further import Locations, check_locations
 from sceneloom.batch.jobs import Input, Job, State
 from sceneloom.batch.naming import output_names
 from sceneloom.batch.outputs import FolderOutputs, Outputs, claimed
@@ -18,36 +18,36 @@ from sceneloom.redaction import redacted
 from sceneloom.version import __version__
 
 DriveKey = tuple[str, tuple[tuple[str, Any], ...]]
-"""What tells drives apart: where they are, and what counts for them alone."""
+"""What reports drives apart: where they are, and what counts for them alone."""
 
 _SIDE_BY_SIDE = 16
 """How many drives are looked at together."""
 
 
 def open_outputs(store: str, record: Record, *, resume: bool) -> Outputs:
-    """Give where outputs go; a record belongs to one place for good.
+    """Give where outputs go; a record belongs to one location for good.
 
     Args:
-        store: a place in a store; "" for the folder of the record.
+        store: a location in a store; "" for the folder of the record.
         record: of the run.
         resume: whether it may have drives already.
 
     Raises:
-        OutputError: it has, or the place is that of another run.
+        OutputError: it has, or the location is that of another run.
     """
-    known = record.told()
+    known = record.reported()
     before, now = known.get("store", ""), redacted(store)
     if before != now and record.rows():
-        place = before or "it"
+        location = before or "it"
         raise OutputError(
-            f"{record.folder}: holds the record of a run with outputs in {place}; name another one"
+            f"{record.folder}: holds the record of a run with outputs in {location}; name another one"
         )
     _refuse_known(record, resume=resume)
-    record.tell("store", now)
+    record.notify("store", now)
     if not store:
         return FolderOutputs(record.folder)
     name = known.get("run") or secrets.token_hex(8)
-    record.tell("run", name)
+    record.notify("run", name)
     return claimed(store, run=name, record=record.folder)
 
 
@@ -68,7 +68,7 @@ def prepare(job: Job, record: Record, outputs: Outputs) -> None:
         OptionError: drives differ in secrets of their addresses only, or two outputs of one in nothing.
         DataError: the server of a drive does not answer.
     """
-    places = Places()
+    locations = Locations()
     known = {drive_key(row.input, row.part): row for row in record.rows()}
     asked = asked_drives(job)
     taken = {row.output for row in known.values()}
@@ -79,17 +79,17 @@ def prepare(job: Job, record: Record, outputs: Outputs) -> None:
         free = next(own for own in _numbered(name, job.suffix) if own not in taken)
         if outputs.has(free):
             raise OutputError(f"{outputs.name.rstrip('/')}/{free}: exists already; choose another folder")
-        further = further_places(job, free)
-        check_places([f"{outputs.place.rstrip('/')}/{free}", *further.values()])
-        for place in filter(places.has, further.values()):
-            raise OutputError(f"{redacted(place)}: exists already; choose another folder")
+        further = further_locations(job, free)
+        check_locations([f"{outputs.location.rstrip('/')}/{free}", *further.values()])
+        for location in filter(locations.has, further.values()):
+            raise OutputError(f"{redacted(location)}: exists already; choose another folder")
         taken.add(free)
         new.append((drive.name, drive.options, free))
     record.add(new)
-    record.tell("verb", job.verb)
-    record.tell("sceneloom", __version__)
-    told = {**job.options, **job.files}
-    record.tell("options", {name: redacted(repr(value)) for name, value in told.items()})
+    record.notify("verb", job.verb)
+    record.notify("sceneloom", __version__)
+    reported = {**job.options, **job.files}
+    record.notify("options", {name: redacted(repr(value)) for name, value in reported.items()})
     meant = {row.number: asked[key] for key, row in known.items() if key in asked}
     done = done_rows(
         job, outputs, record, {row.number: row for row in known.values() if row.number in meant}, meant
@@ -97,16 +97,16 @@ def prepare(job: Job, record: Record, outputs: Outputs) -> None:
     record.wait_again([number for number in meant if number not in done])
 
 
-def drive_key(place: str, part: Mapping[str, Any]) -> DriveKey:
-    """What tells a drive apart in the record."""
-    return place, tuple(sorted(part.items()))
+def drive_key(location: str, part: Mapping[str, Any]) -> DriveKey:
+    """What reports a drive apart in the record."""
+    return location, tuple(sorted(part.items()))
 
 
 def asked_drives(job: Job) -> dict[DriveKey, Input]:
-    """The drives by what the record tells them apart by."""
+    """The drives by what the record reports them apart by."""
     found: dict[DriveKey, Input] = {}
     for drive in job.inputs:
-        if found.setdefault(drive_key(drive.name, drive.options), drive).place != drive.place:
+        if found.setdefault(drive_key(drive.name, drive.options), drive).location != drive.location:
             raise OptionError(
                 f"{drive.name}: two drives differ in secrets only, which no record keeps; do them apart"
             )
@@ -120,7 +120,7 @@ def _numbered(name: str, suffix: str) -> Iterator[str]:
         number += 1
 
 
-def further_places(job: Job, output: str) -> dict[str, str]:
+def further_locations(job: Job, output: str) -> dict[str, str]:
     """Where the further outputs of a drive belong, by option."""
     return {one.option: one.of(output.removesuffix(job.suffix)) for one in job.further}
 
@@ -134,13 +134,13 @@ def done_rows(
     job: Job, outputs: Outputs, record: Record, rows: Mapping[int, Row], meant: Mapping[int, Input]
 ) -> set[int]:
     """Drives that are done as the job wants them, where neither they nor their outputs changed since."""
-    places = Places()
+    locations = Locations()
 
     def has_further(number: int) -> bool:
         report = record.report(number) if job.further else None
         made = report.get("further", {}) if isinstance(report, dict) else {}
-        wanted = further_places(job, rows[number].output)
-        return all(places.has(place) for option, place in wanted.items() if option in made)
+        wanted = further_locations(job, rows[number].output)
+        return all(locations.has(location) for option, location in wanted.items() if option in made)
 
     perhaps = [
         number
@@ -151,19 +151,21 @@ def done_rows(
         and outputs.has(row.output)
         and has_further(number)
     ]
-    with ThreadPoolExecutor(_SIDE_BY_SIDE) as crew:  # servers take their time to answer
+    with ThreadPoolExecutor(_SIDE_BY_SIDE) as thread_pool:  # servers take their time to answer
         asked = [meant[number] for number in perhaps]
-        once = list(dict.fromkeys(drive.place for drive in asked))  # drives of a data set lie in one place
-        seen = dict(zip(once, crew.map(fingerprint, once), strict=True))
-        now = crew.map(lambda drive: with_files(seen[drive.place], files_of(job, drive)), asked)
+        once = list(
+            dict.fromkeys(drive.location for drive in asked)
+        )  # drives of a data set lie in one location
+        seen = dict(zip(once, thread_pool.map(fingerprint, once), strict=True))
+        now = thread_pool.map(lambda drive: with_files(seen[drive.location], files_of(job, drive)), asked)
         return {
             number for number, found in zip(perhaps, now, strict=True) if found == rows[number].fingerprint
         }
 
 
 def configuration(job: Job, drive: Input, part: Mapping[str, Any]) -> str:
-    """Tell what is done with a drive from anything else: the verb, its options, our version."""
-    said = {**job.options, **files_of(job, drive), **part}
-    options = sorted((name, redacted(repr(value))) for name, value in said.items())
-    told = repr((__version__, job.verb, job.call, options))
-    return blake2b(told.encode("utf-8", "surrogateescape"), digest_size=16).hexdigest()
+    """Report what is done with a drive from anything else: the verb, its options, our version."""
+    stated = {**job.options, **files_of(job, drive), **part}
+    options = sorted((name, redacted(repr(value))) for name, value in stated.items())
+    reported = repr((__version__, job.verb, job.call, options))
+    return blake2b(reported.encode("utf-8", "surrogateescape"), digest_size=16).hexdigest()

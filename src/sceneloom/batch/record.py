@@ -81,7 +81,7 @@ class Row:
 
     @property
     def name(self) -> str:
-        """What people call it: its place, and what counts for it alone, which tells drives of a data set apart."""
+        """What people call it: its location, and what counts for it alone, which reports drives of a data set apart."""
         own = ", ".join(f"{name.removeprefix(READING)} {value}" for name, value in sorted(self.part.items()))
         return f"{self.input} ({own})" if own else self.input
 
@@ -123,15 +123,15 @@ class Record:
             OutputError: another run has it.
             DataError: what is there is damaged or no record of ours.
         """
-        place = folder / FOLDER
-        place.mkdir(parents=True, exist_ok=True)
-        file = place / _RECORD
-        with locked(place / _LOCK, folder), _connected(file.absolute().as_uri(), file) as connection:
+        location = folder / FOLDER
+        location.mkdir(parents=True, exist_ok=True)
+        file = location / _RECORD
+        with locked(location / _LOCK, folder), _connected(file.absolute().as_uri(), file) as connection:
             connection.execute("PRAGMA journal_mode = WAL")
             connection.execute("PRAGMA synchronous = NORMAL")
             connection.executescript(_TABLES)
             record = cls(folder, connection)
-            record.tell("version", _VERSION) if not record.told() else record._check()
+            record.notify("version", _VERSION) if not record.reported() else record._check()
             yield record
 
     @property
@@ -139,12 +139,12 @@ class Record:
         """Where outputs are written before they are whole."""
         return self.folder / FOLDER / _DRAFTS
 
-    def tell(self, name: str, value: Any) -> None:
+    def notify(self, name: str, value: Any) -> None:
         """Keep something of the run as a whole."""
         with self._connection:
             self._connection.execute("INSERT OR REPLACE INTO run VALUES (?, ?)", (name, json.dumps(value)))
 
-    def told(self) -> dict[str, Any]:
+    def reported(self) -> dict[str, Any]:
         """What is known of the run as a whole."""
         found = self._connection.execute("SELECT * FROM run")
         return {name: self._value(text, f"run: {name}") for name, text in found}
@@ -160,24 +160,24 @@ class Record:
         return [self._row(dict(zip(_COLUMNS, one, strict=True))) for one in found]
 
     def _row(self, found: dict[str, Any]) -> Row:
-        place = f"drives: {found['number']}"
+        location = f"drives: {found['number']}"
         try:
-            return msgspec.convert({**found, "part": self._value(found["part"], place)}, Row)
+            return msgspec.convert({**found, "part": self._value(found["part"], location)}, Row)
         except msgspec.ValidationError as error:
-            raise DataError(self._file, place, f"{error}; expected what a run leaves") from error
+            raise DataError(self._file, location, f"{error}; expected what a run leaves") from error
 
-    def _value(self, text: Any, place: str) -> Any:
+    def _value(self, text: Any, location: str) -> Any:
         try:
             return json.loads(text)
         except (TypeError, ValueError, RecursionError) as error:
-            raise DataError(self._file, place, f"is no JSON: {error}") from error
+            raise DataError(self._file, location, f"is no JSON: {error}") from error
 
     @property
     def _file(self) -> Path:
         return self.folder / FOLDER / _RECORD
 
     def report(self, number: int) -> Any:
-        """What the verb told of a drive, as JSON values; None where it was not done."""
+        """What the verb reported a drive, as JSON values; None where it was not done."""
         found = self._connection.execute("SELECT report FROM drives WHERE number = ?", (number,)).fetchone()
         return None if found is None or found[0] is None else self._value(found[0], f"drives: {number}")
 
@@ -187,8 +187,8 @@ class Record:
             self._connection.executemany(
                 "INSERT INTO drives (input, part, output, state) VALUES (?, ?, ?, ?)",
                 [
-                    (place, json.dumps(dict(part), sort_keys=True), name, State.WAITING)
-                    for place, part, name in drives
+                    (location, json.dumps(dict(part), sort_keys=True), name, State.WAITING)
+                    for location, part, name in drives
                 ],
             )
 
@@ -201,7 +201,7 @@ class Record:
             )
 
     def begin(self, number: int, attempt: int) -> None:
-        """Say that a drive is being tried."""
+        """Report that a drive is being tried."""
         with self._connection:
             self._connection.execute(
                 "UPDATE drives SET state = ?, attempts = ? WHERE number = ?", (State.RUNNING, attempt, number)
@@ -238,14 +238,14 @@ class Record:
             )
 
     def _check(self) -> None:
-        version = self.told().get("version")
+        version = self.reported().get("version")
         if version != _VERSION:
             raise DataError(self._file, "version", f"{version!r}; expected {_VERSION}")
 
 
 @contextmanager
 def _connected(uri: str, file: Path) -> Iterator[sqlite3.Connection]:
-    """Open a database; whatever is wrong with it until it is closed is told of its file."""
+    """Open a database; whatever is wrong with it until it is closed is reported its file."""
     try:
         with closing(sqlite3.connect(uri, uri=True)) as connection:
             yield connection

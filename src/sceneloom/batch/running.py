@@ -1,6 +1,6 @@
-"""One verb over many drives: what is due is handed to workers, what they made is put in its place and recorded.
+"""One verb over many drives: what is due is handed to workers, what they made is put in its location and recorded.
 
-A try writes into a folder of its own. Once it has ended well the output is put in its place, in one step, and then
+A try writes into a folder of its own. Once it has ended well the output is put in its location, in one step, and then
 the record says that the drive is done: whatever is killed in between, an output is there whole or not at all, and a run
 that is taken up again makes anew what the record does not know as done.
 """
@@ -27,7 +27,7 @@ from sceneloom.batch.preparing import (
     configuration,
     drive_key,
     files_of,
-    further_places,
+    further_locations,
     open_outputs,
     prepare,
 )
@@ -37,8 +37,8 @@ from sceneloom.batch.working import draft_of
 from sceneloom.errors import OptionError, OutputError
 from sceneloom.formats.urls import is_url
 
-Told = Callable[["RunSummary", Outcome], None]
-"""Is told how far a run is, and what came of the last try."""
+Reported = Callable[["RunSummary", Outcome], None]
+"""Is reported how far a run is, and what came of the last try."""
 
 _LOOK_SECONDS = 0.5
 _PATIENCE_SECONDS = (1.0, 5.0, 20.0)
@@ -51,7 +51,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     """How a run stands.
 
     Attributes:
-        output: its folder, or the place in a store without secrets.
+        output: its folder, or the location in a store without secrets.
         record: the folder that the record is in.
         verb: what was done.
         total: drives.
@@ -88,21 +88,21 @@ def run(
     workers: int = 1,
     executor: Executor | None = None,
     resume: bool = False,
-    told: Told | None = None,
+    reported: Reported | None = None,
 ) -> RunSummary:
     """Do a job.
 
     Args:
         job: the verb and the drives.
-        output: the folder of the outputs and the record, made if it is not there; or the URL of a place in a store.
+        output: the folder of the outputs and the record, made if it is not there; or the URL of a location in a store.
         record: the folder of the record where outputs go into a store; None for one in the user's state.
         workers: processes on this machine.
         executor: what runs the tasks instead; it is stopped in the end.
         resume: go on with what an earlier run left; drives that are done and unchanged are skipped.
-        told: told after each try.
+        reported: reported after each try.
 
     Raises:
-        OutputError: the place holds an earlier run or files of the same names, or another run has it.
+        OutputError: the location holds an earlier run or files of the same names, or another run has it.
         OptionError: there is a record for outputs on disk, drives differ in secrets of their addresses only, or further
             outputs cannot go where they are to.
         DataError: the record is damaged, or a store does not answer.
@@ -121,7 +121,7 @@ def run(
         held = ending.enter_context(Record.held(folder))
         outputs = open_outputs(store, held, resume=resume)
         prepare(job, held, outputs)
-        going = _Run(job, held, outputs, pool, told)
+        going = _Run(job, held, outputs, pool, reported)
         ending.callback(shutil.rmtree, going.drafts, ignore_errors=True)
         ending.callback(pool.stop)  # before its drafts go
         return going.go()
@@ -135,7 +135,7 @@ class _Run:
     record: Record
     outputs: Outputs
     executor: Executor
-    told: Told | None
+    reported: Reported | None
     summary: RunSummary = field(init=False)
     due: list[tuple[float, int, int]] = field(default_factory=list)
     """When [s of the clock], which drive, for the how many-th time."""
@@ -143,7 +143,7 @@ class _Run:
     meant: dict[int, Input] = field(default_factory=dict)
     """The drives by their numbers, with secrets where their addresses have some."""
     name: str = field(default_factory=lambda: secrets.token_hex(4))
-    """Tells drafts of this run from those that a worker of an earlier one may still be writing."""
+    """Reports drafts of this run from those that a worker of an earlier one may still be writing."""
     warming: Warming = field(default_factory=Warming)
     running: int = 0
 
@@ -184,7 +184,7 @@ class _Run:
             if ended:
                 self.running -= len(ended)
                 self.warming.end()
-                self._hand_out()  # workers need not wait until what they did is put in its place
+                self._hand_out()  # workers need not wait until what they did is put in its location
             for task, outcome in ended:
                 self._end(task, outcome)
                 self.summary = msgspec.structs.replace(
@@ -192,8 +192,8 @@ class _Run:
                     seconds=time.monotonic() - begun,
                     processor_seconds=self.summary.processor_seconds + outcome.processor_seconds,
                 )
-                if self.told is not None:
-                    self.told(self.summary, outcome)
+                if self.reported is not None:
+                    self.reported(self.summary, outcome)
         return self.summary
 
     def _hand_out(self) -> None:
@@ -217,11 +217,11 @@ class _Run:
                 number=number,
                 attempt=attempt,
                 call=self.job.call,
-                place=self.meant[number].place,
+                location=self.meant[number].location,
                 draft=draft,
                 options={**self.job.options, **row.part},
                 target=self.outputs.target,
-                further=further_places(self.job, row.output),
+                further=further_locations(self.job, row.output),
                 files=files_of(self.job, self.meant[number]),
             )
         )
@@ -251,14 +251,14 @@ class _Run:
             self._count(failed=1)
 
     def _accepted(self, task: Task, outcome: Outcome) -> Outcome:
-        """Put an output in its place, with what else the verb wrote beside it."""
+        """Put an output in its location, with what else the verb wrote beside it."""
         try:
             if not task.target:
                 bring(task.draft, task.further)
             self.outputs.accept(task)
         except OSError as error:
-            told = f"{error.filename}: cannot be moved to its place: {error.strerror}"
-            return msgspec.structs.replace(outcome, error=told, kind=type(error).__name__)
+            reported = f"{error.filename}: cannot be moved to its location: {error.strerror}"
+            return msgspec.structs.replace(outcome, error=reported, kind=type(error).__name__)
         return outcome
 
     def _count(self, **more: int) -> None:

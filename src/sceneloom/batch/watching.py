@@ -77,7 +77,7 @@ def read_figures(folder: Path) -> RunFigures:
         DataError: there is no record of a run.
     """
     with Record.opened(folder) as record:
-        run, rows = record.told(), record.rows()
+        run, rows = record.reported(), record.rows()
         reports = {row.number: record.report(row.number) for row in rows if row.state is State.DONE}
     ended = [row for row in rows if row.finished_ns is not None]
     begun_ns = min((_ended_ns(row) - round(_seconds(row.seconds) * 1e9) for row in ended), default=None)
@@ -169,9 +169,9 @@ def format_metrics(
         ),
     ]
     lines = []
-    for (name, kind, told), group in groupby(samples, key=lambda sample: sample[:3]):
+    for (name, kind, reported), group in groupby(samples, key=lambda sample: sample[:3]):
         full = f"sceneloom_batch_{name}"
-        lines += [f"# HELP {full} {told}", f"# TYPE {full} {kind}"]
+        lines += [f"# HELP {full} {reported}", f"# TYPE {full} {kind}"]
         for *_, own, value in group:
             labels = ",".join(f'{key}="{text.translate(_ESCAPES)}"' for key, text in {**run, **own}.items())
             lines.append(f"{full}{{{labels}}} {value}")
@@ -191,7 +191,7 @@ class MetricsFile:
     _stages: Counter[str] = field(default_factory=Counter)
     _due: float = 0.0
 
-    def told(self, summary: RunSummary, outcome: Outcome) -> None:
+    def reported(self, summary: RunSummary, outcome: Outcome) -> None:
         """Count the outcome of a try, and write the file when it is due.
 
         Raises:

@@ -31,30 +31,33 @@ _PASSING = (ConnectionError, TimeoutError, InterruptedError, BlockingIOError)
 
 
 def run_task(task: Task) -> Outcome:
-    """Do one drive; whatever goes wrong with it is told, not raised, and without secrets of addresses."""
+    """Do one drive; whatever goes wrong with it is reported, not raised, and without secrets of addresses."""
     begun, busy = time.perf_counter(), time.process_time()
-    told: dict[str, Any] = {}
+    reported: dict[str, Any] = {}
     ignore_warnings_of_extreme_numbers()
     try:
         with timed() as stages:
-            told = _done(task)
-        if stages and isinstance(told.get("report"), dict):
-            told["report"]["stages"] = {name: round(seconds, 6) for name, seconds in stages.items()}
+            reported = _done(task)
+        if stages and isinstance(reported.get("report"), dict):
+            reported["report"]["stages"] = {name: round(seconds, 6) for name, seconds in stages.items()}
     except (SceneloomError, OSError, MemoryError) as error:
-        told = {
+        reported = {
             "error": redacted(_message(error)) or type(error).__name__,
             "kind": type(error).__name__,
             "passing": may_pass(error),
         }
     except Exception as error:  # noqa: BLE001 - a fault in one drive must not end the others
-        told = {"error": redacted("".join(traceback.format_exception(error))), "kind": type(error).__name__}
+        reported = {
+            "error": redacted("".join(traceback.format_exception(error))),
+            "kind": type(error).__name__,
+        }
     return Outcome(
         number=task.number,
         seconds=time.perf_counter() - begun,
         processor_seconds=time.process_time() - busy,
         peak_bytes=peak_bytes(),
         worker=f"{socket.gethostname()}:{os.getpid()}",
-        **told,
+        **reported,
     )
 
 
@@ -63,25 +66,28 @@ def _message(error: BaseException) -> str:
 
 
 def _done(task: Task) -> dict[str, Any]:
-    """Do the verb, and send what it wrote to where it belongs if that is a store; gives what is told of it."""
-    seen = with_files(late_fingerprint(task.place), task.files)
+    """Do the verb, and send what it wrote to where it belongs if that is a store; gives what is reported it."""
+    seen = with_files(late_fingerprint(task.location), task.files)
     draft = draft_of(task)
     draft.parent.mkdir(parents=True, exist_ok=True)
     further = drafts_of(draft, task.further)
-    for place in further.values():
-        place.parent.mkdir(parents=True, exist_ok=True)
+    for location in further.values():
+        location.parent.mkdir(parents=True, exist_ok=True)
     module, _, name = task.call.partition(":")
     values = {**task.options, **task.files, **further}
-    report = getattr(import_module(module), name)(task.place, draft, values)
+    report = getattr(import_module(module), name)(task.location, draft, values)
     if not draft.exists():
-        return {"error": f"{redacted(task.place)}: ended without its output {draft.name}", "kind": "Missing"}
+        return {
+            "error": f"{redacted(task.location)}: ended without its output {draft.name}",
+            "kind": "Missing",
+        }
     if task.target:
         with stage("sending"):
             bring(draft, task.further)
             send(draft, task.target)
-    if isinstance(report, dict) and any(place.exists() for place in further.values()):
+    if isinstance(report, dict) and any(location.exists() for location in further.values()):
         report["further"] = {
-            option: task.further[option] for option, place in further.items() if place.exists()
+            option: task.further[option] for option, location in further.items() if location.exists()
         }
     return {"report": _without_secrets(report), "fingerprint": seen}
 
@@ -91,12 +97,12 @@ def draft_of(task: Task) -> Path:
     return Path(gettempdir()) / task.draft if task.target else task.draft
 
 
-def _without_secrets(told: Any) -> Any:
-    if isinstance(told, str):
-        return redacted(told)
-    if isinstance(told, dict):
-        return {name: _without_secrets(value) for name, value in told.items()}
-    return [_without_secrets(value) for value in told] if isinstance(told, list | tuple) else told
+def _without_secrets(reported: Any) -> Any:
+    if isinstance(reported, str):
+        return redacted(reported)
+    if isinstance(reported, dict):
+        return {name: _without_secrets(value) for name, value in reported.items()}
+    return [_without_secrets(value) for value in reported] if isinstance(reported, list | tuple) else reported
 
 
 def may_pass(error: BaseException | None) -> bool:
@@ -109,7 +115,7 @@ def may_pass(error: BaseException | None) -> bool:
 
 
 def peak_bytes() -> int:
-    """The most memory that this process ever had; 0 where the system does not tell."""
+    """The most memory that this process ever had; 0 where the system does not report."""
     try:
         import resource
     except ImportError:

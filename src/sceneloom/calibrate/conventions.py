@@ -16,7 +16,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
 from sceneloom.calibrate.measures.agreement import Agreement
 from sceneloom.calibrate.measures.candidate import Change
-from sceneloom.calibrate.measures.pictures import measured_picture
+from sceneloom.calibrate.measures.images import measured_image
 from sceneloom.cameras.models import project
 from sceneloom.checks.point_frames import distances, lie_nearer, meet_more, overlaps, plan_sweeps, sweep_of
 from sceneloom.checks.subject import Subject
@@ -28,9 +28,9 @@ from sceneloom.geometry.rotations import matrix_from_quaternion, nearest_rotatio
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor
-from sceneloom.scene.notices import Notice
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Identifier, PointsFrame, Progress
+from sceneloom.scene.warnings import DataWarning
 
 MOST_FRAMES = 8
 """Images by which each extrinsic is judged."""
@@ -92,7 +92,7 @@ _MOST_APART, _UPRIGHT_DEG, _LEAST_SHARE = 10.0, 50.0, 0.005
 _NEAR, _MOST_POINTS, _LEAST_POINTS = 40.0, 20_000, 200
 _CLEAR, _LEAD = 2.0, 1.2
 """Standard deviations of a clear agreement, which chance does not reach, and by which it leads all others."""
-_TURNS, _NEAREST_DEG, _FARTHEST_DEG, _SEED = 24, 2.5, 7.0, 7
+_AXIS_ROTATIONS, _NEAREST_DEG, _FARTHEST_DEG, _SEED = 24, 2.5, 7.0, 7
 
 _TRANSLATIONS = ("translation", "position", "t", "T", "trans", "xyz")
 _ROTATIONS = ("rotation", "heading", "quaternion", "orientation", "R", "r", "q", "rpy", "rot")
@@ -107,13 +107,13 @@ class Extrinsic:
     """Numbers that can be an extrinsic.
 
     Attributes:
-        place: location in the file, by its keys.
+        location: location in the file, by its keys.
         numbers: 6, 7, 9, 12 or 16.
         known: choices that names in the file leave no doubt of.
         apart: the numbers are nine of a rotation, and three of a translation that stands beside it.
     """
 
-    place: str
+    location: str
     numbers: tuple[float, ...]
     known: Mapping[str, str] = field(default_factory=dict)
     apart: bool = False
@@ -136,7 +136,7 @@ class ExtrinsicFound(msgspec.Struct, frozen=True, kw_only=True):
     """What one extrinsic means.
 
     Attributes:
-        place: location in its file, or which sensors it relates.
+        location: location in its file, or which sensors it relates.
         camera, lidar: the sensors of the drive that it was judged by; None where there was no drive.
         possible: of direction, layout, order, unit and axes, whichever the extrinsic leaves open, all possible values.
         decided: whether the transform is known.
@@ -145,7 +145,7 @@ class ExtrinsicFound(msgspec.Struct, frozen=True, kw_only=True):
         reason: why it was decided so, or why not.
     """
 
-    place: str
+    location: str
     camera: str | int | None = None
     lidar: str | int | None = None
     possible: dict[str, tuple[str, ...]] = {}
@@ -186,7 +186,7 @@ class ConventionsReport(msgspec.Struct, frozen=True, kw_only=True):
     extrinsics: tuple[ExtrinsicFound, ...]
     points: tuple[PointsFound, ...] = ()
     times: tuple[TimesFound, ...] = ()
-    corrections: tuple[Notice, ...] = ()
+    corrections: tuple[DataWarning, ...] = ()
 
     @property
     def wrong(self) -> bool:
@@ -228,7 +228,7 @@ def check_file(
         found.append(decide(extrinsic, frames, score))
         if progress is not None:
             progress(number, len(extrinsics))
-    corrections = () if scene is None else scene.correction_notices
+    corrections = () if scene is None else scene.correction_warnings
     return ConventionsReport(source=str(path), extrinsics=tuple(found), corrections=corrections)
 
 
@@ -240,7 +240,7 @@ def check_drive(scene: Scene, *, progress: Progress | None = None) -> Convention
     """
     scene = scene.corrected()
     lidars = [lidar for lidar in scene.lidars if len(lidar.frames)]
-    pairs = [(camera, lidar) for lidar in lidars[:1] for camera in scene.cameras if len(camera.pictures)]
+    pairs = [(camera, lidar) for lidar in lidars[:1] for camera in scene.cameras if len(camera.images)]
     found = []
     for number, (camera, lidar) in enumerate(pairs, start=1):
         found.append(_own(scene, camera, lidar))
@@ -254,18 +254,18 @@ def check_drive(scene: Scene, *, progress: Progress | None = None) -> Convention
         TimesFound(
             sensor=sensor.id,
             kind=str(sensor.type),
-            possible=time_units((stamps * 1e-9).tolist(), str(sensor.type)),
+            possible=time_units((timestamps * 1e-9).tolist(), str(sensor.type)),
         )
         for sensor in scene.sensors
-        for stamps in [_timestamps(sensor)]
-        if len(stamps) > 1
+        for timestamps in [_timestamps(sensor)]
+        if len(timestamps) > 1
     ]
     return ConventionsReport(
         source=scene.source,
         extrinsics=tuple(found),
         points=tuple(points),
         times=tuple(times),
-        corrections=scene.correction_notices,
+        corrections=scene.correction_warnings,
     )
 
 
@@ -325,15 +325,18 @@ def hypotheses(
 
 
 def groups(
-    found: Sequence[Hypothesis], *, turn_deg: float = 0.2, shift: float = 0.02
+    found: Sequence[Hypothesis], *, rotation_deg: float = 0.2, shift: float = 0.02
 ) -> list[list[Hypothesis]]:
-    """Group hypotheses of the same transform, within an angle [deg] and a distance [m] that nobody could tell apart."""
+    """Group hypotheses of the same transform.
+
+    Within an angle [deg] and a distance [m] that nobody could notify apart.
+    """
 
     def alike(a: Float64Array, b: Float64Array) -> bool:
         between = a[:3, :3].T @ b[:3, :3]
         # of a small angle the sine is exact, where the cosine has lost it
         sine = np.linalg.norm(between - between.T) / np.sqrt(8.0)
-        near = sine <= np.sin(np.radians(turn_deg)) and np.trace(between) > 1.0
+        near = sine <= np.sin(np.radians(rotation_deg)) and np.trace(between) > 1.0
         return bool(near and np.linalg.norm(a[:3, 3] - b[:3, 3]) <= shift)
 
     result: list[list[Hypothesis]] = []
@@ -353,7 +356,7 @@ def decide(
     """Find what an extrinsic means.
 
     Ways to read it that no vehicle has are left out first: a camera far from the lidar, or not upright, or one that
-    sees nothing of what the lidar sees. Of the rest those stay that `score` does not tell from the best.
+    sees nothing of what the lidar sees. Of the rest those stay that `score` does not report from the best.
 
     Args:
         extrinsic: the numbers.
@@ -374,7 +377,7 @@ def decide(
             "all other ways put the camera on its side, upside down, too far away, or where it sees nothing"
         )
     elif score is None:
-        reason = "several ways put an upright camera near the lidar, and nothing tells them apart"
+        reason = "several ways put an upright camera near the lidar, and nothing reports them apart"
     else:
         scores = [score(group[0].camera_from_points) for group in left]
         best = max(scores)
@@ -385,11 +388,14 @@ def decide(
             reason = f"{len(left)} of {count} possible ways match points and images about equally"
             if len(left) == 1:
                 reason = f"of {count} possible ways it alone matches points and images ({best:.1f} sigma)"
-    ways = [way.choices for group in left for way in group]
-    possible = {name: tuple(dict.fromkeys(way[name] for way in ways if name in way)) for name in _CHOICES}
+    trajectories = [trajectory.choices for group in left for trajectory in group]
+    possible = {
+        name: tuple(dict.fromkeys(trajectory[name] for trajectory in trajectories if name in trajectory))
+        for name in _CHOICES
+    }
     decided = len(left) == 1
     return ExtrinsicFound(
-        place=extrinsic.place,
+        location=extrinsic.location,
         camera=frames[0].camera_id if frames else None,
         lidar=frames[0].lidar_id if frames else None,
         possible={name: values for name, values in possible.items() if values},
@@ -403,15 +409,15 @@ def edges_meeting(frames: Sequence[CalibrationFrame]) -> Score:
     """Give the function that scores candidates for `camera_from_points`.
 
     The score is by how many standard deviations all frames together agree better with the candidate than with the
-    same one turned by 2.5 to 7 degrees, in the mean over the measures; about 0 for a candidate that is wrong. What an
+    same one rotated by 2.5 to 7 degrees, in the mean over the measures; about 0 for a candidate that is wrong. What an
     edge score is worth differs from scene to scene, so that a candidate is compared with itself.
     """
     generator = np.random.default_rng(_SEED)
-    axes = generator.normal(size=(_TURNS, 3))
+    axes = generator.normal(size=(_AXIS_ROTATIONS, 3))
     axes /= np.linalg.norm(axes, axis=1)[:, None]
-    angles = np.radians(np.linspace(_NEAREST_DEG, _FARTHEST_DEG, _TURNS))
-    turns = [Change.turn(turn) for turn in axes * angles[:, None]]
-    pictures = [measured_picture(frame.grey, frame.camera) for frame in frames]
+    angles = np.radians(np.linspace(_NEAREST_DEG, _FARTHEST_DEG, _AXIS_ROTATIONS))
+    rotations = [Change.rotation(rotation) for rotation in axes * angles[:, None]]
+    images = [measured_image(frame.grey, frame.camera) for frame in frames]
     known: dict[bytes, float] = {}
 
     def score(camera_from_points: Float64Array) -> float:
@@ -419,28 +425,28 @@ def edges_meeting(frames: Sequence[CalibrationFrame]) -> Score:
         if key not in known:
             candidate, _ = RigidTransform.nearest(camera_from_points)
             changed = [replace(frame, camera_from_lidar=candidate) for frame in frames]
-            agreement = Agreement(changed, pictures=pictures)
+            agreement = Agreement(changed, images=images)
             stated = agreement.score(Change()).values()
-            turned = np.stack([agreement.score(turn).values() for turn in turns])
-            rows = [k for k in range(len(stated)) if np.isfinite(turned[:, k]).sum() > _TURNS // 2]
-            clear = [(stated[k] - np.nanmean(turned[:, k])) / np.nanstd(turned[:, k]) for k in rows]
+            rotated = np.stack([agreement.score(rotation).values() for rotation in rotations])
+            rows = [k for k in range(len(stated)) if np.isfinite(rotated[:, k]).sum() > _AXIS_ROTATIONS // 2]
+            clear = [(stated[k] - np.nanmean(rotated[:, k])) / np.nanstd(rotated[:, k]) for k in rows]
             known[key] = float(np.mean([value for value in clear if np.isfinite(value)] or [0.0]))
         return known[key]
 
     return score
 
 
-def time_units(stamps: Sequence[float], kind: str) -> tuple[str, ...]:
+def time_units(timestamps: Sequence[float], kind: str) -> tuple[str, ...]:
     """List the units in which timestamps of a sensor give a rate that there is and a date; several where they can.
 
     Args:
-        stamps: of successive measurements, in any order, in an unknown unit.
+        timestamps: of successive measurements, in any order, in an unknown unit.
         kind: lidar, camera, radar, imu or gnss.
 
     Returns:
         Names out of `UNITS_NS`; none where no unit fits, or fewer than two timestamps differ.
     """
-    times = np.unique(np.asarray(stamps, np.float64))
+    times = np.unique(np.asarray(timestamps, np.float64))
     times = times[np.isfinite(times)]
     if len(times) < 2:
         return ()
@@ -457,13 +463,13 @@ def time_units(stamps: Sequence[float], kind: str) -> tuple[str, ...]:
 
 def _own(scene: Scene, camera: CameraSensor, lidar: LidarSensor) -> ExtrinsicFound:
     """Judge what the drive itself says of a camera and a lidar."""
-    place = f"camera {camera.id}, lidar {lidar.id}"
+    location = f"camera {camera.id}, lidar {lidar.id}"
     try:
         frames = calibration_frames(scene, camera.id, lidar.id, MOST_FRAMES)
     except PoseError as error:
-        return ExtrinsicFound(place=place, camera=camera.id, lidar=lidar.id, reason=str(error))
+        return ExtrinsicFound(location=location, camera=camera.id, lidar=lidar.id, reason=str(error))
     numbers = tuple(frames[0].camera_from_lidar.matrix.reshape(-1).tolist())
-    found = decide(Extrinsic(place, numbers), frames, edges_meeting(frames))
+    found = decide(Extrinsic(location, numbers), frames, edges_meeting(frames))
     as_read: bool | None = None
     if found.possible:
         right = all(_AS_READ[name] in values for name, values in found.possible.items())
@@ -493,7 +499,7 @@ def _timestamps(sensor: Sensor) -> Int64Array:
     none = np.zeros(0, np.int64)
     match sensor:
         case CameraSensor():
-            return sensor.pictures.timestamps_ns
+            return sensor.images.timestamps_ns
         case LidarSensor() | RadarSensor():
             return sensor.frames.timestamps_ns
         case GnssSensor():
@@ -603,21 +609,21 @@ def _is_number(word: str) -> bool:
     return False
 
 
-def _walk(value: Any, place: str) -> Iterator[Extrinsic]:
+def _walk(value: Any, location: str) -> Iterator[Extrinsic]:
     numbers = _numbers(value)
     if numbers is not None:
         if len(numbers) in _COUNTS:
-            yield Extrinsic(place or "the file", numbers)
+            yield Extrinsic(location or "the file", numbers)
     elif isinstance(value, dict):
-        parts = _parts(value, place or "the file")
+        parts = _parts(value, location or "the file")
         if parts is not None:
             yield parts
         for key, inner in value.items():
             if parts is None or key not in (*_TRANSLATIONS, *_ROTATIONS):
-                yield from _walk(inner, f"{place}.{key}" if place else str(key))
+                yield from _walk(inner, f"{location}.{key}" if location else str(key))
     elif isinstance(value, list):
         for number, inner in enumerate(value):
-            yield from _walk(inner, f"{place}[{number}]")
+            yield from _walk(inner, f"{location}[{number}]")
 
 
 def _numbers(value: Any) -> tuple[float, ...] | None:
@@ -630,26 +636,26 @@ def _numbers(value: Any) -> tuple[float, ...] | None:
     return tuple(map(float, flat)) if all(type(number) in {int, float} for number in flat) else None
 
 
-def _parts(value: dict[str, Any], place: str) -> Extrinsic | None:
+def _parts(value: dict[str, Any], location: str) -> Extrinsic | None:
     """Put a translation and a rotation together that stand side by side; None where there are none."""
     first = {"order of parts": "translation first"}
     for letter in ("", "p", "t"):
         flat = _vector(value, (*(f"{letter}{axis}" for axis in "xyz"), "qx", "qy", "qz", "qw"))
         if flat is not None:
-            return Extrinsic(place, flat, {**first, "quaternion": "x y z w"})
+            return Extrinsic(location, flat, {**first, "quaternion": "x y z w"})
     translation = next((_vector(value[name], tuple("xyz")) for name in _TRANSLATIONS if name in value), None)
     rotation = next((value[name] for name in _ROTATIONS if name in value), None)
     if translation is None or rotation is None:
         return None
     quaternion = _vector(rotation, tuple("xyzw")) if isinstance(rotation, dict) else None
     if quaternion is not None:
-        return Extrinsic(place, (*translation, *quaternion), {**first, "quaternion": "x y z w"})
+        return Extrinsic(location, (*translation, *quaternion), {**first, "quaternion": "x y z w"})
     numbers = _numbers(rotation)
     if numbers is None or len(numbers) not in {3, 4, 9}:
         return None
     if len(numbers) == 9:
-        return Extrinsic(place, (*numbers, *translation), apart=True)
-    return Extrinsic(place, (*translation, *numbers), first)
+        return Extrinsic(location, (*numbers, *translation), apart=True)
+    return Extrinsic(location, (*translation, *numbers), first)
 
 
 def _vector(value: Any, names: tuple[str, ...]) -> tuple[float, ...] | None:

@@ -1,4 +1,4 @@
-"""The frames that a calibration is judged and repaired by: a picture, and the points of a sweep at its time."""
+"""The frames that a calibration is judged and repaired by: an image, and the points of a sweep at its time."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -13,12 +13,12 @@ from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.deskew import BodyKnots
 from sceneloom.motion.ego_motion import find_ego_motion
-from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.sample import Sample
-from sceneloom.scene.sample_places import WORLD, choose_ego
+from sceneloom.scene.sample_positions import WORLD, choose_ego
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import needs_ego, points_source, sensor_source
 from sceneloom.scene.span import scene_period_ns
@@ -36,30 +36,30 @@ _HALF_STEP_NS = 25_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationFrame:
-    """One picture, and the points of the sweep nearest to it as they lay around the lidar when it was taken.
+    """One image, and the points of the sweep nearest to it as they lay around the lidar when it was taken.
 
     Attributes:
         camera_id, lidar_id: the sensors.
-        index: number of the picture.
-        picture_ns: time of the picture [ns].
+        index: number of the image.
+        image_ns: time of the image [ns].
         sweep_ns: reference time of the sweep [ns].
-        camera: the lens.
-        camera_from_lidar: as stated, both at the picture's time.
-        points_lidar: (N, 3) float64 [m], lidar frame at the picture's time; finite.
+        camera: the camera model.
+        camera_from_lidar: as stated, both at the image's time.
+        points_lidar: (N, 3) float64 [m], lidar frame at the image's time; finite.
         intensities: (N,) uint8, or None.
-        seconds: (N,) float32 [s], when each was measured after the picture was taken, or None.
+        seconds: (N,) float32 [s], when each was measured after the image was taken, or None.
         scan: the points along the scan lines, or None where these are not known.
         grey: (H, W) float32, 0 to 255.
         rgb: (H, W, 3) uint8.
-        twist_lidar: (6,) float64, turn rate [rad/s] and velocity [m/s] of the lidar in its own axes at the picture's
+        twist_lidar: (6,) float64, yaw rate [rad/s] and velocity [m/s] of the lidar in its own axes at the image's
             time; None where the motion is not known, and the points were left as they were measured.
-        world_from_lidar: where the lidar was at the picture's time, or None.
+        world_from_lidar: where the lidar was at the image's time, or None.
     """
 
     camera_id: Identifier
     lidar_id: Identifier
     index: int
-    picture_ns: int
+    image_ns: int
     sweep_ns: int
     camera: Camera
     camera_from_lidar: RigidTransform
@@ -84,7 +84,7 @@ class CalibrationFrame:
 
         Args:
             camera_from_lidar: (4, 4), the candidate.
-            later: so many seconds after its stamp the picture was really taken; counts where the motion is known.
+            later: so many seconds after its timestamp the image was really taken; counts where the motion is known.
 
         Returns:
             (4, 4) float64, contiguous.
@@ -96,13 +96,15 @@ class CalibrationFrame:
 
 
 def moved_by(screw: Float64Array) -> Float64Array:
-    """Give the (4, 4) transform of a constant turn [rad] and shift [m], (6,), over a unit of time.
+    """Give the (4, 4) transform of a constant rotate [rad] and shift [m], (6,), over a unit of time.
 
     Source: exponential map of SE(3), e.g. Barfoot 2017, State Estimation for Robotics, eq. 7.34 to 7.37.
     """
-    turn, shift = screw[:3], screw[3:]
-    angle = float(np.linalg.norm(turn))
-    x = np.array([[0.0, -turn[2], turn[1]], [turn[2], 0.0, -turn[0]], [-turn[1], turn[0], 0.0]])
+    rotation, shift = screw[:3], screw[3:]
+    angle = float(np.linalg.norm(rotation))
+    x = np.array(
+        [[0.0, -rotation[2], rotation[1]], [rotation[2], 0.0, -rotation[0]], [-rotation[1], rotation[0], 0.0]]
+    )
     if angle < 1e-8:
         a, b, c = 1.0, 0.5, 1.0 / 6.0
     else:
@@ -121,10 +123,10 @@ def calibration_frames(
     lidar_id: Identifier | None = None,
     most: int = MOST,
 ) -> tuple[CalibrationFrame, ...]:
-    """Gather frames spread over a drive: pictures of a camera, each with the sweep nearest in time.
+    """Gather frames spread over a drive: images of a camera, each with the sweep nearest in time.
 
-    The points are moved to the picture's time along the ego's way: the recorded one, or that of the sweeps themselves.
-    Where neither is known they stay as they are, and the mountings alone relate camera and lidar.
+    The points are moved to the image's time along the ego trajectory: the recorded one, or that of the sweeps
+    themselves. Where neither is known they stay as they are, and the mountings alone relate camera and lidar.
 
     Args:
         camera_id, lidar_id: None for the scene's first ones.
@@ -133,33 +135,33 @@ def calibration_frames(
     Raises:
         OptionError: there is no such camera or lidar, or `most` is less than 1.
         PoseError: it is not known how the camera lies to the lidar.
-        DataError: a picture or a sweep cannot be read, or a picture has another size than its lens; or no picture has
-            a sweep near enough in time.
+        DataError: an image or a sweep cannot be read, or an image has another size than its camera model; or no image
+            has a sweep near enough in time.
     """
     if most < 1:
         raise OptionError(f"{most} frames; expected at least 1")
     camera, lidar = chosen_camera(scene, camera_id), chosen_lidar(scene, lidar_id)
-    count = len(camera.pictures)
+    count = len(camera.images)
     rows = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
-    found = tuple(_frames(scene, camera, lidar, rows, _known_way(scene)))
+    found = tuple(_frames(scene, camera, lidar, rows, _known_trajectory(scene)))
     if not found:
         raise DataError(
             scene.source,
-            f"sensors[{camera.id}].pictures",
-            f"{len(camera.pictures)} pictures, none with a sweep of {lidar.id!r} near enough in time; "
+            f"sensors[{camera.id}].images",
+            f"{len(camera.images)} images, none with a sweep of {lidar.id!r} near enough in time; "
             "expected one at least",
         )
     return found
 
 
 def chosen_camera(scene: Scene, camera_id: Identifier | None) -> CameraSensor:
-    """The camera of that id, or the first one with pictures.
+    """The camera of that id, or the first one with images.
 
     Raises:
         OptionError: there is none.
     """
-    filled = (camera for camera in scene.cameras if len(camera.pictures))
-    return _chosen(scene, "camera", camera_id, scene.cameras, filled, "pictures")
+    filled = (camera for camera in scene.cameras if len(camera.images))
+    return _chosen(scene, "camera", camera_id, scene.cameras, filled, "images")
 
 
 def chosen_lidar(scene: Scene, lidar_id: Identifier | None) -> LidarSensor:
@@ -189,13 +191,11 @@ def _chosen(
         raise OptionError(f"{scene.source}: no {kind} {wanted!r}; it has {listed}")
     for sensor in filled:
         return sensor
-    raise OptionError(
-        f"{scene.source}: no {kind} with {holds}; a calibration is judged by pictures and sweeps"
-    )
+    raise OptionError(f"{scene.source}: no {kind} with {holds}; a calibration is judged by images and sweeps")
 
 
-def _known_way(scene: Scene) -> EgoMotion | None:
-    """The ego's way where poses need one: recorded, or found; None where it cannot be."""
+def _known_trajectory(scene: Scene) -> EgoMotion | None:
+    """The ego trajectory where poses need one: recorded, or found; None where it cannot be."""
     if not needs_ego(scene):
         return None
     try:
@@ -205,7 +205,7 @@ def _known_way(scene: Scene) -> EgoMotion | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Places:
+class _Locations:
     """Where camera, lidar and points were; None where it is not known."""
 
     camera: PoseSource | None
@@ -213,17 +213,21 @@ class _Places:
     points: PoseSource | None
 
     @classmethod
-    def of(cls, scene: Scene, camera: CameraSensor, lidar: LidarSensor, ego: EgoMotion | None) -> "_Places":
+    def of(
+        cls, scene: Scene, camera: CameraSensor, lidar: LidarSensor, ego: EgoMotion | None
+    ) -> "_Locations":
         reach_ns = scene_period_ns(scene)
         try:
             at_camera = sensor_source(scene, camera, ego, reach_ns=reach_ns)
             of_points = points_source(scene, lidar, ego, reach_ns=reach_ns) or WORLD
         except PoseError:
             return cls(None, None, None)
-        return cls(at_camera, _lidar_place(scene, lidar, ego, reach_ns) or of_points, of_points)
+        return cls(at_camera, _lidar_position(scene, lidar, ego, reach_ns) or of_points, of_points)
 
 
-def _lidar_place(scene: Scene, lidar: LidarSensor, ego: EgoMotion | None, reach_ns: int) -> PoseSource | None:
+def _lidar_position(
+    scene: Scene, lidar: LidarSensor, ego: EgoMotion | None, reach_ns: int
+) -> PoseSource | None:
     try:
         return sensor_source(scene, lidar, ego, reach_ns=reach_ns)
     except PoseError:
@@ -240,42 +244,47 @@ def _frames(
         lidars=lidar.id,
         trajectory=ego if needs_ego(scene) else None,
     )
-    places = _Places.of(scene, camera, lidar, ego)
+    locations = _Locations.of(scene, camera, lidar, ego)
     for row in rows:
         sample = samples[row]
-        picture, sweep = sample.pictures[camera.id], sample.sweeps[lidar.id]
-        if picture is not None and sweep is not None:
-            yield _frame(scene, lidar, sample, picture, sweep, places)
+        image, sweep = sample.images[camera.id], sample.sweeps[lidar.id]
+        if image is not None and sweep is not None:
+            yield _frame(scene, lidar, sample, image, sweep, locations)
 
 
 def _frame(
-    scene: Scene, lidar: LidarSensor, sample: Sample, picture: Picture, sweep: LidarFrame, places: _Places
+    scene: Scene,
+    lidar: LidarSensor,
+    sample: Sample,
+    image: CameraImage,
+    sweep: LidarFrame,
+    locations: _Locations,
 ) -> CalibrationFrame:
     camera_id = sample.reference_id
-    rgb = picture.rgb
-    if rgb.shape[:2] != (picture.camera.height, picture.camera.width):
+    rgb = image.rgb
+    if rgb.shape[:2] != (image.camera.height, image.camera.width):
         raise DataError(
             scene.source,
-            f"sensors[{camera_id}].pictures[{sample.index}]",
-            f"{rgb.shape[1]}x{rgb.shape[0]} pixels; expected {picture.camera.width}x{picture.camera.height}, the size "
+            f"sensors[{camera_id}].images[{sample.index}]",
+            f"{rgb.shape[1]}x{rgb.shape[0]} pixels; expected {image.camera.width}x{image.camera.height}, the size "
             "that the camera was calibrated for",
         )
-    placed = _placed(sweep, picture, places)
+    placed = _placed(sweep, image, locations)
     if placed is None:
         placed = _by_mountings(scene, lidar, sample)
     points, measured, camera_from_lidar, twist, world_from_lidar = placed
     finite = np.isfinite(points).all(axis=1) & np.isfinite(measured).all(axis=1)
     times = sweep.points.timestamps_ns
-    seconds = None if times is None else ((times - picture.timestamp_ns) * 1e-9).astype(np.float32)[finite]
+    seconds = None if times is None else ((times - image.timestamp_ns) * 1e-9).astype(np.float32)[finite]
     of_lidar = lidar.points_frame is PointsFrame.SENSOR or _is_mounted(lidar)
     rings, levels = sweep.points.rings, sweep.points.intensities
     return CalibrationFrame(
         camera_id=camera_id,
         lidar_id=lidar.id,
         index=sample.index,
-        picture_ns=picture.timestamp_ns,
+        image_ns=image.timestamp_ns,
         sweep_ns=sample.times_ns[lidar.id],
-        camera=picture.camera,
+        camera=image.camera,
         camera_from_lidar=camera_from_lidar,
         points_lidar=np.ascontiguousarray(points[finite]),
         intensities=None if levels is None else levels[finite],
@@ -291,44 +300,49 @@ def _frame(
 
 
 def _is_mounted(lidar: LidarSensor) -> bool:
-    """Whether the place of the lidar on the ego was measured; a mounting that is the identity was not."""
+    """Whether the position of the lidar on the ego was measured; a mounting that is the identity was not."""
     return lidar.mount is not None and not np.array_equal(lidar.mount.matrix, np.eye(4))
 
 
 _Placed = tuple[Float64Array, Float64Array, RigidTransform, Float64Array | None, RigidTransform | None]
-"""Points at the picture's time and as measured, (N, 3) in the lidar frame; camera_from_lidar; the lidar's motion and
-place."""
+"""Points at the image's time and as measured, (N, 3) in the lidar frame; camera_from_lidar; the lidar's motion and
+location."""
 
 
-def _placed(sweep: LidarFrame, picture: Picture, places: _Places) -> _Placed | None:
-    """Bring points to the picture's time by the ways of the sensors; None where these do not reach."""
-    if places.camera is None or places.lidar is None or places.points is None or len(sweep.points) == 0:
+def _placed(sweep: LidarFrame, image: CameraImage, locations: _Locations) -> _Placed | None:
+    """Bring points to the image's time by the ways of the sensors; None where these do not reach."""
+    if (
+        locations.camera is None
+        or locations.lidar is None
+        or locations.points is None
+        or len(sweep.points) == 0
+    ):
         return None
     times = sweep.points.timestamps_ns
     if times is None:
         times = np.full(len(sweep.points), sweep.timestamp_ns, np.int64)
-    at_picture = _pose(places.lidar, picture.timestamp_ns)
-    camera = _pose(places.camera.mounted(picture.mount), picture.timestamp_ns)
-    if at_picture is None or camera is None:
+    at_image = _pose(locations.lidar, image.timestamp_ns)
+    camera = _pose(locations.camera.mounted(image.mount), image.timestamp_ns)
+    if at_image is None or camera is None:
         return None
     try:
-        knots = BodyKnots.of(places.points, int(times.min()), int(times.max()))
+        knots = BodyKnots.of(locations.points, int(times.min()), int(times.max()))
     except PoseError:
         return None
-    points = knots.seen_from(at_picture.inverse()).moved(sweep.points.positions, times, places.points.mount)
+    points = knots.seen_from(at_image.inverse()).moved(sweep.points.positions, times, locations.points.mount)
     measured = sweep.points.positions.astype(np.float64)
-    if places.points is not places.lidar:
-        at_sweep = _pose(places.lidar, sweep.reference_ns)
-        of_points = _pose(places.points, sweep.reference_ns)
+    if locations.points is not locations.lidar:
+        at_sweep = _pose(locations.lidar, sweep.reference_ns)
+        of_points = _pose(locations.points, sweep.reference_ns)
         if at_sweep is None or of_points is None:
             return None
         measured = (at_sweep.inverse() @ of_points).apply(measured)
-    twist = _twist(places.lidar, picture.timestamp_ns)
-    return points, measured, camera.inverse() @ at_picture, twist, at_picture
+    twist = _twist(locations.lidar, image.timestamp_ns)
+    return points, measured, camera.inverse() @ at_image, twist, at_image
 
 
 def _by_mountings(scene: Scene, lidar: LidarSensor, sample: Sample) -> _Placed:
-    """Relate lidar and camera as if nothing moved between the sweep and the picture.
+    """Relate lidar and camera as if nothing moved between the sweep and the image.
 
     Raises:
         PoseError: the mountings are not known.
@@ -358,8 +372,8 @@ def _pose(source: PoseSource, time_ns: int) -> RigidTransform | None:
 
 
 def _twist(source: PoseSource, time_ns: int) -> Float64Array | None:
-    """Turn rate and velocity of a sensor in its own axes, (6,) [rad/s, m/s]."""
-    if source.path.endless or len(source.path.timestamps_ns) < 2:
+    """Rotate rate and velocity of a sensor in its own axes, (6,) [rad/s, m/s]."""
+    if source.path.static or len(source.path.timestamps_ns) < 2:
         return None
     reaching = replace(source, reach_ns=max(source.reach_ns, _HALF_STEP_NS))
     before, after = (_pose(reaching, time_ns + step) for step in (-_HALF_STEP_NS, _HALF_STEP_NS))
@@ -367,5 +381,5 @@ def _twist(source: PoseSource, time_ns: int) -> Float64Array | None:
         return None
     step = before.inverse() @ after
     quaternion = step.quaternion_xyzw
-    turn = 2.0 * quaternion[:3]  # of small angles
-    return np.concatenate([turn, step.translation]) / (2e-9 * _HALF_STEP_NS)
+    rotation = 2.0 * quaternion[:3]  # of small angles
+    return np.concatenate([rotation, step.translation]) / (2e-9 * _HALF_STEP_NS)

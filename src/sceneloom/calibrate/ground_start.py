@@ -38,7 +38,7 @@ def ground_plane(points: Float64Array) -> tuple[Float64Array, float] | None:
     normals, heights = normals * np.sign(heights)[:, None], np.abs(heights)
     below = (heights > 0.3) & (heights < 6.0)
     counts = (np.abs(thinned @ normals.T + heights) < _NEAR_PLANE).sum(axis=0) * below
-    # walls hold many points, too, but the ground lies below whatever way is up for the sensor
+    # walls hold many points, too, but the ground lies below whatever trajectory is up for the sensor
     counts = np.where(np.abs(normals[:, 2]) > _STEEPEST, counts, 0)
     best = int(np.argmax(counts))
     if counts[best] < 0.05 * len(thinned):
@@ -60,15 +60,15 @@ def ground_start(first: Float64Array, second: Float64Array) -> RigidTransform | 
         PreparedCloud(one.apply(points), spacing=_COARSE)
         for one, points in zip(level, (first, second), strict=True)
     )
-    best, standing = None, -np.inf
+    best, stationary = None, -np.inf
     for heading in np.arange(_HEADINGS) * (2.0 * np.pi / _HEADINGS):
-        turned = RigidTransform.from_quaternion(
+        rotated = RigidTransform.from_quaternion(
             np.zeros(3), quaternion_from_rotation_vector(np.array([0.0, 0.0, heading]))
         )
-        fit = fit_cloud(target, source, turned.matrix, _REACHES)
+        fit = fit_cloud(target, source, rotated.matrix, _REACHES)
         value = fit.overlap / (0.05 + fit.misfit)
-        if value > standing:
-            best, standing = fit.matrix, value
+        if value > stationary:
+            best, stationary = fit.matrix, value
     if best is None:
         return None
     return level[0].inverse() @ RigidTransform.nearest(best)[0] @ level[1]

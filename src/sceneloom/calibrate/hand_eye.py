@@ -2,8 +2,9 @@
 
 Both devices move as one. From one time to another the body moves by A and the sensor by B, each as seen by itself, and
 the mounting X = body_from_sensor takes one into the other: A X = X B. Rotations give R_A R_X = R_X R_B, so the rotation
-vectors obey a = R_X b; translations give t_A + R_A t_X = R_X t_B + t_X. A car on a plane turns about one axis only: its
-rotations leave the turn about that axis free, which its way forward tells, and no motion of it tells the height.
+vectors obey a = R_X b; translations give t_A + R_A t_X = R_X t_B + t_X. A car on a plane rotates about one axis only:
+its rotations leave the rotation about that axis free, which its trajectory forward reports, and no motion of it reports
+the height.
 
 Source: Shiu and Ahmad 1989 for the equation; Park and Martin 1994 for rotation vectors and the closed form of the
 rotation; Horaud and Dornaika 1995 for rotation and translation together; the weights are those of Holland and Welsch
@@ -30,22 +31,25 @@ from sceneloom.geometry.rotations import (
     rotate_vectors,
     rotation_vector_from_quaternion,
 )
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 
 LEAST_MOTIONS = 6
 _LAGS = (0.5, 1.0, 2.0, 4.0, 8.0)
-"""Seconds from one pose to the other of a pair: long ones turn far, short ones have not drifted."""
+"""Seconds from one pose to the other of a pair: long ones rotate far, short ones have not drifted."""
 _STEPS = 30
 _CAUCHY = 2.385
 """The Cauchy weight that keeps 95 % of the efficiency on Gaussian errors (Holland and Welsch 1977)."""
 _GUESS_SIGMAS = np.array([*np.full(3, np.pi), *np.full(3, 3.0)])
-"""How far from the guess a mounting may be [rad], [m]: keeps what no motion tells where it was."""
+"""How far from the guess a mounting may be [rad], [m]: keeps what no motion reports where it was."""
 _LEAST_NOISE = np.array([np.radians(0.01), 5e-3])
-"""No way is told better than this over a lag [rad], [m]: what is wrong in all of a drive alike is not in its spread."""
+"""No way is reported better than this over a lag [rad], [m].
+
+What is wrong in all of a drive alike is not in its spread.
+"""
 _SYSTEMATIC = np.array([*np.full(3, np.radians(0.01)), *np.full(3, 0.01)])
-"""What odometry may be off by in all turns alike [rad], [m], which no spread shows: so much on simulated drives."""
-_LEAST_TURN, _LEAST_WAY = np.radians(2.0), 1.0
-"""A drive that turns by less [rad] or goes less far [m] tells nothing that is above its noise."""
+"""What odometry may be off by in all rotates alike [rad], [m], which no spread shows: so much on simulated drives."""
+_LEAST_ROTATION, _LEAST_TRAJECTORY = np.radians(2.0), 1.0
+"""A drive that rotations by less [rad] or goes less far [m] reports nothing that is above its noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +57,7 @@ class PairedMotions:
     """How body and sensor moved between the same times.
 
     Attributes:
-        body_turns, sensor_turns: (N, 4) unit quaternions, earlier_from_later of each.
+        body_rotations, sensor_rotations: (N, 4) unit quaternions, earlier_from_later of each.
         body_shifts, sensor_shifts: (N, 3) [m], the same.
         lags: (N,) int64, which of the lags each pair has.
         stretches: (N,) int64, number of the stretch of the drive that each begins in.
@@ -61,9 +65,9 @@ class PairedMotions:
             without overlap are independent.
     """
 
-    body_turns: Float64Array
+    body_rotations: Float64Array
     body_shifts: Float64Array
-    sensor_turns: Float64Array
+    sensor_rotations: Float64Array
     sensor_shifts: Float64Array
     lags: Int64Array
     stretches: Int64Array
@@ -75,23 +79,23 @@ class PairedMotions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandEye:
-    """What the motions tell of a mounting.
+    """What the motions report a mounting.
 
     Attributes:
         mounting: `body_from_sensor` with its covariance about the body's axes; what is not observed is the guess's.
         motions: how many pairs of motions were compared.
         inliers: share of them that fit within three times the noise.
-        turn_noise, shift_noise: how far the motions of half a second are off [rad], [m].
+        rotation_noise, shift_noise: how far the motions of half a second are off [rad], [m].
     """
 
     mounting: MountingEstimate
     motions: int
     inliers: float
-    turn_noise: float
+    rotation_noise: float
     shift_noise: float
 
 
-def paired_motions(body: PosePath, sensor: PosePath, times_ns: Int64Array) -> PairedMotions:
+def paired_motions(body: Poses, sensor: Poses, times_ns: Int64Array) -> PairedMotions:
     """Take the motions of two paths between times, (M,) int64 [ns], that lie one of the lags apart.
 
     Raises:
@@ -133,7 +137,7 @@ def _pairs(times_ns: Int64Array) -> tuple[Int64Array, Int64Array, Int64Array]:
 
 
 def _motions(
-    path: PosePath, times_ns: Int64Array, starts: Int64Array, stops: Int64Array
+    path: Poses, times_ns: Int64Array, starts: Int64Array, stops: Int64Array
 ) -> tuple[Float64Array, Float64Array]:
     poses = path.interpolate(times_ns)
     back = conjugate_quaternion(poses.quaternions_xyzw[starts])
@@ -148,11 +152,11 @@ def align_motions(
 
     Args:
         guess: `body_from_sensor` as far as it is known: where the solution starts, and what is kept in directions
-            that the motions do not tell. None: the closed form, and the origin for what they do not tell.
+            that the motions do not report. None: the closed form, and the origin for what they do not report.
         frame: name of the body's frame, for the words about what is not observed.
 
     Raises:
-        PoseError: too few motions, or the drive neither turns nor moves.
+        PoseError: too few motions, or the drive neither rotates nor moves.
     """
     _check_motion(motions)
     start = guess or RigidTransform(_closed_rotation(motions), np.zeros(3))
@@ -171,28 +175,32 @@ def align_motions(
 
 
 def _check_motion(motions: PairedMotions) -> None:
-    turn = np.linalg.norm(rotation_vector_from_quaternion(motions.body_turns), axis=1).max()
-    way = np.linalg.norm(motions.body_shifts, axis=1).max()
-    if turn < _LEAST_TURN and way < _LEAST_WAY:
+    rotation = np.linalg.norm(rotation_vector_from_quaternion(motions.body_rotations), axis=1).max()
+    trajectory = np.linalg.norm(motions.body_shifts, axis=1).max()
+    if rotation < _LEAST_ROTATION and trajectory < _LEAST_TRAJECTORY:
         raise PoseError(
-            f"the ego turns by {np.degrees(turn):.2g} deg and moves by {way:.2g} m at most within "
-            f"{_LAGS[-1]:.0f} s; expected {np.degrees(_LEAST_TURN):.0f} deg or {_LEAST_WAY:.0f} m: "
-            "standing tells nothing"
+            f"the ego rotates by {np.degrees(rotation):.2g} deg and moves by {trajectory:.2g} m at most within "
+            f"{_LAGS[-1]:.0f} s; expected {np.degrees(_LEAST_ROTATION):.0f} deg or {_LEAST_TRAJECTORY:.0f} m: "
+            "stationary states nothing"
         )
 
 
 def _closed_rotation(motions: PairedMotions) -> Float64Array:
-    """The rotation that takes turns of the sensor, and its ways where it hardly turns, into those of the body.
+    """The rotation that takes rotates of the sensor, and its trajectories where it hardly rotates.
+
+    Into those of the body.
 
     Source: Park and Martin 1994; the orthogonal factor by singular values, Arun, Huang and Blostein 1987.
     """
-    a = rotation_vector_from_quaternion(motions.body_turns)
-    b = rotation_vector_from_quaternion(motions.sensor_turns)
+    a = rotation_vector_from_quaternion(motions.body_rotations)
+    b = rotation_vector_from_quaternion(motions.sensor_rotations)
     straight = 0.1 / (0.1 + np.linalg.norm(a, axis=1))
-    ways = straight[:, None] ** 4 * motions.body_shifts
-    scale = np.linalg.norm(a) / max(float(np.linalg.norm(ways)), 1e-9) if np.linalg.norm(a) > 0 else 1.0
+    trajectories = straight[:, None] ** 4 * motions.body_shifts
+    scale = (
+        np.linalg.norm(a) / max(float(np.linalg.norm(trajectories)), 1e-9) if np.linalg.norm(a) > 0 else 1.0
+    )
     u, _, vt = np.linalg.svd(
-        a.T @ b + min(scale, 1e3) ** 2 * ways.T @ (straight[:, None] ** 4 * motions.sensor_shifts)
+        a.T @ b + min(scale, 1e3) ** 2 * trajectories.T @ (straight[:, None] ** 4 * motions.sensor_shifts)
     )
     return np.asarray((u * [1.0, 1.0, np.linalg.det(u @ vt)]) @ vt, np.float64)
 
@@ -215,8 +223,8 @@ def _solved(motions: PairedMotions, start: RigidTransform, guess: RigidTransform
         slope = np.einsum("nki,nk,nk->i", jacobian, weights, residuals)
         slope += _prior() @ step_between(guess, mounting)
         step = -np.linalg.solve(normal, slope)
-        turned = np.linalg.norm(step[:3])
-        mounting = moved_by(mounting, step if turned < 0.5 else step * 0.5 / turned)
+        rotated = np.linalg.norm(step[:3])
+        mounting = moved_by(mounting, step if rotated < 0.5 else step * 0.5 / rotated)
         if np.abs(step).max() < 1e-9:
             break
     residuals, _ = _linearised(motions, mounting)
@@ -231,20 +239,22 @@ def _prior() -> Float64Array:
 
 
 def _linearised(motions: PairedMotions, mounting: RigidTransform) -> tuple[Float64Array, Float64Array]:
-    """Residuals (N, 6), turn then shift, of A X = X B and their derivatives (N, 6, 6) by a small step of X.
+    """Residuals (N, 6), rotate then shift, of A X = X B and their derivatives (N, 6, 6) by a small step of X.
 
-    With R = exp(d) R0 the turned vector R b changes by -[R0 b]x d; the matrix [v]x takes a vector w to v x w.
+    With R = exp(d) R0 the rotated vector R b changes by -[R0 b]x d; the matrix [v]x takes a vector w to v x w.
     """
-    body_turns = rotation_vector_from_quaternion(motions.body_turns)
-    turned = mounting.rotate(rotation_vector_from_quaternion(motions.sensor_turns))
-    ways = mounting.rotate(motions.sensor_shifts)
-    rotations = matrix_from_quaternion(motions.body_turns)
-    shift_errors = motions.body_shifts + rotations @ mounting.translation - ways - mounting.translation
+    body_rotations = rotation_vector_from_quaternion(motions.body_rotations)
+    rotated = mounting.rotate(rotation_vector_from_quaternion(motions.sensor_rotations))
+    trajectories = mounting.rotate(motions.sensor_shifts)
+    rotations = matrix_from_quaternion(motions.body_rotations)
+    shift_errors = (
+        motions.body_shifts + rotations @ mounting.translation - trajectories - mounting.translation
+    )
     jacobian = np.zeros((len(motions), 6, 6))
-    jacobian[:, :3, :3] = _cross_matrices(turned)
-    jacobian[:, 3:, :3] = _cross_matrices(ways)
+    jacobian[:, :3, :3] = _cross_matrices(rotated)
+    jacobian[:, 3:, :3] = _cross_matrices(trajectories)
     jacobian[:, 3:, 3:] = rotations - np.eye(3)
-    return np.concatenate([body_turns - turned, shift_errors], axis=1), jacobian
+    return np.concatenate([body_rotations - rotated, shift_errors], axis=1), jacobian
 
 
 def _cross_matrices(vectors: Float64Array) -> Float64Array:
@@ -258,7 +268,7 @@ def _squares(residuals: Float64Array) -> Float64Array:
 
 
 def _weights(motions: PairedMotions, residuals: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """The noise of turns and shifts over each lag, by their medians, and the weight (N, 6) of each residual.
+    """The noise of rotations and shifts over each lag, by their medians, and the weight (N, 6) of each residual.
 
     Source: the median of a chi-squared variable with three degrees of freedom is 2.366.
     """
@@ -273,7 +283,7 @@ def _weights(motions: PairedMotions, residuals: Float64Array) -> tuple[Float64Ar
 
 
 def _sandwich(motions: PairedMotions, solution: _Solution) -> Float64Array:
-    """The covariance by how differently the stretches of the drive pull, and by the model: few tell little."""
+    """The covariance by how differently the stretches of the drive pull, and by the model: few report little."""
     residuals, jacobian = _linearised(motions, solution.mounting)
     _, weights = _weights(motions, residuals)
     normal = np.einsum("nki,nk,nkj->ij", jacobian, weights, jacobian) + _prior()

@@ -1,4 +1,4 @@
-"""How a lidar is mounted on the ego, from its own odometry and a trajectory that other sensors told."""
+"""How a lidar is mounted on the ego, from its own odometry and a trajectory that other sensors reported."""
 
 from dataclasses import dataclass, replace
 
@@ -10,15 +10,15 @@ from sceneloom.calibrate.hand_eye import HandEye, align_motions, paired_motions
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.clock.estimate import ClockEstimate, ClockVerdict
-from sceneloom.motion.clock.turning import Turning
-from sceneloom.motion.clock.turning_clock import compare_turnings
+from sceneloom.motion.clock.rotating import Rotating
+from sceneloom.motion.clock.rotating_clock import compare_turnings
 from sceneloom.motion.ego_motion import find_ego_motion
 from sceneloom.motion.gnss_receivers import gnss_receivers
 from sceneloom.motion.odometry.run import lidar_odometry
 from sceneloom.motion.trajectories import LIDAR
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, PointsFrame, Progress
 
@@ -32,9 +32,9 @@ class LidarToEgo:
 
     Attributes:
         lidar_id: whose.
-        trajectory: name of the ego's way that the lidar's was compared with.
+        trajectory: name of the ego trajectory that the lidar's was compared with.
         stated: `ego_from_lidar` as the scene has it, or None.
-        found: what the motions tell; `found.mounting.a_from_b` is `ego_from_lidar`.
+        found: what the motions report; `found.mounting.a_from_b` is `ego_from_lidar`.
         clock: the lidar's clock against the trajectory's.
     """
 
@@ -54,12 +54,12 @@ def lidar_to_ego(
 ) -> LidarToEgo:
     """Find `ego_from_lidar` by hand-eye alignment of the lidar's odometry and a trajectory of the ego.
 
-    The mounting that the scene states is where the search starts, and what is kept where the drive does not tell.
+    The mounting that the scene states is where the search starts, and what is kept where the drive does not report.
 
     Args:
         lidar_id: the lidar; None for the first one with sweeps.
-        trajectory: name of the ego's way, None for the scene's default.
-        progress: told after each sweep.
+        trajectory: name of the ego trajectory, None for the scene's default.
+        progress: reported after each sweep.
 
     Raises:
         OptionError: there is no such lidar, or the trajectory is the lidar's own.
@@ -69,7 +69,7 @@ def lidar_to_ego(
     lidar = chosen_lidar(scene, lidar_id)
     if trajectory == LIDAR and LIDAR not in scene.trajectories:
         raise OptionError(
-            "trajectory 'lidar' is found from the lidar itself; expected one that other sensors told"
+            "trajectory 'lidar' is found from the lidar itself; expected one that other sensors reported"
         )
     if lidar.points_frame is not PointsFrame.SENSOR:
         raise PoseError(
@@ -78,11 +78,11 @@ def lidar_to_ego(
         )
     if not scene.trajectories and not gnss_receivers(scene):
         raise PoseError(
-            f"{scene.source}: no trajectory and no satellite fixes in it; expected a way of the ego that others "
-            "than the lidar told, to compare the lidar's own with"
+            f"{scene.source}: no trajectory and no satellite fixes in it; expected a ego trajectory that others "
+            "than the lidar reported, to compare the lidar's own with"
         )
     ego = find_ego_motion(_without_lidars(scene), name=trajectory)
-    sensor = _lidar_way(scene, lidar, progress)
+    sensor = _lidar_trajectory(scene, lidar, progress)
     clock = _compared_clocks(ego.path, sensor, lidar.mount)
     shifted = replace(sensor, timestamps_ns=sensor.timestamps_ns - _offset_ns(clock))
     found = align_motions(paired_motions(ego.path, shifted, _middles(shifted)), guess=lidar.mount)
@@ -90,31 +90,31 @@ def lidar_to_ego(
 
 
 def _without_lidars(scene: Scene) -> Scene:
-    """A trajectory that lidars took part in would tell the stated mounting back."""
+    """A trajectory that lidars took part in would report the stated mounting back."""
     return replace(
         scene, sensors=tuple(sensor for sensor in scene.sensors if not isinstance(sensor, LidarSensor))
     )
 
 
-def _lidar_way(scene: Scene, lidar: LidarSensor, progress: Progress | None) -> PosePath:
-    """The lidar's own way, `start_from_lidar`; its stated mounting only tells odometry which way it looks."""
+def _lidar_trajectory(scene: Scene, lidar: LidarSensor, progress: Progress | None) -> Poses:
+    """The lidar's own trajectory, `start_from_lidar`; its stated mounting only reports odometry which way it looks."""
     run = lidar_odometry(replace(scene, sensors=(lidar,)), progress=progress)
     path = run.trajectory.poses
     if lidar.mount is None:
         return path
     seen = PoseSource(path, lidar.mount).at(path.timestamps_ns)
-    return PosePath(path.timestamps_ns, seen.positions, seen.quaternions_xyzw)
+    return Poses(path.timestamps_ns, seen.positions, seen.quaternions_xyzw)
 
 
-def _middles(path: PosePath) -> Int64Array:
+def _middles(path: Poses) -> Int64Array:
     """Of the knots of odometry every second is the middle of a sweep; those between are means of two of them."""
     return path.timestamps_ns[1::2]
 
 
-def _compared_clocks(ego: PosePath, sensor: PosePath, mount: RigidTransform | None) -> ClockEstimate:
-    reference = Turning.of_poses(ego.timestamps_ns, ego.quaternions_xyzw)
+def _compared_clocks(ego: Poses, sensor: Poses, mount: RigidTransform | None) -> ClockEstimate:
+    reference = Rotating.of_poses(ego.timestamps_ns, ego.quaternions_xyzw)
     middles = sensor.interpolate(_middles(sensor))
-    stream = Turning.of_poses(_middles(sensor), middles.quaternions_xyzw)
+    stream = Rotating.of_poses(_middles(sensor), middles.quaternions_xyzw)
     rotation = None if mount is None else np.asarray(mount.rotation)
     return compare_turnings(reference, stream, reach_ns=_GREATEST_OFFSET_NS, reference_from_stream=rotation)
 

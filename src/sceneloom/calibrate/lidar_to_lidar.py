@@ -15,8 +15,8 @@ from sceneloom.motion.cloud_registration import CloudFit, PreparedCloud, fit_clo
 from sceneloom.motion.deskew import BodyKnots
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath
-from sceneloom.scene.sample_places import choose_ego
+from sceneloom.scene.poses import Poses
+from sceneloom.scene.sample_positions import choose_ego
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import scene_period_ns
 from sceneloom.scene.types import Identifier, PointsFrame, Progress, key_of
@@ -68,13 +68,13 @@ def lidar_to_lidar(
 ) -> LidarToLidar:
     """Find `first_from_second` of two lidars.
 
-    Sweeps are brought to one time by the ego's recorded way where there is one.
+    Sweeps are brought to one time by the ego's recorded trajectory where there is one.
 
     Args:
         first_id, second_id: None for the scene's first two.
         use_stated: begin at the stated mountings; without them the ground and a search over headings give a start.
         most: so many frames at most, evenly spread.
-        progress: told after each frame.
+        progress: reported after each frame.
 
     Raises:
         OptionError: there are no two such lidars, or `most` is less than 1.
@@ -152,9 +152,9 @@ def _clouds(
 
 
 def _at_one_time(
-    frame: LidarFrame, lidar: LidarSensor, path: PosePath | None, time_ns: int, reach_ns: int
+    frame: LidarFrame, lidar: LidarSensor, path: Poses | None, time_ns: int, reach_ns: int
 ) -> Float64Array:
-    """The points of a sweep where its lidar was at a time, as far as the ego's way tells."""
+    """The points of a sweep where its lidar was at a time, as far as the ego trajectory reports."""
     points = frame.points.positions.astype(np.float64)
     if lidar.points_frame is PointsFrame.WORLD:
         raise PoseError(f"points of lidar {lidar.id!r} are in the world already; expected its own frame")
@@ -213,16 +213,16 @@ def _joined(fits: list[CloudFit], source: str) -> tuple[MountingEstimate, int]:
     scatter = whole @ (pulls.T @ pulls * (count / max(count - 1, 1))) @ whole
     axes = np.kron(np.eye(2), middle.rotation)
     covariance = axes @ scatter @ axes.T + np.diag(_SYSTEMATIC**2)
-    turn = RigidTransform.from_quaternion(mean[3:], quaternion_from_rotation_vector(mean[:3]))
+    rotation = RigidTransform.from_quaternion(mean[3:], quaternion_from_rotation_vector(mean[:3]))
     return MountingEstimate(
-        middle @ turn, covariance, unobserved_directions(covariance, "first lidar")
+        middle @ rotation, covariance, unobserved_directions(covariance, "first lidar")
     ), count
 
 
 def _most_central(poses: list[RigidTransform]) -> int:
     """The pose that is nearest to all others."""
-    places = np.array([[*pose.translation, *(10.0 * pose.rotation.ravel())] for pose in poses])
-    distances = np.linalg.norm(places[:, None] - places[None], axis=2)
+    locations = np.array([[*pose.translation, *(10.0 * pose.rotation.ravel())] for pose in poses])
+    distances = np.linalg.norm(locations[:, None] - locations[None], axis=2)
     return int(np.argmin(np.median(distances, axis=1)))
 
 

@@ -14,7 +14,7 @@ from sceneloom.geometry.rotations import (
     rotation_vector_from_quaternion,
 )
 
-LOOSEST_TURN, LOOSEST_SHIFT = np.radians(2.0), 0.25
+LOOSEST_ROTATION, LOOSEST_SHIFT = np.radians(2.0), 0.25
 """Standard deviations [rad], [m] from which a direction counts as not observed by the data."""
 
 _AXES = ("x", "y", "z")
@@ -26,9 +26,9 @@ class MountingEstimate:
 
     Attributes:
         a_from_b: the transform.
-        covariance: (6, 6) of a small turn about the axes of a [rad], then a small shift along them [m]: the true
-            rotation is exp(turn) R, the true translation t + shift. Infinite where nothing is known.
-        unobserved: what the data do not tell, in words; () where they tell everything.
+        covariance: (6, 6) of a small rotation about the axes of a [rad], then a small shift along them [m]: the true
+            rotation is exp(rotate) R, the true translation t + shift. Infinite where nothing is known.
+        unobserved: what the data do not report, in words; () where they report everything.
     """
 
     a_from_b: RigidTransform
@@ -40,21 +40,24 @@ class MountingEstimate:
 
     @property
     def sigmas(self) -> Float64Array:
-        """(6,) standard deviations: turns about x, y, z [rad], shifts along x, y, z [m]."""
+        """(6,) standard deviations: rotates about x, y, z [rad], shifts along x, y, z [m]."""
         return np.sqrt(np.diagonal(self.covariance))
 
 
 def moved_by(a_from_b: RigidTransform, step: Float64Array) -> RigidTransform:
-    """Turn by step[:3] [rad] about the axes of a, then shift by step[3:] [m] along them; b's origin is not turned."""
-    turn = matrix_from_quaternion(quaternion_from_rotation_vector(step[:3]))
-    u, _, vt = np.linalg.svd(turn @ a_from_b.rotation)
+    """Rotate by step[:3] [rad] about the axes of a, then shift by step[3:] [m] along them.
+
+    B's origin is not rotated.
+    """
+    rotation = matrix_from_quaternion(quaternion_from_rotation_vector(step[:3]))
+    u, _, vt = np.linalg.svd(rotation @ a_from_b.rotation)
     return RigidTransform(u @ vt, a_from_b.translation + step[3:])
 
 
 def step_between(start: RigidTransform, end: RigidTransform) -> Float64Array:
     """Give the (6,) step by which `moved_by` takes one mounting to the other."""
-    turn = multiply_quaternions(end.quaternion_xyzw, conjugate_quaternion(start.quaternion_xyzw))
-    return np.concatenate([rotation_vector_from_quaternion(turn), end.translation - start.translation])
+    rotation = multiply_quaternions(end.quaternion_xyzw, conjugate_quaternion(start.quaternion_xyzw))
+    return np.concatenate([rotation_vector_from_quaternion(rotation), end.translation - start.translation])
 
 
 def unobserved_directions(covariance: Float64Array, frame: str) -> tuple[str, ...]:
@@ -65,7 +68,7 @@ def unobserved_directions(covariance: Float64Array, frame: str) -> tuple[str, ..
     """
     found = []
     for name, part, loosest, unit, scale in (
-        ("turn about", slice(0, 3), LOOSEST_TURN, "deg", np.degrees(1.0)),
+        ("rotate about", slice(0, 3), LOOSEST_ROTATION, "deg", np.degrees(1.0)),
         ("shift along", slice(3, 6), LOOSEST_SHIFT, "m", 1.0),
     ):
         variances, directions = np.linalg.eigh(covariance[part, part])

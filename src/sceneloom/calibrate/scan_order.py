@@ -1,4 +1,4 @@
-"""How the points of a sweep follow one another along the scan lines of a turning lidar."""
+"""How the points of a sweep follow one another along the scan lines of a rotating lidar."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ _LEAST_LINES, _MOST_LINES = 4, 512
 _LEAST_POINTS = 64
 _MOST_PEAKS = 160
 _ORDERED_SHARE = 0.95
-"""Of the steps in the order of a file that goes along its lines, so many turn the same way."""
+"""Of the steps in the order of a file that goes along its lines, so many rotate the same way."""
 _JITTER = np.radians(5.0)
 _BIN = np.radians(0.02)
 _PEAKED_SHARE = 0.9
@@ -49,7 +49,7 @@ def find_scan_order(measured_lidar: Float64Array, rings: UInt16Array | None) -> 
         rings: (N,) index of the laser, or None.
 
     Returns:
-        None where no lines can be told: too few points, or a lidar that does not scan in lines.
+        None where no lines can be reported: too few points, or a lidar that does not scan in lines.
     """
     ranges = np.sqrt(np.einsum("ij,ij->i", measured_lidar, measured_lidar))
     used = np.flatnonzero(ranges > 1e-3)
@@ -60,8 +60,8 @@ def find_scan_order(measured_lidar: Float64Array, rings: UInt16Array | None) -> 
     elevations = np.arcsin(np.clip(points[:, 2] / ranges, -1.0, 1.0))
     lines = None if rings is None else _by_rings(rings[used].astype(np.int64))
     if lines is None:
-        ways = [_by_file_order(azimuths, cut) for cut in (0.0, np.pi, float(azimuths[0]))]
-        lines = _most_level(ways, elevations)
+        trajectories = [_by_file_order(azimuths, cut) for cut in (0.0, np.pi, float(azimuths[0]))]
+        lines = _most_level(trajectories, elevations)
     if lines is None:
         lines = _most_level([_by_elevations(elevations)], elevations)
     if lines is None:
@@ -77,22 +77,22 @@ def _by_rings(rings: Int64Array) -> Int64Array | None:
 
 
 def _by_file_order(azimuths: Float64Array, cut: float) -> Int64Array | None:
-    """Number the turns of a file that holds one line after another, each beginning at the azimuth `cut`."""
+    """Number the rotations of a file that holds one line after another, each beginning at the azimuth `cut`."""
     steps = np.mod(np.diff(azimuths) + np.pi, 2.0 * np.pi) - np.pi
     forward = np.mean(steps > 0) >= 0.5
     if np.mean(steps > 0 if forward else steps < 0) < _ORDERED_SHARE:
         return None
-    # a gap may be wider than half a turn; what seems a small step back is one
+    # a gap may be wider than half a rotation; what seems a small step back is one
     ahead = np.mod(steps if forward else -steps, 2.0 * np.pi)
     ahead[ahead > 2.0 * np.pi - _JITTER] -= 2.0 * np.pi
     begun = np.mod(azimuths[0] - cut if forward else cut - azimuths[0], 2.0 * np.pi)
-    turns = np.floor((begun + np.concatenate([[0.0], np.cumsum(ahead)])) / (2.0 * np.pi)).astype(np.int64)
-    lines: Int64Array = turns - turns.min()
+    rotations = np.floor((begun + np.concatenate([[0.0], np.cumsum(ahead)])) / (2.0 * np.pi)).astype(np.int64)
+    lines: Int64Array = rotations - rotations.min()
     return lines if _LEAST_LINES <= lines.max() + 1 <= _MOST_LINES else None
 
 
 def _by_elevations(elevations: Float64Array) -> Int64Array | None:
-    """Tell lines by the elevations at which most points lie, where these are few."""
+    """Report lines by the elevations at which most points lie, where these are few."""
     low = float(elevations.min())
     bins = ((elevations - low) / _BIN).astype(np.int64)
     counts = np.bincount(bins)
@@ -110,9 +110,9 @@ def _by_elevations(elevations: Float64Array) -> Int64Array | None:
     return np.searchsorted(0.5 * (means[1:] + means[:-1]), elevations).astype(np.int64)
 
 
-def _most_level(ways: list[Int64Array | None], elevations: Float64Array) -> Int64Array | None:
+def _most_level(trajectories: list[Int64Array | None], elevations: Float64Array) -> Int64Array | None:
     """Of several ways to number lines the one whose lines keep their elevations best; None where none does."""
-    found = [(_unevenness(lines, elevations), lines) for lines in ways if lines is not None]
+    found = [(_unevenness(lines, elevations), lines) for lines in trajectories if lines is not None]
     unevenness, lines = min(found, key=lambda pair: pair[0], default=(np.inf, None))
     return lines if unevenness <= _LEVEL_SHARE else None
 

@@ -1,4 +1,4 @@
-"""Lenses: which pixel a point falls on, and which ray a pixel looks along; one projection model per file."""
+"""Camera models: which pixel a point falls on, and which ray a pixel looks along; one projection model per file."""
 
 from typing import TYPE_CHECKING
 
@@ -10,13 +10,13 @@ if TYPE_CHECKING:
     from sceneloom.cameras.models import (
         check_camera,
         domain_angle,
-        lens_vector,
+        intrinsics_vector,
         project,
         project_unbounded,
         projection_kernel,
         unproject,
     )
-    from sceneloom.cameras.points_in_picture import PointsInPicture
+    from sceneloom.cameras.points_in_image import PointsInImage
     from sceneloom.cameras.table import MODELS, Chart, Model
     from sceneloom.cameras.undistortion import Undistortion, undistort, undistorted_camera
 else:
@@ -28,12 +28,12 @@ else:
             "Chart": "sceneloom.cameras.table:Chart",
             "Fit": "sceneloom.cameras.fitting:Fit",
             "Model": "sceneloom.cameras.table:Model",
-            "PointsInPicture": "sceneloom.cameras.points_in_picture:PointsInPicture",
+            "PointsInImage": "sceneloom.cameras.points_in_image:PointsInImage",
             "Undistortion": "sceneloom.cameras.undistortion:Undistortion",
             "check_camera": "sceneloom.cameras.models:check_camera",
             "domain_angle": "sceneloom.cameras.models:domain_angle",
             "fit": "sceneloom.cameras.fitting:fit",
-            "lens_vector": "sceneloom.cameras.models:lens_vector",
+            "intrinsics_vector": "sceneloom.cameras.models:intrinsics_vector",
             "measured_fit": "sceneloom.cameras.fitting:measured_fit",
             "nearest": "sceneloom.cameras.fitting:nearest",
             "project": "sceneloom.cameras.models:project",
@@ -51,12 +51,12 @@ __all__ = [
     "Chart",
     "Fit",
     "Model",
-    "PointsInPicture",
+    "PointsInImage",
     "Undistortion",
     "check_camera",
     "domain_angle",
     "fit",
-    "lens_vector",
+    "intrinsics_vector",
     "measured_fit",
     "nearest",
     "project",

@@ -66,8 +66,8 @@ def sine_and_cosine(angle):  # type: ignore[no-untyped-def]
     sine = rest + rest * (q * sine)
     cosine = _C10 + q * (_C12 + q * (_C14 + q * (_C16 + q * _C18)))
     cosine = 1.0 + q * (_C2 + q * (_C4 + q * (_C6 + q * (_C8 + q * cosine))))
-    turned, opposite = abs(quarters) == 1.0, abs(quarters) == 2.0
-    side, ahead = (cosine if turned else sine), (sine if turned else cosine)
+    rotated, opposite = abs(quarters) == 1.0, abs(quarters) == 2.0
+    side, ahead = (cosine if rotated else sine), (sine if rotated else cosine)
     if quarters == 1.0:
         ahead = -ahead
     if quarters == -1.0:

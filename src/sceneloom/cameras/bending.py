@@ -7,14 +7,14 @@ from sceneloom.cameras.compiled import INLINE
 
 @njit(**INLINE)
 def stretch(a, b, g, g_s):  # type: ignore[no-untyped-def]
-    """Stretch (a, b) by the factor g(s), s = a² + b², whose slope is g_s: place and slopes as of `distort`."""
+    """Stretch (a, b) by the factor g(s), s = a² + b², whose slope is g_s: location and slopes as of `distort`."""
     mixed = 2.0 * a * b * g_s
     return a * g, b * g, g + 2.0 * a * a * g_s, mixed, mixed, g + 2.0 * b * b * g_s
 
 
 @njit(**INLINE)
 def decentre(a, b, s, g, g_s, p1, p2):  # type: ignore[no-untyped-def]
-    """Stretch (a, b) by g(s) and add the terms of a decentred lens, for any s: place and partial slopes.
+    """Stretch (a, b) by g(s) and add the terms of a decentred camera model, for any s: location and partial slopes.
 
     x = a g + 2 p1 a b + p2 (s + 2 a²),  y = b g + p1 (s + 2 b²) + 2 p2 a b
 
@@ -38,19 +38,22 @@ def decentre(a, b, s, g, g_s, p1, p2):  # type: ignore[no-untyped-def]
 
 @njit(**INLINE)
 def shift_and_decentre(x, y, g, g_s, lx, ly, p1, p2):  # type: ignore[no-untyped-def]
-    """Decentre (x + lx, y + ly) with s = x² + y² of the place before the shift: place and slopes as of `distort`."""
+    """Decentre (x + lx, y + ly) with s = x² + y² of the location before the shift.
+
+    Location and slopes as of `distort`.
+    """
     to_x, to_y, xa, xb, ya, yb, xs, ys = decentre(x + lx, y + ly, x * x + y * y, g, g_s, p1, p2)
     return to_x, to_y, xa + 2.0 * x * xs, xb + 2.0 * y * xs, ya + 2.0 * x * ys, yb + 2.0 * y * ys
 
 
 @njit(**INLINE)
 def bend_image(stretched, p1, p2, s1, s2, s3, s4):  # type: ignore[no-untyped-def]
-    """Add decentring and prism terms to a place that is already stretched: place and slopes as of `distort`.
+    """Add decentring and prism terms to a location that is already stretched: location and slopes as of `distort`.
 
     Args:
         stretched: what `stretch` gave.
         p1, p2: OpenCV's decentring.
-        s1, s2, s3, s4: x gains s1 r² + s2 r⁴, y gains s3 r² + s4 r⁴, r the distance of the stretched place.
+        s1, s2, s3, s4: x gains s1 r² + s2 r⁴, y gains s3 r² + s4 r⁴, r the distance of the stretched location.
     """
     x, y, xx, xy, yx, yy = stretched
     s = x * x + y * y

@@ -27,9 +27,9 @@ from sceneloom.cameras.charts import (
 )
 from sceneloom.cameras.compiled import (
     FOLD_SIGNATURE,
+    IMAGE_SIGNATURE,
     INLINE,
     KERNEL,
-    PICTURE_SIGNATURE,
     ROWS_SIGNATURE,
     first_numbers,
 )
@@ -43,12 +43,12 @@ from sceneloom.cameras.formulas import (
     ray_of_chart,
     use_formulas,
 )
-from sceneloom.cameras.loops import look_through_chart, pick_points, place_points
+from sceneloom.cameras.loops import look_through_chart, pick_points, position_points
 from sceneloom.kernels.cache import kernel
 
 
-class BrownConradyLens(NamedTuple):
-    """The numbers of a lens, as the compiled functions take them apart."""
+class BrownConradyModel(NamedTuple):
+    """The numbers of a camera model, as the compiled functions take them apart."""
 
     fx: float
     fy: float
@@ -83,23 +83,28 @@ class BrownConradyLens(NamedTuple):
 
 _COUNT = 21
 
-use_formulas(BrownConradyLens, {project_point: pixel_in_perspective, ray_of_chart: ray_in_perspective})
+use_formulas(BrownConradyModel, {project_point: pixel_in_perspective, ray_of_chart: ray_in_perspective})
 
 
-@formula_of(BrownConradyLens, distort)
-def _distort(a: Any, b: Any, lens: Any) -> Any:
+@formula_of(BrownConradyModel, distort)
+def _distort(a: Any, b: Any, camera_model: Any) -> Any:
     s = a * a + b * b
-    g = 1.0 + s * (lens.k1 + s * (lens.k2 + s * lens.k3))
-    g_s = lens.k1 + s * (2.0 * lens.k2 + s * 3.0 * lens.k3)
-    if lens.is_rational:
-        below = 1.0 / (1.0 + s * (lens.k4 + s * (lens.k5 + s * lens.k6)))
+    g = 1.0 + s * (camera_model.k1 + s * (camera_model.k2 + s * camera_model.k3))
+    g_s = camera_model.k1 + s * (2.0 * camera_model.k2 + s * 3.0 * camera_model.k3)
+    if camera_model.is_rational:
+        below = 1.0 / (1.0 + s * (camera_model.k4 + s * (camera_model.k5 + s * camera_model.k6)))
         g = g * below
-        g_s = (g_s - g * (lens.k4 + s * (2.0 * lens.k5 + s * 3.0 * lens.k6))) * below
-    x, y, xx, xy, yx, yy = shift_and_decentre(a, b, g, g_s, lens.lx, lens.ly, lens.p1, lens.p2)
-    prism_x, prism_y = 2.0 * (lens.s1 + 2.0 * lens.s2 * s), 2.0 * (lens.s3 + 2.0 * lens.s4 * s)
+        g_s = (g_s - g * (camera_model.k4 + s * (2.0 * camera_model.k5 + s * 3.0 * camera_model.k6))) * below
+    x, y, xx, xy, yx, yy = shift_and_decentre(
+        a, b, g, g_s, camera_model.lx, camera_model.ly, camera_model.p1, camera_model.p2
+    )
+    prism_x, prism_y = (
+        2.0 * (camera_model.s1 + 2.0 * camera_model.s2 * s),
+        2.0 * (camera_model.s3 + 2.0 * camera_model.s4 * s),
+    )
     return (
-        x + s * (lens.s1 + s * lens.s2),
-        y + s * (lens.s3 + s * lens.s4),
+        x + s * (camera_model.s1 + s * camera_model.s2),
+        y + s * (camera_model.s3 + s * camera_model.s4),
         xx + a * prism_x,
         xy + b * prism_x,
         yx + a * prism_y,
@@ -107,24 +112,24 @@ def _distort(a: Any, b: Any, lens: Any) -> Any:
     )
 
 
-@formula_of(BrownConradyLens, pixel_of_plane)
-def _tilted_pixel(x: Any, y: Any, lens: Any) -> Any:
-    if lens.is_tilted:
-        w = lens.w_x * x - lens.w_y * y + lens.w_1
-        x, y = lens.scale_x * x / w, (lens.scale_y * y - lens.shear * x) / w
+@formula_of(BrownConradyModel, pixel_of_plane)
+def _tilted_pixel(x: Any, y: Any, camera_model: Any) -> Any:
+    if camera_model.is_tilted:
+        w = camera_model.w_x * x - camera_model.w_y * y + camera_model.w_1
+        x, y = camera_model.scale_x * x / w, (camera_model.scale_y * y - camera_model.shear * x) / w
         x = x if w > 0.0 else math.nan
-    return lens.fx * x + lens.cx, lens.fy * y + lens.cy
+    return camera_model.fx * x + camera_model.cx, camera_model.fy * y + camera_model.cy
 
 
-@formula_of(BrownConradyLens, plane_of_pixel)
-def _plane_of_tilted_pixel(u: Any, v: Any, lens: Any) -> Any:
-    x, y = (u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy
-    if lens.is_tilted:
+@formula_of(BrownConradyModel, plane_of_pixel)
+def _plane_of_tilted_pixel(u: Any, v: Any, camera_model: Any) -> Any:
+    x, y = (u - camera_model.cx) / camera_model.fx, (v - camera_model.cy) / camera_model.fy
+    if camera_model.is_tilted:
         # The two linear equations that the tilt poses.
-        xx, xy = lens.scale_x - x * lens.w_x, x * lens.w_y
-        yx, yy = -lens.shear - y * lens.w_x, lens.scale_y + y * lens.w_y
+        xx, xy = camera_model.scale_x - x * camera_model.w_x, x * camera_model.w_y
+        yx, yy = -camera_model.shear - y * camera_model.w_x, camera_model.scale_y + y * camera_model.w_y
         determinant = xx * yy - xy * yx
-        share = lens.w_1 / determinant if determinant > 0.0 else math.nan
+        share = camera_model.w_1 / determinant if determinant > 0.0 else math.nan
         x, y = (x * yy - xy * y) * share, (xx * y - yx * x) * share
     return x, y
 
@@ -149,35 +154,35 @@ def domain_limit(coefficients: tuple[float, ...]) -> float:
 
 
 @njit(**INLINE)
-def _lens(numbers):  # type: ignore[no-untyped-def]
+def _camera_model(numbers):  # type: ignore[no-untyped-def]
     given: Any = first_numbers(numbers, _COUNT)
     k4, k5, k6, tx, ty = given[9], given[10], given[11], given[18], given[19]
     rational, tilted = k4 != 0.0 or k5 != 0.0 or k6 != 0.0, tx != 0.0 or ty != 0.0
     cos_x, sin_x, cos_y, sin_y = math.cos(tx), math.sin(tx), math.cos(ty), math.sin(ty)
     tilt = (cos_x, cos_y, sin_x * sin_y, sin_y, cos_y * sin_x, cos_y * cos_x)
     fields: Any = (*given, rational, *tilt, tilted)
-    return BrownConradyLens(*fields)
+    return BrownConradyModel(*fields)
 
 
-@kernel(PICTURE_SIGNATURE, **KERNEL)
-def project_into_picture(points_world, camera_from_world, lens, width, height, kept):  # type: ignore[no-untyped-def]
-    """Keep the points that fall into the picture; see `compiled`."""
-    return pick_points(points_world, camera_from_world, _lens(lens), width, height, kept)
+@kernel(IMAGE_SIGNATURE, **KERNEL)
+def project_into_image(points_world, camera_from_world, camera_model, width, height, kept):  # type: ignore[no-untyped-def]
+    """Keep the points that fall into the image; see `compiled`."""
+    return pick_points(points_world, camera_from_world, _camera_model(camera_model), width, height, kept)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
+def project_points(points_camera, camera_model, pixels):  # type: ignore[no-untyped-def]
     """Give a pixel for every point; see `compiled`."""
-    place_points(points_camera, _lens(lens), pixels)
+    position_points(points_camera, _camera_model(camera_model), pixels)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
+def unproject_pixels(pixels, camera_model, rays):  # type: ignore[no-untyped-def]
     """Give a unit ray for every pixel; see `compiled`."""
-    look_through_chart(pixels, _lens(lens), rays)
+    look_through_chart(pixels, _camera_model(camera_model), rays)
 
 
 @kernel(FOLD_SIGNATURE, **KERNEL)
-def fold_radius(lens: Any) -> Any:
+def fold_radius(camera_model: Any) -> Any:
     """Give the radius of the chart's disk up to which nothing folds, the given limit at most."""
-    return radius_without_fold(_lens(lens))
+    return radius_without_fold(_camera_model(camera_model))

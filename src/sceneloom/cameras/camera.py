@@ -1,4 +1,4 @@
-"""The lens of a camera: which projection model, with which numbers, for which picture size."""
+"""The camera model of a camera: which projection model, with which numbers, for which image size."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ class Camera:
 
     Attributes:
         model: a name out of `sceneloom.cameras.MODELS` ("pinhole", "brown_conrady", "fisheye", …).
-        width, height: picture size [px].
+        width, height: image size [px].
         fx, fy: focal lengths [px].
         cx, cy: principal point [px].
         coefficients: distortion in the model's own order, as many as the model has; () for none.
@@ -36,7 +36,7 @@ class Camera:
     def __post_init__(self) -> None:
         if self.width <= 0 or self.height <= 0:
             raise CalibrationError(
-                f"picture size {self.width}x{self.height}; expected positive numbers of pixels"
+                f"image size {self.width}x{self.height}; expected positive numbers of pixels"
             )
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.coefficients)
         if not all(abs(value) < float("inf") for value in numbers):
@@ -50,7 +50,7 @@ class Camera:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def resized(self, width: int, height: int) -> "Camera":
-        """The same lens for pictures of another size: c' = (c + 0.5) s - 0.5 along each axis.
+        """The same camera model for images of another size: c' = (c + 0.5) s - 0.5 along each axis.
 
         Raises:
             CalibrationError: the axes shrink differently, by more than rounding to whole pixels, and the model has no
@@ -74,8 +74,8 @@ class Camera:
             return self.coefficients
         if "uv" in model.pixel_axes.values() and abs(scale_u - scale_v) * max(self.width, self.height) > 1.0:
             raise CalibrationError(
-                f"picture size times {scale_u:g} and {scale_v:g}; expected the same for both axes of a "
-                f"{self.model} lens, whose coefficients are pixels in all directions"
+                f"image size times {scale_u:g} and {scale_v:g}; expected the same for both axes of a "
+                f"{self.model} camera model, whose coefficients are pixels in all directions"
             )
         scales = {None: 1.0, "u": scale_u, "v": scale_v, "uv": math.sqrt(scale_u * scale_v)}
         axes = [model.pixel_axes.get(name) for name in model.coefficient_names]

@@ -19,48 +19,50 @@ from sceneloom.cameras.compiled import MINIMUM_DEPTH
 from sceneloom.cameras.formulas import distort, pixel_of_plane
 
 
-def pixel_in_perspective(x: Any, y: Any, z: Any, lens: Any) -> Any:
-    """Give the pixel of a point by its place on the plane z = 1."""
+def pixel_in_perspective(x: Any, y: Any, z: Any, camera_model: Any) -> Any:
+    """Give the pixel of a point by its location on the plane z = 1."""
     a, b = x / z, y / z
-    to_x, to_y, _, _, _, _ = distort(a, b, lens)
-    u, v = pixel_of_plane(to_x, to_y, lens)
-    known = (z > MINIMUM_DEPTH) & (a * a + b * b < lens.limit * lens.limit)
+    to_x, to_y, _, _, _, _ = distort(a, b, camera_model)
+    u, v = pixel_of_plane(to_x, to_y, camera_model)
+    known = (z > MINIMUM_DEPTH) & (a * a + b * b < camera_model.limit * camera_model.limit)
     return (u if known else math.nan), v
 
 
-def pixel_by_angle(x: Any, y: Any, z: Any, lens: Any) -> Any:
+def pixel_by_angle(x: Any, y: Any, z: Any, camera_model: Any) -> Any:
     """Give the pixel of a point by its direction and its angle off the axis."""
     side = math.sqrt(x * x + y * y)
     angle = angle_off_axis(side, z)
     scale = angle / side if side > 0.0 else 0.0
-    to_x, to_y, _, _, _, _ = distort(x * scale, y * scale, lens)
-    u, v = pixel_of_plane(to_x, to_y, lens)
-    known = (angle < lens.limit) & ((side > 0.0) | (z > 0.0))
+    to_x, to_y, _, _, _, _ = distort(x * scale, y * scale, camera_model)
+    u, v = pixel_of_plane(to_x, to_y, camera_model)
+    known = (angle < camera_model.limit) & ((side > 0.0) | (z > 0.0))
     return (u if known else math.nan), v
 
 
-def pixel_by_sphere(x: Any, y: Any, z: Any, lens: Any) -> Any:
-    """Give the pixel of a point by its place on the plane of the shifted sphere.
+def pixel_by_sphere(x: Any, y: Any, z: Any, camera_model: Any) -> Any:
+    """Give the pixel of a point by its location on the plane of the shifted sphere.
 
     With ξ > 1 the farther part of the sphere hides behind the nearer one.
     """
     distance = math.sqrt(x * x + y * y + z * z)
-    depth = z + lens.xi * distance
+    depth = z + camera_model.xi * distance
     a, b = x / depth, y / depth
-    to_x, to_y, _, _, _, _ = distort(a, b, lens)
-    u, v = pixel_of_plane(to_x, to_y, lens)
-    ahead = (depth > MINIMUM_DEPTH * distance) & ((lens.xi <= 1.0) | (distance + lens.xi * z > 0.0))
-    return (u if ahead & (a * a + b * b < lens.limit * lens.limit) else math.nan), v
+    to_x, to_y, _, _, _, _ = distort(a, b, camera_model)
+    u, v = pixel_of_plane(to_x, to_y, camera_model)
+    ahead = (depth > MINIMUM_DEPTH * distance) & (
+        (camera_model.xi <= 1.0) | (distance + camera_model.xi * z > 0.0)
+    )
+    return (u if ahead & (a * a + b * b < camera_model.limit * camera_model.limit) else math.nan), v
 
 
-def ray_in_perspective(a: Any, b: Any, _lens: Any) -> Any:
+def ray_in_perspective(a: Any, b: Any, _camera_model: Any) -> Any:
     """Give the unit ray through (a, b) on the plane z = 1; NaN where that is too far out for numbers."""
     scale = 1.0 / math.sqrt(a * a + b * b + 1.0)
     scale = scale if scale > 0.0 else math.nan
     return a * scale, b * scale, scale
 
 
-def ray_by_angle(a: Any, b: Any, _lens: Any) -> Any:
+def ray_by_angle(a: Any, b: Any, _camera_model: Any) -> Any:
     """Give the unit ray that lies as far off the axis as (a, b) from the middle."""
     angle = math.sqrt(a * a + b * b)
     sine, cosine = sine_and_cosine(angle)
@@ -68,15 +70,17 @@ def ray_by_angle(a: Any, b: Any, _lens: Any) -> Any:
     return a * scale, b * scale, cosine
 
 
-def ray_by_sphere(a: Any, b: Any, lens: Any) -> Any:
-    """Give the unit ray of a place on the plane of the shifted sphere."""
+def ray_by_sphere(a: Any, b: Any, camera_model: Any) -> Any:
+    """Give the unit ray of a location on the plane of the shifted sphere."""
     square = a * a + b * b
-    scale = (lens.xi + math.sqrt(1.0 + (1.0 - lens.xi * lens.xi) * square)) / (1.0 + square)
-    return a * scale, b * scale, scale - lens.xi
+    scale = (camera_model.xi + math.sqrt(1.0 + (1.0 - camera_model.xi * camera_model.xi) * square)) / (
+        1.0 + square
+    )
+    return a * scale, b * scale, scale - camera_model.xi
 
 
 def sphere_rim(xi: float) -> float:
-    """The distance from the axis, on the plane of the shifted sphere, that none of its places reaches."""
+    """The distance from the axis, on the plane of the shifted sphere, that none of its locations reaches."""
     if xi <= -1.0:
         return 0.0
     return 1.0 / math.sqrt(xi * xi - 1.0) if xi > 1.0 else math.inf

@@ -2,19 +2,19 @@
 
 Every model compiles the same three functions:
 
-- `project_into_picture(points_world, camera_from_world, lens, width, height, kept)` is the hot path. It fills
-  `PointsInPicture` with the points that fall into the picture, in ascending order of their ids, and returns how
+- `project_into_image(points_world, camera_from_world, camera model, width, height, kept)` is the hot path. It fills
+  `PointsInImage` with the points that fall into the image, in ascending order of their ids, and returns how
   many those are.
-- `project_points(points_camera, lens, pixels)` gives a pixel for every point, NaN outside the model's domain.
-- `unproject_pixels(pixels, lens, rays)` gives a unit ray for every pixel, NaN where the model has none.
+- `project_points(points_camera, camera model, pixels)` gives a pixel for every point, NaN outside the model's domain.
+- `unproject_pixels(pixels, camera model, rays)` gives a unit ray for every pixel, NaN where the model has none.
 
-`lens` is `fx, fy, cx, cy`, all coefficients of the model in its own order, then the domain limit, which is the
+`camera_model` is `fx, fy, cx, cy`, all coefficients of the model in its own order, then the domain limit, which is the
 radius of a disk of the model's own chart (`charts`), and not always an angle. Models that see behind the plane
-z = 0 keep points of depth zero or less. Models with bends that are not radial also compile `fold_radius(lens)`,
+z = 0 keep points of depth zero or less. Models with bends that are not radial also compile `fold_radius(camera model)`,
 from which their domain limit comes.
 
-The loops (`loops`) and searches (`solving`, `domain`) are written once. They take the lens as a named tuple, and the
-formulas of its model by their names in `formulas`. Numbers and tuples go around in them, never arrays: an array
+The loops (`loops`) and searches (`solving`, `domain`) are written once. They take the camera model as a named tuple,
+and the formulas of its model by their names in `formulas`. Numbers and tuples go around in them, never arrays: an array
 handed on inside a loop has its references counted for every point, which takes ten times as long as the projection.
 """
 
@@ -23,13 +23,13 @@ from typing import Any
 from numba import float32, float64, int32, int64, njit, types, void
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
-from sceneloom.cameras.points_in_picture import PointsInPicture
+from sceneloom.cameras.points_in_image import PointsInImage
 
 _named_tuple: Any = types.NamedTuple
 _READ_ONLY_ROWS = types.Array(float64, 2, "C", readonly=True)
 _READ_ONLY_NUMBERS = types.Array(float64, 1, "C", readonly=True)
 
-PICTURE_SIGNATURE = int64(
+IMAGE_SIGNATURE = int64(
     _READ_ONLY_ROWS,
     _READ_ONLY_ROWS,
     _READ_ONLY_NUMBERS,
@@ -37,7 +37,7 @@ PICTURE_SIGNATURE = int64(
     int64,
     _named_tuple(
         (int64[::1], float32[:, ::1], int32[::1], float32[::1], float32[::1], float32[::1], float32[::1]),
-        PointsInPicture,
+        PointsInImage,
     ),
 )
 ROWS_SIGNATURE = void(_READ_ONLY_ROWS, _READ_ONLY_NUMBERS, float64[:, ::1])
@@ -49,7 +49,7 @@ KERNEL: dict[str, Any] = {**PART, "cache": True}
 INLINE: dict[str, Any] = {**PART, "forceinline": True}
 
 BLOCK = 512
-"""Points that are projected at once, by vector instructions, before those in the picture are picked out."""
+"""Points that are projected at once, by vector instructions, before those in the image are picked out."""
 
 MINIMUM_DEPTH = 1e-6
 """Perspective models see only what lies at least so far in front of the camera [m]."""

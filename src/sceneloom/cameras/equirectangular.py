@@ -15,9 +15,9 @@ from numba import njit
 
 from sceneloom.cameras.angles import sine_and_cosine
 from sceneloom.cameras.compiled import (
+    IMAGE_SIGNATURE,
     INLINE,
     KERNEL,
-    PICTURE_SIGNATURE,
     ROWS_SIGNATURE,
     first_numbers,
 )
@@ -26,13 +26,13 @@ from sceneloom.cameras.formulas import (
     project_point,
     ray_of_pixel,
 )
-from sceneloom.cameras.loops import look_along, pick_points, place_points
-from sceneloom.cameras.panorama import HALF_TURN, NEAREST, azimuth, azimuth_of_column
+from sceneloom.cameras.loops import look_along, pick_points, position_points
+from sceneloom.cameras.panorama import HALF_ROTATION, NEAREST, azimuth, azimuth_of_column
 from sceneloom.kernels.cache import kernel
 
 
-class EquirectangularLens(NamedTuple):
-    """The numbers of a lens, as the compiled functions take them apart."""
+class EquirectangularModel(NamedTuple):
+    """The numbers of a camera model, as the compiled functions take them apart."""
 
     fx: float
     fy: float
@@ -41,49 +41,52 @@ class EquirectangularLens(NamedTuple):
     limit: float
 
 
-_COUNT = len(EquirectangularLens._fields)
+_COUNT = len(EquirectangularModel._fields)
 
 
-@formula_of(EquirectangularLens, project_point)
-def _project(x: Any, y: Any, z: Any, lens: Any) -> Any:
+@formula_of(EquirectangularModel, project_point)
+def _project(x: Any, y: Any, z: Any, camera_model: Any) -> Any:
     side = math.sqrt(x * x + z * z)
-    u, v = lens.fx * azimuth(x, z) + lens.cx, lens.fy * azimuth(y, side) + lens.cy
+    u, v = (
+        camera_model.fx * azimuth(x, z) + camera_model.cx,
+        camera_model.fy * azimuth(y, side) + camera_model.cy,
+    )
     return (u if side > NEAREST * abs(y) else math.nan), v
 
 
-@formula_of(EquirectangularLens, ray_of_pixel)
-def _ray(u: Any, v: Any, lens: Any) -> Any:
-    sine, cosine = sine_and_cosine(azimuth_of_column(u, lens))
-    latitude = (v - lens.cy) / lens.fy
+@formula_of(EquirectangularModel, ray_of_pixel)
+def _ray(u: Any, v: Any, camera_model: Any) -> Any:
+    sine, cosine = sine_and_cosine(azimuth_of_column(u, camera_model))
+    latitude = (v - camera_model.cy) / camera_model.fy
     down, level = sine_and_cosine(latitude)
-    if not (abs(latitude) < HALF_TURN and level > NEAREST):
+    if not (abs(latitude) < HALF_ROTATION and level > NEAREST):
         level, down = math.nan, math.nan
     return sine * level, down, cosine * level
 
 
 def domain_limit(_coefficients: tuple[float, ...]) -> float:
-    """Half a turn, to each side."""
+    """Half a rotation, to each side."""
     return math.pi
 
 
 @njit(**INLINE)
-def _lens(numbers):  # type: ignore[no-untyped-def]
-    return EquirectangularLens(*first_numbers(numbers, _COUNT))
+def _camera_model(numbers):  # type: ignore[no-untyped-def]
+    return EquirectangularModel(*first_numbers(numbers, _COUNT))
 
 
-@kernel(PICTURE_SIGNATURE, **KERNEL)
-def project_into_picture(points_world, camera_from_world, lens, width, height, kept):  # type: ignore[no-untyped-def]
-    """Keep the points that fall into the picture; see `compiled`."""
-    return pick_points(points_world, camera_from_world, _lens(lens), width, height, kept)
+@kernel(IMAGE_SIGNATURE, **KERNEL)
+def project_into_image(points_world, camera_from_world, camera_model, width, height, kept):  # type: ignore[no-untyped-def]
+    """Keep the points that fall into the image; see `compiled`."""
+    return pick_points(points_world, camera_from_world, _camera_model(camera_model), width, height, kept)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
+def project_points(points_camera, camera_model, pixels):  # type: ignore[no-untyped-def]
     """Give a pixel for every point; see `compiled`."""
-    place_points(points_camera, _lens(lens), pixels)
+    position_points(points_camera, _camera_model(camera_model), pixels)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
+def unproject_pixels(pixels, camera_model, rays):  # type: ignore[no-untyped-def]
     """Give a unit ray for every pixel; see `compiled`."""
-    look_along(pixels, _lens(lens), rays)
+    look_along(pixels, _camera_model(camera_model), rays)

@@ -1,4 +1,4 @@
-"""Fisheye projection: the distance from the picture's centre is an odd polynomial of the angle off the axis.
+"""Fisheye projection: the distance from the image's centre is an odd polynomial of the angle off the axis.
 
 With θ the angle between the point's direction and the axis
 
@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 from numba import njit
 
 from sceneloom.cameras.compiled import (
+    IMAGE_SIGNATURE,
     INLINE,
     KERNEL,
-    PICTURE_SIGNATURE,
     ROWS_SIGNATURE,
     first_numbers,
 )
@@ -34,13 +34,13 @@ from sceneloom.cameras.formulas import (
     project_point,
     use_formulas,
 )
-from sceneloom.cameras.loops import look_off_axis, pick_points, place_points
+from sceneloom.cameras.loops import look_off_axis, pick_points, position_points
 from sceneloom.cameras.off_axis import pixel_off_axis
 from sceneloom.kernels.cache import kernel
 
 
-class FisheyeLens(NamedTuple):
-    """The numbers of a lens, as the compiled functions take them apart."""
+class FisheyeModel(NamedTuple):
+    """The numbers of a camera model, as the compiled functions take them apart."""
 
     fx: float
     fy: float
@@ -53,20 +53,26 @@ class FisheyeLens(NamedTuple):
     limit: float
 
 
-_COUNT = len(FisheyeLens._fields)
+_COUNT = len(FisheyeModel._fields)
 
 use_formulas(
-    FisheyeLens,
+    FisheyeModel,
     {project_point: pixel_off_axis, pixel_of_plane: centred_pixel, plane_of_pixel: plane_of_centred_pixel},
 )
 
 
-@formula_of(FisheyeLens, distance_at)
-def _distance(angle: Any, lens: Any) -> Any:
+@formula_of(FisheyeModel, distance_at)
+def _distance(angle: Any, camera_model: Any) -> Any:
     s = angle * angle
     return (
-        angle * (1.0 + s * (lens.k1 + s * (lens.k2 + s * (lens.k3 + s * lens.k4)))),
-        1.0 + s * (3.0 * lens.k1 + s * (5.0 * lens.k2 + s * (7.0 * lens.k3 + s * 9.0 * lens.k4))),
+        angle
+        * (1.0 + s * (camera_model.k1 + s * (camera_model.k2 + s * (camera_model.k3 + s * camera_model.k4)))),
+        1.0
+        + s
+        * (
+            3.0 * camera_model.k1
+            + s * (5.0 * camera_model.k2 + s * (7.0 * camera_model.k3 + s * 9.0 * camera_model.k4))
+        ),
     )
 
 
@@ -77,23 +83,23 @@ def domain_limit(coefficients: tuple[float, ...]) -> float:
 
 
 @njit(**INLINE)
-def _lens(numbers):  # type: ignore[no-untyped-def]
-    return FisheyeLens(*first_numbers(numbers, _COUNT))
+def _camera_model(numbers):  # type: ignore[no-untyped-def]
+    return FisheyeModel(*first_numbers(numbers, _COUNT))
 
 
-@kernel(PICTURE_SIGNATURE, **KERNEL)
-def project_into_picture(points_world, camera_from_world, lens, width, height, kept):  # type: ignore[no-untyped-def]
-    """Keep the points that fall into the picture; see `compiled`."""
-    return pick_points(points_world, camera_from_world, _lens(lens), width, height, kept)
+@kernel(IMAGE_SIGNATURE, **KERNEL)
+def project_into_image(points_world, camera_from_world, camera_model, width, height, kept):  # type: ignore[no-untyped-def]
+    """Keep the points that fall into the image; see `compiled`."""
+    return pick_points(points_world, camera_from_world, _camera_model(camera_model), width, height, kept)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
+def project_points(points_camera, camera_model, pixels):  # type: ignore[no-untyped-def]
     """Give a pixel for every point; see `compiled`."""
-    place_points(points_camera, _lens(lens), pixels)
+    position_points(points_camera, _camera_model(camera_model), pixels)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
+def unproject_pixels(pixels, camera_model, rays):  # type: ignore[no-untyped-def]
     """Give a unit ray for every pixel; see `compiled`."""
-    look_off_axis(pixels, _lens(lens), rays)
+    look_off_axis(pixels, _camera_model(camera_model), rays)

@@ -7,7 +7,7 @@ With θ the angle between the point's direction and the axis, t = (p1, p2)
 
 The domain is the cone θ < limit, π at most, within which the mapping does not fold.
 
-Source: Project Aria documentation, "Camera intrinsic models", Fisheye624. Its p1 and p2 have changed places with
+Source: Project Aria documentation, "Camera intrinsic models", Fisheye624. Its p1 and p2 have changed locations with
 OpenCV's.
 """
 
@@ -24,9 +24,9 @@ from sceneloom.cameras.charts import (
 )
 from sceneloom.cameras.compiled import (
     FOLD_SIGNATURE,
+    IMAGE_SIGNATURE,
     INLINE,
     KERNEL,
-    PICTURE_SIGNATURE,
     ROWS_SIGNATURE,
     first_numbers,
 )
@@ -42,12 +42,12 @@ from sceneloom.cameras.formulas import (
     ray_of_chart,
     use_formulas,
 )
-from sceneloom.cameras.loops import look_through_chart, pick_points, place_points
+from sceneloom.cameras.loops import look_through_chart, pick_points, position_points
 from sceneloom.kernels.cache import kernel
 
 
-class RadTanPrismLens(NamedTuple):
-    """The numbers of a lens, as the compiled functions take them apart."""
+class RadTanPrismModel(NamedTuple):
+    """The numbers of a camera model, as the compiled functions take them apart."""
 
     fx: float
     fy: float
@@ -68,10 +68,10 @@ class RadTanPrismLens(NamedTuple):
     limit: float
 
 
-_COUNT = len(RadTanPrismLens._fields)
+_COUNT = len(RadTanPrismModel._fields)
 
 use_formulas(
-    RadTanPrismLens,
+    RadTanPrismModel,
     {
         project_point: pixel_by_angle,
         pixel_of_plane: centred_pixel,
@@ -81,13 +81,28 @@ use_formulas(
 )
 
 
-@formula_of(RadTanPrismLens, distort)
-def _distort(a: Any, b: Any, lens: Any) -> Any:
+@formula_of(RadTanPrismModel, distort)
+def _distort(a: Any, b: Any, camera_model: Any) -> Any:
     s = a * a + b * b
-    g = 1.0 + s * (lens.k1 + s * (lens.k2 + s * (lens.k3 + s * (lens.k4 + s * (lens.k5 + s * lens.k6)))))
-    g_s = lens.k4 * 4.0 + s * (5.0 * lens.k5 + s * 6.0 * lens.k6)
-    g_s = lens.k1 + s * (2.0 * lens.k2 + s * (3.0 * lens.k3 + s * g_s))
-    return bend_image(stretch(a, b, g, g_s), lens.p2, lens.p1, lens.s1, lens.s2, lens.s3, lens.s4)
+    g = 1.0 + s * (
+        camera_model.k1
+        + s
+        * (
+            camera_model.k2
+            + s * (camera_model.k3 + s * (camera_model.k4 + s * (camera_model.k5 + s * camera_model.k6)))
+        )
+    )
+    g_s = camera_model.k4 * 4.0 + s * (5.0 * camera_model.k5 + s * 6.0 * camera_model.k6)
+    g_s = camera_model.k1 + s * (2.0 * camera_model.k2 + s * (3.0 * camera_model.k3 + s * g_s))
+    return bend_image(
+        stretch(a, b, g, g_s),
+        camera_model.p2,
+        camera_model.p1,
+        camera_model.s1,
+        camera_model.s2,
+        camera_model.s3,
+        camera_model.s4,
+    )
 
 
 def domain_limit(coefficients: tuple[float, ...]) -> float:
@@ -98,29 +113,29 @@ def domain_limit(coefficients: tuple[float, ...]) -> float:
 
 
 @njit(**INLINE)
-def _lens(numbers):  # type: ignore[no-untyped-def]
-    return RadTanPrismLens(*first_numbers(numbers, _COUNT))
+def _camera_model(numbers):  # type: ignore[no-untyped-def]
+    return RadTanPrismModel(*first_numbers(numbers, _COUNT))
 
 
-@kernel(PICTURE_SIGNATURE, **KERNEL)
-def project_into_picture(points_world, camera_from_world, lens, width, height, kept):  # type: ignore[no-untyped-def]
-    """Keep the points that fall into the picture; see `compiled`."""
-    return pick_points(points_world, camera_from_world, _lens(lens), width, height, kept)
+@kernel(IMAGE_SIGNATURE, **KERNEL)
+def project_into_image(points_world, camera_from_world, camera_model, width, height, kept):  # type: ignore[no-untyped-def]
+    """Keep the points that fall into the image; see `compiled`."""
+    return pick_points(points_world, camera_from_world, _camera_model(camera_model), width, height, kept)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
+def project_points(points_camera, camera_model, pixels):  # type: ignore[no-untyped-def]
     """Give a pixel for every point; see `compiled`."""
-    place_points(points_camera, _lens(lens), pixels)
+    position_points(points_camera, _camera_model(camera_model), pixels)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
+def unproject_pixels(pixels, camera_model, rays):  # type: ignore[no-untyped-def]
     """Give a unit ray for every pixel; see `compiled`."""
-    look_through_chart(pixels, _lens(lens), rays)
+    look_through_chart(pixels, _camera_model(camera_model), rays)
 
 
 @kernel(FOLD_SIGNATURE, **KERNEL)
-def fold_radius(lens: Any) -> Any:
+def fold_radius(camera_model: Any) -> Any:
     """Give the radius of the chart's disk up to which nothing folds, the given limit at most."""
-    return radius_without_fold(_lens(lens))
+    return radius_without_fold(_camera_model(camera_model))

@@ -1,4 +1,4 @@
-"""The lens of one model that comes nearest to a lens of another, and how many pixels it is off."""
+"""The camera model of one model that comes nearest to a camera model of another, and how many pixels it is off."""
 
 import math
 from collections.abc import Callable, Collection, Mapping
@@ -22,13 +22,13 @@ PERSPECTIVE_REACH = math.radians(80.0)
 """How far off its axis a model that ends at 90 degrees is fitted: there it magnifies 33 times already."""
 
 _PERSPECTIVE_COSINE = math.cos(PERSPECTIVE_REACH)
-_PLACES = ("fx", "fy", "cx", "cy")
+_LOCATIONS = ("fx", "fy", "cx", "cy")
 _FITTED_GRID, _MEASURED_GRID = (33, 25), (97, 73)
 _NEAR_AXIS = 1e-4
 _ENOUGH = 1e-6
 """The share of the sum of squares below which a step gains nothing."""
 _PRICE = 200.0
-"""A fit that gives up half a percent of the picture, where a polynomial folds, must be twice as good in the rest."""
+"""A fit that gives up half a percent of the image, where a polynomial folds, must be twice as good in the rest."""
 _EQUALLY_GOOD_PX = 1e-9
 _STAGES = (0, 1, 2, 4, 5, 8, 10, 100)
 """How many coefficients are free in each stage, in the model's order."""
@@ -38,20 +38,20 @@ _STARTS: Mapping[str, float] = MappingProxyType({_SHIFT: 1.0, **dict.fromkeys(_F
 """Coefficients that begin at another value than 0: a sphere of that shift sees behind the camera, and a factor of
 others, all of them 0, would never leave it."""
 _IN_PIXELS, _OFFSET = "ftheta", "k1"
-"""The model whose coefficients hold the focal length, and the one of them that would part the middle of its picture."""
+"""The model whose coefficients hold the focal length, and the one of them that would part the middle of its image."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """A lens that stands in for another one, and how well.
+    """A camera model that stands in for another one, and how well.
 
     Attributes:
-        camera: the lens.
-        largest_px: how far apart the two lenses put what the picture shows, at most [px].
+        camera: the camera model.
+        largest_px: how far apart the two camera models put what the image shows, at most [px].
         rms_px: the root of the mean square of that distance [px].
-        share: which part of what the exact lens sees in its picture the other one can hold, 0 to 1; distances are
+        share: which part of what the exact camera model sees in its image the other one can hold, 0 to 1; distances are
             those of this part.
-        unheld_pixels: (K, 2) float64 [px], those of a grid over the picture that it cannot hold, such as those that
+        unheld_pixels: (K, 2) float64 [px], those of a grid over the image that it cannot hold, such as those that
             look behind the camera under a perspective model.
     """
 
@@ -62,28 +62,29 @@ class Fit:
     unheld_pixels: Float64Array
 
     def message(self, exact: Camera) -> str:
-        """Say in words how well the lens stands in for the exact one."""
+        """Report in words how well the camera model stands in for the exact one."""
         missing = 100.0 * (1.0 - self.share)
-        beyond = f", and {missing:.2g} % of the picture cannot be held" if self.share < 1 else ""
+        beyond = f", and {missing:.2g} % of the image cannot be held" if self.share < 1 else ""
         return (
-            f"{exact.model} lens told as {self.camera.model}, off by up to {self.largest_px:.2g} px, "
+            f"{exact.model} camera model reported as {self.camera.model}, off by up to {self.largest_px:.2g} px, "
             f"{self.rms_px:.2g} px in the mean square{beyond}"
         )
 
 
 def fit(camera: Camera, model: str, *, fixed: Collection[str] = ()) -> Fit:
-    """Find the lens of a model that puts what the picture shows nearest to where the exact lens puts it.
+    """Find the camera model of a model that puts what the image shows nearest to where the exact camera model puts it.
 
-    The sum of squared distances over a grid of the picture's pixels is minimised by the Levenberg-Marquardt method,
-    from the focal length that the lens has on its axis; coefficients are set free group by group.
+    The sum of squared distances over a grid of the image's pixels is minimised by the Levenberg-Marquardt method,
+    from the focal length that the camera model has on its axis; coefficients are set free group by group.
 
     Args:
-        camera: the exact lens.
+        camera: the exact camera model.
         model: a name out of `MODELS`.
-        fixed: numbers that stay: of "fx", "fy", "cx", "cy" as the exact lens has them; coefficients stay 0.
+        fixed: numbers that stay: of "fx", "fy", "cx", "cy" as the exact camera model has them; coefficients stay 0.
 
     Raises:
-        CalibrationError: a model is unknown, or the exact lens sees nothing of its picture that the model could hold.
+        CalibrationError: a model is unknown, or the exact camera model sees nothing of its image that the model could
+            hold.
         OptionError: the model has no number of a name in `fixed`.
     """
     check_camera(camera)
@@ -94,14 +95,14 @@ def fit(camera: Camera, model: str, *, fixed: Collection[str] = ()) -> Fit:
 
 
 def nearest(camera: Camera, models: Mapping[str, Collection[str]]) -> Fit:
-    """Find the lens that comes nearest out of several models.
+    """Find the camera model that comes nearest out of several models.
 
     Args:
-        camera: the exact lens.
+        camera: the exact camera model.
         models: names out of `MODELS`, each with its `fixed` numbers as in `fit`; of equally good ones the first wins.
 
     Raises:
-        CalibrationError: a model is unknown, or none holds anything of what the exact lens sees.
+        CalibrationError: a model is unknown, or none holds anything of what the exact camera model sees.
     """
     fits, refusals = list[Fit](), list[CalibrationError]()
     for model, fixed in models.items():
@@ -120,10 +121,10 @@ def _best(fits: list[Fit]) -> Fit:
 
 
 def measured_fit(exact: Camera, other: Camera) -> Fit:
-    """Measure how well a lens stands in for another, as it is.
+    """Measure how well a camera model stands in for another, as it is.
 
     Raises:
-        CalibrationError: a model is unknown, or the exact lens sees nothing of its picture.
+        CalibrationError: a model is unknown, or the exact camera model sees nothing of its image.
     """
     pixels, rays = _seen_grid(exact, _MEASURED_GRID)
     off = np.hypot(*(project_unbounded(other, rays) - pixels).T)
@@ -138,19 +139,21 @@ def measured_fit(exact: Camera, other: Camera) -> Fit:
 
 
 def _seen_grid(camera: Camera, size: tuple[int, int]) -> tuple[Float64Array, Float64Array]:
-    """Pixels all over the picture, its edges included, and the rays along which they look; only those that do."""
+    """Pixels all over the image, its edges included, and the rays along which they look; only those that do."""
     columns = np.linspace(-0.5, camera.width - 0.5, size[0])
     rows = np.linspace(-0.5, camera.height - 0.5, size[1])
     pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     rays = unproject(camera, pixels)
     seen = np.isfinite(rays).all(axis=1)
     if not seen.any():
-        raise CalibrationError(f"{camera.model} lens: no pixel of its picture looks anywhere; is it folded?")
+        raise CalibrationError(
+            f"{camera.model} camera model: no pixel of its image looks anywhere; is it folded?"
+        )
     return pixels[seen], rays[seen]
 
 
 def _is_perspective(camera: Camera) -> bool:
-    """Whether a lens ends at 90 degrees off its axis, whatever its coefficients are."""
+    """Whether a camera model ends at 90 degrees off its axis, whatever its coefficients are."""
     return MODELS[camera.model].chart is Chart.PERSPECTIVE
 
 
@@ -159,10 +162,10 @@ class _Search:
     """What is searched for.
 
     Attributes:
-        exact: the lens to be replaced.
-        model: of the lens that replaces it.
+        exact: the camera model to be replaced.
+        model: of the camera model that replaces it.
         fixed: names of numbers that stay.
-        pixels: (N, 2) of the exact lens.
+        pixels: (N, 2) of the exact camera model.
         rays: (N, 3) along which it looks there.
     """
 
@@ -174,7 +177,7 @@ class _Search:
 
     @classmethod
     def of(cls, exact: Camera, plain: Camera, fixed: frozenset[str]) -> "_Search":
-        names = (*_PLACES, *MODELS[plain.model].coefficient_names)
+        names = (*_LOCATIONS, *MODELS[plain.model].coefficient_names)
         unknown = sorted(fixed.difference(names))
         if unknown:
             raise OptionError(f"fixed {unknown[0]!r}; {plain.model} has {', '.join(names)}")
@@ -186,26 +189,26 @@ class _Search:
             usable &= rays[:, 2] > _PERSPECTIVE_COSINE
         if not usable.any():
             raise CalibrationError(
-                f"{plain.model} holds nothing of what the {exact.model} lens sees; choose another model"
+                f"{plain.model} holds nothing of what the {exact.model} camera model sees; choose another model"
             )
         return cls(exact, plain.model, fixed, pixels[usable], rays[usable])
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all numbers of the lens."""
-        return (*_PLACES, *MODELS[self.model].coefficient_names)
+        """Names of all numbers of the camera model."""
+        return (*_LOCATIONS, *MODELS[self.model].coefficient_names)
 
     def project(self, numbers: Float64Array) -> Float64Array:
-        """Where the lens of these numbers puts the rays."""
+        """Where the camera model of these numbers puts the rays."""
         return project_beyond_domain(self.model, numbers, self.rays)
 
     def camera(self, numbers: Float64Array) -> Camera:
-        """The lens of these numbers."""
+        """The camera model of these numbers."""
         fx, fy, cx, cy, *coefficients = map(float, numbers)
         return Camera(self.model, self.exact.width, self.exact.height, fx, fy, cx, cy, tuple(coefficients))
 
     def start(self) -> Float64Array:
-        """A lens without distortion that magnifies on its axis as the exact one does."""
+        """A camera model without distortion that magnifies on its axis as the exact one does."""
         exact = self.exact
         coefficients = [0.0 if name in self.fixed else _STARTS.get(name, 0.0) for name in self.names[4:]]
         numbers = np.array([exact.fx, exact.fy, exact.cx, exact.cy, *coefficients])
@@ -221,27 +224,30 @@ class _Search:
         return numbers
 
     def same_names(self) -> Float64Array:
-        """A lens with the coefficients of the exact one, as far as the model has some of those names."""
+        """A camera model with the coefficients of the exact one, as far as the model has some of those names."""
         exact = self.exact
         known = dict(zip(MODELS[exact.model].coefficient_names, exact.coefficients, strict=False))
         coefficients = [0.0 if name in self.fixed else known.get(name, 0.0) for name in self.names[4:]]
         return np.array([exact.fx, exact.fy, exact.cx, exact.cy, *coefficients])
 
     def unshifted(self) -> Float64Array | None:
-        """The start of a model with a shifted sphere without that shift, which is a perspective lens.
+        """The start of a model with a shifted sphere without that shift, which is a perspective camera model.
 
-        None where the model has no shift to be found, or a perspective lens does not see as far.
+        None where the model has no shift to be found, or a perspective camera model does not see as far.
         """
         perspective = (self.rays[:, 2] > _PERSPECTIVE_COSINE).all()
         if _SHIFT not in self.names or _SHIFT in self.fixed or not perspective:
             return None
-        plain, place = self.start(), self.names.index(_SHIFT)
-        plain[:2] /= 1.0 + plain[place]
-        plain[place] = 0.0
+        plain, location = self.start(), self.names.index(_SHIFT)
+        plain[:2] /= 1.0 + plain[location]
+        plain[location] = 0.0
         return plain
 
     def candidates(self) -> list[Camera]:
-        """The lens after each group of numbers that was set free, and the one from coefficients of equal names."""
+        """The camera model after each group of numbers that was set free.
+
+        And the one from coefficients of equal names.
+        """
         stages, found = self._stages(), list[Float64Array]()
         numbers, unshifted = self.start(), self.unshifted()
         for free in stages:
@@ -259,7 +265,7 @@ class _Search:
     def _stages(self) -> list[BoolArray]:
         """Which numbers are free, stage by stage; a model names its coefficients by how common they are."""
         names = self.names
-        always = {*_PLACES, *_STARTS}
+        always = {*_LOCATIONS, *_STARTS}
         groups = [always | set(names[4 : 4 + count]) for count in _STAGES]
         free = [np.array([n in group and n not in self.fixed for n in names]) for group in groups]
         return [one for k, one in enumerate(free) if k == 0 or (one != free[k - 1]).any()]
@@ -292,7 +298,7 @@ class _Search:
 
 
 def _slopes_on_axis(project: Callable[[Float64Array], Float64Array]) -> Float64Array:
-    """How many pixels a lens moves what moves by one radian, near its axis: to the right, and down."""
+    """How many pixels a camera model moves what moves by one radian, near its axis: to the right, and down."""
     sin, cos = math.sin(_NEAR_AXIS), math.cos(_NEAR_AXIS)
     right, left, down, up = project(
         np.array([[sin, 0.0, cos], [-sin, 0.0, cos], [0.0, sin, cos], [0.0, -sin, cos]])

@@ -1,4 +1,4 @@
-"""Fisheye projection whose polynomial gives the distance from the picture's centre in pixels. ASSUMED.
+"""Fisheye projection whose polynomial gives the distance from the image's centre in pixels. ASSUMED.
 
 With θ the angle between the point's direction and the axis
 
@@ -8,7 +8,7 @@ fx and fy take no part. The domain is where 0 <= r, in the cone θ < limit, π a
 k1 other than 0 a point right ahead has no pixel.
 
 Source: the Sensor Fusion Scene format names the model and that it has k1 to k5; that they are these is assumed after
-other lenses of the name, whose polynomial gives pixels from the angle.
+other camera models of the name, whose polynomial gives pixels from the angle.
 """
 
 import math
@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 from numba import njit
 
 from sceneloom.cameras.compiled import (
+    IMAGE_SIGNATURE,
     INLINE,
     KERNEL,
-    PICTURE_SIGNATURE,
     ROWS_SIGNATURE,
     first_numbers,
 )
@@ -34,15 +34,15 @@ from sceneloom.cameras.formulas import (
     project_point,
     use_formulas,
 )
-from sceneloom.cameras.loops import look_off_axis, pick_points, place_points
+from sceneloom.cameras.loops import look_off_axis, pick_points, position_points
 from sceneloom.cameras.off_axis import pixel_off_axis
 from sceneloom.kernels.cache import kernel
 
 _NOTHING_PX = 1e-9
 
 
-class FthetaLens(NamedTuple):
-    """The numbers of a lens, as the compiled functions take them apart."""
+class FthetaModel(NamedTuple):
+    """The numbers of a camera model, as the compiled functions take them apart."""
 
     fx: float
     fy: float
@@ -56,19 +56,22 @@ class FthetaLens(NamedTuple):
     limit: float
 
 
-_COUNT = len(FthetaLens._fields)
+_COUNT = len(FthetaModel._fields)
 
 use_formulas(
-    FthetaLens,
+    FthetaModel,
     {project_point: pixel_off_axis, pixel_of_plane: centred_pixel, plane_of_pixel: plane_of_centred_pixel},
 )
 
 
-@formula_of(FthetaLens, distance_at)
-def _distance(angle: Any, lens: Any) -> Any:
+@formula_of(FthetaModel, distance_at)
+def _distance(angle: Any, camera_model: Any) -> Any:
     return (
-        lens.k1 + angle * (lens.k2 + angle * (lens.k3 + angle * (lens.k4 + angle * lens.k5))),
-        lens.k2 + angle * (2.0 * lens.k3 + angle * (3.0 * lens.k4 + angle * 4.0 * lens.k5)),
+        camera_model.k1
+        + angle
+        * (camera_model.k2 + angle * (camera_model.k3 + angle * (camera_model.k4 + angle * camera_model.k5))),
+        camera_model.k2
+        + angle * (2.0 * camera_model.k3 + angle * (3.0 * camera_model.k4 + angle * 4.0 * camera_model.k5)),
     )
 
 
@@ -81,24 +84,24 @@ def domain_limit(coefficients: tuple[float, ...]) -> float:
 
 
 @njit(**INLINE)
-def _lens(numbers):  # type: ignore[no-untyped-def]
+def _camera_model(numbers):  # type: ignore[no-untyped-def]
     _, _, cx, cy, k1, k2, k3, k4, k5, limit = first_numbers(numbers, _COUNT)
-    return FthetaLens(1.0, 1.0, cx, cy, (k1 if abs(k1) > _NOTHING_PX else 0.0), k2, k3, k4, k5, limit)
+    return FthetaModel(1.0, 1.0, cx, cy, (k1 if abs(k1) > _NOTHING_PX else 0.0), k2, k3, k4, k5, limit)
 
 
-@kernel(PICTURE_SIGNATURE, **KERNEL)
-def project_into_picture(points_world, camera_from_world, lens, width, height, kept):  # type: ignore[no-untyped-def]
-    """Keep the points that fall into the picture; see `compiled`."""
-    return pick_points(points_world, camera_from_world, _lens(lens), width, height, kept)
+@kernel(IMAGE_SIGNATURE, **KERNEL)
+def project_into_image(points_world, camera_from_world, camera_model, width, height, kept):  # type: ignore[no-untyped-def]
+    """Keep the points that fall into the image; see `compiled`."""
+    return pick_points(points_world, camera_from_world, _camera_model(camera_model), width, height, kept)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
+def project_points(points_camera, camera_model, pixels):  # type: ignore[no-untyped-def]
     """Give a pixel for every point; see `compiled`."""
-    place_points(points_camera, _lens(lens), pixels)
+    position_points(points_camera, _camera_model(camera_model), pixels)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
+def unproject_pixels(pixels, camera_model, rays):  # type: ignore[no-untyped-def]
     """Give a unit ray for every pixel; see `compiled`."""
-    look_off_axis(pixels, _lens(lens), rays)
+    look_off_axis(pixels, _camera_model(camera_model), rays)

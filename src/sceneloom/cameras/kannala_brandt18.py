@@ -10,7 +10,7 @@ With θ the angle between the point's direction and the axis, and φ = atan2(Y, 
 The domain is the cone θ < limit, π at most, within which the mapping does not fold.
 
 Source: Kannala and Brandt 2006, "A Generic Camera Model and Calibration Method for Conventional, Wide-Angle, and
-Fish-Eye Lenses", eq. 6, 8, 9 and 10 (there the factor of θ is k1). The order of the coefficients is that of the
+Fish-Eye Camera models", eq. 6, 8, 9 and 10 (there the factor of θ is k1). The order of the coefficients is that of the
 Spectacular AI recording format.
 """
 
@@ -26,9 +26,9 @@ from sceneloom.cameras.charts import (
 )
 from sceneloom.cameras.compiled import (
     FOLD_SIGNATURE,
+    IMAGE_SIGNATURE,
     INLINE,
     KERNEL,
-    PICTURE_SIGNATURE,
     ROWS_SIGNATURE,
     first_numbers,
 )
@@ -44,12 +44,12 @@ from sceneloom.cameras.formulas import (
     ray_of_chart,
     use_formulas,
 )
-from sceneloom.cameras.loops import look_through_chart, pick_points, place_points
+from sceneloom.cameras.loops import look_through_chart, pick_points, position_points
 from sceneloom.kernels.cache import kernel
 
 
-class KannalaBrandt18Lens(NamedTuple):
-    """The numbers of a lens, as the compiled functions take them apart."""
+class KannalaBrandt18Model(NamedTuple):
+    """The numbers of a camera model, as the compiled functions take them apart."""
 
     fx: float
     fy: float
@@ -76,10 +76,10 @@ class KannalaBrandt18Lens(NamedTuple):
     limit: float
 
 
-_COUNT = len(KannalaBrandt18Lens._fields)
+_COUNT = len(KannalaBrandt18Model._fields)
 
 use_formulas(
-    KannalaBrandt18Lens,
+    KannalaBrandt18Model,
     {
         project_point: pixel_by_angle,
         pixel_of_plane: centred_pixel,
@@ -89,26 +89,33 @@ use_formulas(
 )
 
 
-@formula_of(KannalaBrandt18Lens, distort)
-def _distort(a: Any, b: Any, lens: Any) -> Any:
+@formula_of(KannalaBrandt18Model, distort)
+def _distort(a: Any, b: Any, camera_model: Any) -> Any:
     s = a * a + b * b
     angle = math.sqrt(s)
     cosine, sine = (a / angle, b / angle) if angle > 0.0 else (1.0, 0.0)
     cosine_2, sine_2 = cosine * cosine - sine * sine, 2.0 * cosine * sine
-    g = 1.0 + s * (lens.k0 + s * (lens.k1 + s * (lens.k2 + s * lens.k3)))
-    slope = 1.0 + s * (3.0 * lens.k0 + s * (5.0 * lens.k1 + s * (7.0 * lens.k2 + s * 9.0 * lens.k3)))
-    along, along_slope = _amplitude(s, lens.l1, lens.l2, lens.l3)
-    across, across_slope = _amplitude(s, lens.m1, lens.m2, lens.m3)
-    in_i, in_i_turn = _wave(cosine, sine, cosine_2, sine_2, lens.i1, lens.i2, lens.i3, lens.i4)
-    in_j, in_j_turn = _wave(cosine, sine, cosine_2, sine_2, lens.j1, lens.j2, lens.j3, lens.j4)
-    # Both parts over θ, and the slopes along and across the direction, of which (xx, xy, yx, yy) is a turn.
+    g = 1.0 + s * (camera_model.k0 + s * (camera_model.k1 + s * (camera_model.k2 + s * camera_model.k3)))
+    slope = 1.0 + s * (
+        3.0 * camera_model.k0
+        + s * (5.0 * camera_model.k1 + s * (7.0 * camera_model.k2 + s * 9.0 * camera_model.k3))
+    )
+    along, along_slope = _amplitude(s, camera_model.l1, camera_model.l2, camera_model.l3)
+    across, across_slope = _amplitude(s, camera_model.m1, camera_model.m2, camera_model.m3)
+    in_i, in_i_rotation = _wave(
+        cosine, sine, cosine_2, sine_2, camera_model.i1, camera_model.i2, camera_model.i3, camera_model.i4
+    )
+    in_j, in_j_rotation = _wave(
+        cosine, sine, cosine_2, sine_2, camera_model.j1, camera_model.j2, camera_model.j3, camera_model.j4
+    )
+    # Both parts over θ, and the slopes along and across the direction, of which (xx, xy, yx, yy) is a rotation.
     out, aside = g + along * in_i, across * in_j
-    out_out, out_aside = slope + along_slope * in_i, along * in_i_turn - aside
-    aside_out, aside_aside = across_slope * in_j, out + across * in_j_turn
+    out_out, out_aside = slope + along_slope * in_i, along * in_i_rotation - aside
+    aside_out, aside_aside = across_slope * in_j, out + across * in_j_rotation
     return (
         a * out - b * aside,
         b * out + a * aside,
-        *_turned(cosine, sine, out_out, out_aside, aside_out, aside_aside),
+        *_rotated(cosine, sine, out_out, out_aside, aside_out, aside_aside),
     )
 
 
@@ -128,7 +135,7 @@ def _wave(cosine, sine, cosine_2, sine_2, w1, w2, w3, w4):  # type: ignore[no-un
 
 
 @njit(**INLINE)
-def _turned(c, s, pp, pq, qp, qq):  # type: ignore[no-untyped-def]
+def _rotated(c, s, pp, pq, qp, qq):  # type: ignore[no-untyped-def]
     """Give a matrix of the directions along (c, s) and across in those of x and y."""
     return (
         c * c * pp - c * s * (pq + qp) + s * s * qq,
@@ -146,29 +153,29 @@ def domain_limit(coefficients: tuple[float, ...]) -> float:
 
 
 @njit(**INLINE)
-def _lens(numbers):  # type: ignore[no-untyped-def]
-    return KannalaBrandt18Lens(*first_numbers(numbers, _COUNT))
+def _camera_model(numbers):  # type: ignore[no-untyped-def]
+    return KannalaBrandt18Model(*first_numbers(numbers, _COUNT))
 
 
-@kernel(PICTURE_SIGNATURE, **KERNEL)
-def project_into_picture(points_world, camera_from_world, lens, width, height, kept):  # type: ignore[no-untyped-def]
-    """Keep the points that fall into the picture; see `compiled`."""
-    return pick_points(points_world, camera_from_world, _lens(lens), width, height, kept)
+@kernel(IMAGE_SIGNATURE, **KERNEL)
+def project_into_image(points_world, camera_from_world, camera_model, width, height, kept):  # type: ignore[no-untyped-def]
+    """Keep the points that fall into the image; see `compiled`."""
+    return pick_points(points_world, camera_from_world, _camera_model(camera_model), width, height, kept)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
+def project_points(points_camera, camera_model, pixels):  # type: ignore[no-untyped-def]
     """Give a pixel for every point; see `compiled`."""
-    place_points(points_camera, _lens(lens), pixels)
+    position_points(points_camera, _camera_model(camera_model), pixels)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
+def unproject_pixels(pixels, camera_model, rays):  # type: ignore[no-untyped-def]
     """Give a unit ray for every pixel; see `compiled`."""
-    look_through_chart(pixels, _lens(lens), rays)
+    look_through_chart(pixels, _camera_model(camera_model), rays)
 
 
 @kernel(FOLD_SIGNATURE, **KERNEL)
-def fold_radius(lens: Any) -> Any:
+def fold_radius(camera_model: Any) -> Any:
     """Give the radius of the chart's disk up to which nothing folds, the given limit at most."""
-    return radius_without_fold(_lens(lens))
+    return radius_without_fold(_camera_model(camera_model))

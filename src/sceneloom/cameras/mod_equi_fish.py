@@ -1,10 +1,10 @@
-"""Fisheye projection: the distance from the picture's centre is a polynomial of the angle, with even powers too.
+"""Fisheye projection: the distance from the image's centre is a polynomial of the angle, with even powers too.
 
 With θ the angle between the point's direction and the axis
 
     θd = θ (1 + k2 θ² + k3 θ³ + k4 θ⁴),  (x', y') = θd (X, Y) / sqrt(X² + Y²)
 
-k1 has its place among the coefficients and is not used. The domain is the cone θ < limit, π at most, within which
+k1 has its location among the coefficients and is not used. The domain is the cone θ < limit, π at most, within which
 θd grows.
 
 Source: the Sensor Fusion Scene format names the model and its coefficients; the formula is the one that its owner's
@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 from numba import njit
 
 from sceneloom.cameras.compiled import (
+    IMAGE_SIGNATURE,
     INLINE,
     KERNEL,
-    PICTURE_SIGNATURE,
     ROWS_SIGNATURE,
     first_numbers,
 )
@@ -34,13 +34,13 @@ from sceneloom.cameras.formulas import (
     project_point,
     use_formulas,
 )
-from sceneloom.cameras.loops import look_off_axis, pick_points, place_points
+from sceneloom.cameras.loops import look_off_axis, pick_points, position_points
 from sceneloom.cameras.off_axis import pixel_off_axis
 from sceneloom.kernels.cache import kernel
 
 
-class ModEquiFishLens(NamedTuple):
-    """The numbers of a lens, as the compiled functions take them apart."""
+class ModEquiFishModel(NamedTuple):
+    """The numbers of a camera model, as the compiled functions take them apart."""
 
     fx: float
     fy: float
@@ -53,20 +53,20 @@ class ModEquiFishLens(NamedTuple):
     limit: float
 
 
-_COUNT = len(ModEquiFishLens._fields)
+_COUNT = len(ModEquiFishModel._fields)
 
 use_formulas(
-    ModEquiFishLens,
+    ModEquiFishModel,
     {project_point: pixel_off_axis, pixel_of_plane: centred_pixel, plane_of_pixel: plane_of_centred_pixel},
 )
 
 
-@formula_of(ModEquiFishLens, distance_at)
-def _distance(angle: Any, lens: Any) -> Any:
+@formula_of(ModEquiFishModel, distance_at)
+def _distance(angle: Any, camera_model: Any) -> Any:
     s = angle * angle
     return (
-        angle * (1.0 + s * (lens.k2 + angle * (lens.k3 + angle * lens.k4))),
-        1.0 + s * (3.0 * lens.k2 + angle * (4.0 * lens.k3 + angle * 5.0 * lens.k4)),
+        angle * (1.0 + s * (camera_model.k2 + angle * (camera_model.k3 + angle * camera_model.k4))),
+        1.0 + s * (3.0 * camera_model.k2 + angle * (4.0 * camera_model.k3 + angle * 5.0 * camera_model.k4)),
     )
 
 
@@ -77,23 +77,23 @@ def domain_limit(coefficients: tuple[float, ...]) -> float:
 
 
 @njit(**INLINE)
-def _lens(numbers):  # type: ignore[no-untyped-def]
-    return ModEquiFishLens(*first_numbers(numbers, _COUNT))
+def _camera_model(numbers):  # type: ignore[no-untyped-def]
+    return ModEquiFishModel(*first_numbers(numbers, _COUNT))
 
 
-@kernel(PICTURE_SIGNATURE, **KERNEL)
-def project_into_picture(points_world, camera_from_world, lens, width, height, kept):  # type: ignore[no-untyped-def]
-    """Keep the points that fall into the picture; see `compiled`."""
-    return pick_points(points_world, camera_from_world, _lens(lens), width, height, kept)
+@kernel(IMAGE_SIGNATURE, **KERNEL)
+def project_into_image(points_world, camera_from_world, camera_model, width, height, kept):  # type: ignore[no-untyped-def]
+    """Keep the points that fall into the image; see `compiled`."""
+    return pick_points(points_world, camera_from_world, _camera_model(camera_model), width, height, kept)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
+def project_points(points_camera, camera_model, pixels):  # type: ignore[no-untyped-def]
     """Give a pixel for every point; see `compiled`."""
-    place_points(points_camera, _lens(lens), pixels)
+    position_points(points_camera, _camera_model(camera_model), pixels)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
+def unproject_pixels(pixels, camera_model, rays):  # type: ignore[no-untyped-def]
     """Give a unit ray for every pixel; see `compiled`."""
-    look_off_axis(pixels, _lens(lens), rays)
+    look_off_axis(pixels, _camera_model(camera_model), rays)

@@ -18,9 +18,9 @@ from numba import njit
 
 from sceneloom.cameras.angles import angle_off_axis, sine_and_cosine
 from sceneloom.cameras.compiled import (
+    IMAGE_SIGNATURE,
     INLINE,
     KERNEL,
-    PICTURE_SIGNATURE,
     ROWS_SIGNATURE,
     first_numbers,
 )
@@ -35,15 +35,15 @@ from sceneloom.cameras.formulas import (
     project_point,
     use_formulas,
 )
-from sceneloom.cameras.loops import look_off_axis, pick_points, place_points
+from sceneloom.cameras.loops import look_off_axis, pick_points, position_points
 from sceneloom.cameras.off_axis import pixel_off_axis
 from sceneloom.kernels.cache import kernel
 
 _JUST_INSIDE = 1.0 - 1e-9
 
 
-class ModKannalaLens(NamedTuple):
-    """The numbers of a lens, as the compiled functions take them apart."""
+class ModKannalaModel(NamedTuple):
+    """The numbers of a camera model, as the compiled functions take them apart."""
 
     fx: float
     fy: float
@@ -56,20 +56,25 @@ class ModKannalaLens(NamedTuple):
     limit: float
 
 
-_COUNT = len(ModKannalaLens._fields)
+_COUNT = len(ModKannalaModel._fields)
 
 use_formulas(
-    ModKannalaLens,
+    ModKannalaModel,
     {project_point: pixel_off_axis, pixel_of_plane: centred_pixel, plane_of_pixel: plane_of_centred_pixel},
 )
 
 
-@formula_of(ModKannalaLens, distance_at)
-def _distance(angle: Any, lens: Any) -> Any:
+@formula_of(ModKannalaModel, distance_at)
+def _distance(angle: Any, camera_model: Any) -> Any:
     f = angle_off_axis(angle, 1.0)
     s = f * f
-    r = f * (1.0 + s * (lens.k1 + s * (lens.k2 + s * (lens.k3 + s * lens.k4))))
-    r_f = 1.0 + s * (3.0 * lens.k1 + s * (5.0 * lens.k2 + s * (7.0 * lens.k3 + s * 9.0 * lens.k4)))
+    r = f * (
+        1.0 + s * (camera_model.k1 + s * (camera_model.k2 + s * (camera_model.k3 + s * camera_model.k4)))
+    )
+    r_f = 1.0 + s * (
+        3.0 * camera_model.k1
+        + s * (5.0 * camera_model.k2 + s * (7.0 * camera_model.k3 + s * 9.0 * camera_model.k4))
+    )
     sine, cosine = sine_and_cosine(r)
     return sine / cosine, r_f / (cosine * cosine * (1.0 + angle * angle))
 
@@ -83,23 +88,23 @@ def domain_limit(coefficients: tuple[float, ...]) -> float:
 
 
 @njit(**INLINE)
-def _lens(numbers):  # type: ignore[no-untyped-def]
-    return ModKannalaLens(*first_numbers(numbers, _COUNT))
+def _camera_model(numbers):  # type: ignore[no-untyped-def]
+    return ModKannalaModel(*first_numbers(numbers, _COUNT))
 
 
-@kernel(PICTURE_SIGNATURE, **KERNEL)
-def project_into_picture(points_world, camera_from_world, lens, width, height, kept):  # type: ignore[no-untyped-def]
-    """Keep the points that fall into the picture; see `compiled`."""
-    return pick_points(points_world, camera_from_world, _lens(lens), width, height, kept)
+@kernel(IMAGE_SIGNATURE, **KERNEL)
+def project_into_image(points_world, camera_from_world, camera_model, width, height, kept):  # type: ignore[no-untyped-def]
+    """Keep the points that fall into the image; see `compiled`."""
+    return pick_points(points_world, camera_from_world, _camera_model(camera_model), width, height, kept)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
+def project_points(points_camera, camera_model, pixels):  # type: ignore[no-untyped-def]
     """Give a pixel for every point; see `compiled`."""
-    place_points(points_camera, _lens(lens), pixels)
+    position_points(points_camera, _camera_model(camera_model), pixels)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
+def unproject_pixels(pixels, camera_model, rays):  # type: ignore[no-untyped-def]
     """Give a unit ray for every pixel; see `compiled`."""
-    look_off_axis(pixels, _lens(lens), rays)
+    look_off_axis(pixels, _camera_model(camera_model), rays)

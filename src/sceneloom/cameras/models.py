@@ -11,19 +11,19 @@ from numpy.typing import ArrayLike
 
 from sceneloom.arrays import BoolArray, Float64Array, read_only
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.points_in_picture import PointsInPicture
+from sceneloom.cameras.points_in_image import PointsInImage
 from sceneloom.cameras.table import MODELS, Chart, Model
 from sceneloom.errors import ArrayError, CalibrationError
 
 _LARGEST_COEFFICIENT = 1e12
 
-ProjectionKernel = Callable[[Float64Array, Float64Array, Float64Array, int, int, PointsInPicture], int]
+ProjectionKernel = Callable[[Float64Array, Float64Array, Float64Array, int, int, PointsInImage], int]
 
 
 class ModelModule(Protocol):
     """What the module of a model offers; `compiled` describes the functions."""
 
-    project_into_picture: ProjectionKernel
+    project_into_image: ProjectionKernel
     project_points: Callable[[Float64Array, Float64Array, Float64Array], None]
     unproject_pixels: Callable[[Float64Array, Float64Array, Float64Array], None]
     domain_limit: Callable[[tuple[float, ...]], float]
@@ -59,22 +59,22 @@ def check_camera(camera: Camera) -> None:
 
 
 def projection_kernel(model: str) -> ProjectionKernel:
-    """Give the compiled function that picks the points which fall into a picture; for tight loops.
+    """Give the compiled function that picks the points which fall into an image; for tight loops.
 
     It is called with `points_world` (N, 3) float64 [m], `camera_from_world` (3, 4) float64,
-    `lens_vector(camera)`, width and height [px], and `PointsInPicture` with room for N points, which it fills.
+    `intrinsics_vector(camera)`, width and height [px], and `PointsInImage` with room for N points, which it fills.
     It returns how many points it kept; in rows beyond these anything may stand. All arrays are C-contiguous.
     Points with a NaN are never kept.
 
     Raises:
         CalibrationError: there is no such model.
     """
-    return _module(model).project_into_picture
+    return _module(model).project_into_image
 
 
 @lru_cache(maxsize=256)
-def lens_vector(camera: Camera) -> Float64Array:
-    """Give the numbers of a lens as the compiled functions take them.
+def intrinsics_vector(camera: Camera) -> Float64Array:
+    """Give the numbers of a camera model as the compiled functions take them.
 
     Returns:
         Read-only float64: fx, fy, cx, cy, all coefficients of the model with zeros for those not given, and
@@ -91,15 +91,15 @@ def lens_vector(camera: Camera) -> Float64Array:
 
 
 def domain_angle(camera: Camera) -> float:
-    """Give the angle off the axis [rad] within which a lens has a pixel for every direction, π at most.
+    """Give the angle off the axis [rad] within which a camera model has a pixel for every direction, π at most.
 
-    A panorama has one for all directions but straight up and down; its angle is π. An `ftheta` lens whose k1 is not 0
-    has none right ahead.
+    A panorama has one for all directions but straight up and down; its angle is π. An `ftheta` camera model whose k1 is
+    not 0 has none right ahead.
 
     Raises:
         CalibrationError: the model is unknown or the coefficients are too many.
     """
-    limit = float(lens_vector(camera)[-1])
+    limit = float(intrinsics_vector(camera)[-1])
     match MODELS[camera.model].chart:
         case Chart.PERSPECTIVE:
             return math.atan(limit)
@@ -111,7 +111,7 @@ def domain_angle(camera: Camera) -> float:
 
 
 def _angle_on_sphere(limit: float, xi: float) -> float:
-    """The angle off the axis of a place on the plane of the sphere that is seen from xi behind its centre."""
+    """The angle off the axis of a location on the plane of the sphere that is seen from xi behind its centre."""
     if math.isinf(limit):
         return math.acos(-min(xi, 1.0))
     scale = (xi + math.sqrt(max(0.0, 1.0 + (1.0 - xi * xi) * limit * limit))) / (1.0 + limit * limit)
@@ -119,10 +119,10 @@ def _angle_on_sphere(limit: float, xi: float) -> float:
 
 
 def project_unbounded(camera: Camera, points_camera: ArrayLike) -> Float64Array:
-    """Project points onto the plane of the picture, inside the picture or not.
+    """Project points onto the plane of the image, inside the image or not.
 
     Args:
-        camera: the lens.
+        camera: the camera model.
         points_camera: (N, 3) float [m], camera frame.
 
     Returns:
@@ -134,12 +134,12 @@ def project_unbounded(camera: Camera, points_camera: ArrayLike) -> Float64Array:
     """
     points = _rows("points_camera", points_camera, 3)
     pixels = np.empty((len(points), 2))
-    _module(camera.model).project_points(points, lens_vector(camera), pixels)
+    _module(camera.model).project_points(points, intrinsics_vector(camera), pixels)
     return pixels
 
 
 def project_beyond_domain(model: str, numbers: ArrayLike, points_camera: ArrayLike) -> Float64Array:
-    """Project with the bare formulas of a model, beyond folds too: for those who search for a lens's numbers.
+    """Project with the bare formulas of a model, beyond folds too: for those who search for a camera model's numbers.
 
     Args:
         model: a name out of `MODELS`.
@@ -147,7 +147,7 @@ def project_beyond_domain(model: str, numbers: ArrayLike, points_camera: ArrayLi
         points_camera: (N, 3) float [m], camera frame, finite.
 
     Returns:
-        (N, 2) float64 [px]; NaN for points that no lens of this model sees.
+        (N, 2) float64 [px]; NaN for points that no camera model of this model sees.
     """
     points = _rows("points_camera", points_camera, 3)
     pixels = np.empty((len(points), 2))
@@ -156,15 +156,15 @@ def project_beyond_domain(model: str, numbers: ArrayLike, points_camera: ArrayLi
 
 
 def project(camera: Camera, points_camera: ArrayLike) -> tuple[Float64Array, BoolArray]:
-    """Project points into the picture.
+    """Project points into the image.
 
     Args:
-        camera: the lens.
+        camera: the camera model.
         points_camera: (N, 3) float [m], camera frame.
 
     Returns:
         pixels: (N, 2) float64 [px]; NaN where not `visible`.
-        visible: (N,) bool, in front of the camera, inside the model's domain and inside the picture, whose
+        visible: (N,) bool, in front of the camera, inside the model's domain and inside the image, whose
             edges are at -0.5 (inclusive) and width - 0.5 (exclusive), likewise for the height.
 
     Raises:
@@ -182,8 +182,8 @@ def unproject(camera: Camera, pixels: ArrayLike) -> Float64Array:
     """Give the directions that pixels look into; the inverse of `project_unbounded`.
 
     Args:
-        camera: the lens.
-        pixels: (N, 2) float [px], inside the picture or not.
+        camera: the camera model.
+        pixels: (N, 2) float [px], inside the image or not.
 
     Returns:
         (N, 3) float64, unit rays in the camera frame; NaN where no point of the model's domain has that
@@ -193,9 +193,9 @@ def unproject(camera: Camera, pixels: ArrayLike) -> Float64Array:
         ArrayError: `pixels` is not (N, 2).
         CalibrationError: the model is unknown or the coefficients are too many.
     """
-    places = _rows("pixels", pixels, 2)
-    rays = np.empty((len(places), 3))
-    _module(camera.model).unproject_pixels(places, lens_vector(camera), rays)
+    locations = _rows("pixels", pixels, 2)
+    rays = np.empty((len(locations), 3))
+    _module(camera.model).unproject_pixels(locations, intrinsics_vector(camera), rays)
     return rays
 
 

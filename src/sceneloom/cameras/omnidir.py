@@ -1,4 +1,4 @@
-"""Projection over a shifted unit sphere as OpenCV has it: radial and tangential distortion, and a skewed picture.
+"""Projection over a shifted unit sphere as OpenCV has it: radial and tangential distortion, and a skewed image.
 
 With P the distance of the point, x = X/(Z + ξ P), y = Y/(Z + ξ P) and r² = x² + y²
 
@@ -26,9 +26,9 @@ from sceneloom.cameras.charts import (
 )
 from sceneloom.cameras.compiled import (
     FOLD_SIGNATURE,
+    IMAGE_SIGNATURE,
     INLINE,
     KERNEL,
-    PICTURE_SIGNATURE,
     ROWS_SIGNATURE,
     first_numbers,
 )
@@ -42,12 +42,12 @@ from sceneloom.cameras.formulas import (
     ray_of_chart,
     use_formulas,
 )
-from sceneloom.cameras.loops import look_through_chart, pick_points, place_points
+from sceneloom.cameras.loops import look_through_chart, pick_points, position_points
 from sceneloom.kernels.cache import kernel
 
 
-class OmnidirLens(NamedTuple):
-    """The numbers of a lens, as the compiled functions take them apart."""
+class OmnidirModel(NamedTuple):
+    """The numbers of a camera model, as the compiled functions take them apart."""
 
     fx: float
     fy: float
@@ -62,27 +62,27 @@ class OmnidirLens(NamedTuple):
     limit: float
 
 
-_COUNT = len(OmnidirLens._fields)
+_COUNT = len(OmnidirModel._fields)
 
-use_formulas(OmnidirLens, {project_point: pixel_by_sphere, ray_of_chart: ray_by_sphere})
-
-
-@formula_of(OmnidirLens, pixel_of_plane)
-def _skewed_pixel(x: Any, y: Any, lens: Any) -> Any:
-    return lens.fx * x + lens.s * y + lens.cx, lens.fy * y + lens.cy
+use_formulas(OmnidirModel, {project_point: pixel_by_sphere, ray_of_chart: ray_by_sphere})
 
 
-@formula_of(OmnidirLens, plane_of_pixel)
-def _plane_of_skewed_pixel(u: Any, v: Any, lens: Any) -> Any:
-    y = (v - lens.cy) / lens.fy
-    return (u - lens.cx - lens.s * y) / lens.fx, y
+@formula_of(OmnidirModel, pixel_of_plane)
+def _skewed_pixel(x: Any, y: Any, camera_model: Any) -> Any:
+    return camera_model.fx * x + camera_model.s * y + camera_model.cx, camera_model.fy * y + camera_model.cy
 
 
-@formula_of(OmnidirLens, distort)
-def _distort(a: Any, b: Any, lens: Any) -> Any:
+@formula_of(OmnidirModel, plane_of_pixel)
+def _plane_of_skewed_pixel(u: Any, v: Any, camera_model: Any) -> Any:
+    y = (v - camera_model.cy) / camera_model.fy
+    return (u - camera_model.cx - camera_model.s * y) / camera_model.fx, y
+
+
+@formula_of(OmnidirModel, distort)
+def _distort(a: Any, b: Any, camera_model: Any) -> Any:
     s = a * a + b * b
-    g, g_s = 1.0 + s * (lens.k1 + s * lens.k2), lens.k1 + s * 2.0 * lens.k2
-    return shift_and_decentre(a, b, g, g_s, 0.0, 0.0, lens.p1, lens.p2)
+    g, g_s = 1.0 + s * (camera_model.k1 + s * camera_model.k2), camera_model.k1 + s * 2.0 * camera_model.k2
+    return shift_and_decentre(a, b, g, g_s, 0.0, 0.0, camera_model.p1, camera_model.p2)
 
 
 def domain_limit(coefficients: tuple[float, ...]) -> float:
@@ -95,29 +95,29 @@ def domain_limit(coefficients: tuple[float, ...]) -> float:
 
 
 @njit(**INLINE)
-def _lens(numbers):  # type: ignore[no-untyped-def]
-    return OmnidirLens(*first_numbers(numbers, _COUNT))
+def _camera_model(numbers):  # type: ignore[no-untyped-def]
+    return OmnidirModel(*first_numbers(numbers, _COUNT))
 
 
-@kernel(PICTURE_SIGNATURE, **KERNEL)
-def project_into_picture(points_world, camera_from_world, lens, width, height, kept):  # type: ignore[no-untyped-def]
-    """Keep the points that fall into the picture; see `compiled`."""
-    return pick_points(points_world, camera_from_world, _lens(lens), width, height, kept)
+@kernel(IMAGE_SIGNATURE, **KERNEL)
+def project_into_image(points_world, camera_from_world, camera_model, width, height, kept):  # type: ignore[no-untyped-def]
+    """Keep the points that fall into the image; see `compiled`."""
+    return pick_points(points_world, camera_from_world, _camera_model(camera_model), width, height, kept)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
+def project_points(points_camera, camera_model, pixels):  # type: ignore[no-untyped-def]
     """Give a pixel for every point; see `compiled`."""
-    place_points(points_camera, _lens(lens), pixels)
+    position_points(points_camera, _camera_model(camera_model), pixels)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
+def unproject_pixels(pixels, camera_model, rays):  # type: ignore[no-untyped-def]
     """Give a unit ray for every pixel; see `compiled`."""
-    look_through_chart(pixels, _lens(lens), rays)
+    look_through_chart(pixels, _camera_model(camera_model), rays)
 
 
 @kernel(FOLD_SIGNATURE, **KERNEL)
-def fold_radius(lens: Any) -> Any:
+def fold_radius(camera_model: Any) -> Any:
     """Give the radius of the chart's disk up to which nothing folds, the given limit at most."""
-    return radius_without_fold(_lens(lens))
+    return radius_without_fold(_camera_model(camera_model))

@@ -1,4 +1,4 @@
-"""Projection over a shifted unit sphere, with radial and tangential distortion: mirrors and very wide lenses.
+"""Projection over a shifted unit sphere, with radial and tangential distortion: mirrors and very wide camera models.
 
 With P the distance of the point, x = X/(Z + ξ P), y = Y/(Z + ξ P), s = x² + y², a = x + lx and b = y + ly
 
@@ -26,9 +26,9 @@ from sceneloom.cameras.charts import (
 )
 from sceneloom.cameras.compiled import (
     FOLD_SIGNATURE,
+    IMAGE_SIGNATURE,
     INLINE,
     KERNEL,
-    PICTURE_SIGNATURE,
     ROWS_SIGNATURE,
     first_numbers,
 )
@@ -44,12 +44,12 @@ from sceneloom.cameras.formulas import (
     ray_of_chart,
     use_formulas,
 )
-from sceneloom.cameras.loops import look_through_chart, pick_points, place_points
+from sceneloom.cameras.loops import look_through_chart, pick_points, position_points
 from sceneloom.kernels.cache import kernel
 
 
-class OmnidirectionalLens(NamedTuple):
-    """The numbers of a lens, as the compiled functions take them apart."""
+class OmnidirectionalModel(NamedTuple):
+    """The numbers of a camera model, as the compiled functions take them apart."""
 
     fx: float
     fy: float
@@ -67,10 +67,10 @@ class OmnidirectionalLens(NamedTuple):
     limit: float
 
 
-_COUNT = len(OmnidirectionalLens._fields)
+_COUNT = len(OmnidirectionalModel._fields)
 
 use_formulas(
-    OmnidirectionalLens,
+    OmnidirectionalModel,
     {
         project_point: pixel_by_sphere,
         pixel_of_plane: centred_pixel,
@@ -80,12 +80,16 @@ use_formulas(
 )
 
 
-@formula_of(OmnidirectionalLens, distort)
-def _distort(a: Any, b: Any, lens: Any) -> Any:
+@formula_of(OmnidirectionalModel, distort)
+def _distort(a: Any, b: Any, camera_model: Any) -> Any:
     s = a * a + b * b
-    g = 1.0 + s * (lens.k1 + s * (lens.k2 + s * (lens.k3 + s * lens.k4)))
-    g_s = lens.k1 + s * (2.0 * lens.k2 + s * (3.0 * lens.k3 + s * 4.0 * lens.k4))
-    return shift_and_decentre(a, b, g, g_s, lens.lx, lens.ly, lens.p1, lens.p2)
+    g = 1.0 + s * (camera_model.k1 + s * (camera_model.k2 + s * (camera_model.k3 + s * camera_model.k4)))
+    g_s = camera_model.k1 + s * (
+        2.0 * camera_model.k2 + s * (3.0 * camera_model.k3 + s * 4.0 * camera_model.k4)
+    )
+    return shift_and_decentre(
+        a, b, g, g_s, camera_model.lx, camera_model.ly, camera_model.p1, camera_model.p2
+    )
 
 
 def domain_limit(coefficients: tuple[float, ...]) -> float:
@@ -99,29 +103,29 @@ def domain_limit(coefficients: tuple[float, ...]) -> float:
 
 
 @njit(**INLINE)
-def _lens(numbers):  # type: ignore[no-untyped-def]
-    return OmnidirectionalLens(*first_numbers(numbers, _COUNT))
+def _camera_model(numbers):  # type: ignore[no-untyped-def]
+    return OmnidirectionalModel(*first_numbers(numbers, _COUNT))
 
 
-@kernel(PICTURE_SIGNATURE, **KERNEL)
-def project_into_picture(points_world, camera_from_world, lens, width, height, kept):  # type: ignore[no-untyped-def]
-    """Keep the points that fall into the picture; see `compiled`."""
-    return pick_points(points_world, camera_from_world, _lens(lens), width, height, kept)
+@kernel(IMAGE_SIGNATURE, **KERNEL)
+def project_into_image(points_world, camera_from_world, camera_model, width, height, kept):  # type: ignore[no-untyped-def]
+    """Keep the points that fall into the image; see `compiled`."""
+    return pick_points(points_world, camera_from_world, _camera_model(camera_model), width, height, kept)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
+def project_points(points_camera, camera_model, pixels):  # type: ignore[no-untyped-def]
     """Give a pixel for every point; see `compiled`."""
-    place_points(points_camera, _lens(lens), pixels)
+    position_points(points_camera, _camera_model(camera_model), pixels)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
+def unproject_pixels(pixels, camera_model, rays):  # type: ignore[no-untyped-def]
     """Give a unit ray for every pixel; see `compiled`."""
-    look_through_chart(pixels, _lens(lens), rays)
+    look_through_chart(pixels, _camera_model(camera_model), rays)
 
 
 @kernel(FOLD_SIGNATURE, **KERNEL)
-def fold_radius(lens: Any) -> Any:
+def fold_radius(camera_model: Any) -> Any:
     """Give the radius of the chart's disk up to which nothing folds, the given limit at most."""
-    return radius_without_fold(_lens(lens))
+    return radius_without_fold(_camera_model(camera_model))

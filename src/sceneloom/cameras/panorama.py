@@ -11,7 +11,7 @@ from sceneloom.cameras.compiled import INLINE
 NEAREST = 1e-6
 """Directions nearer to straight up or down [rad] have no pixel: rounding would decide on its column."""
 
-HALF_TURN = 0.5 * math.pi + 1e-3
+HALF_ROTATION = 0.5 * math.pi + 1e-3
 _SEAM = math.pi + 1e-12
 
 
@@ -22,7 +22,7 @@ def azimuth(side, ahead):  # type: ignore[no-untyped-def]
 
 
 @njit(**INLINE)
-def azimuth_of_column(u: Any, lens: Any) -> Any:
+def azimuth_of_column(u: Any, camera_model: Any) -> Any:
     """Give the angle that a column stands for; NaN beyond the seam."""
-    about = (u - lens.cx) / lens.fx
+    about = (u - camera_model.cx) / camera_model.fx
     return min(max(about, -math.pi), math.pi) if abs(about) <= _SEAM else math.nan

@@ -10,10 +10,10 @@ from numba import njit
 
 from sceneloom.cameras.charts import ray_in_perspective
 from sceneloom.cameras.compiled import (
+    IMAGE_SIGNATURE,
     INLINE,
     KERNEL,
     MINIMUM_DEPTH,
-    PICTURE_SIGNATURE,
     ROWS_SIGNATURE,
     first_numbers,
 )
@@ -28,12 +28,12 @@ from sceneloom.cameras.formulas import (
     ray_of_pixel,
     use_formulas,
 )
-from sceneloom.cameras.loops import look_along, pick_points, place_points
+from sceneloom.cameras.loops import look_along, pick_points, position_points
 from sceneloom.kernels.cache import kernel
 
 
-class PinholeLens(NamedTuple):
-    """The numbers of a lens, as the compiled functions take them apart."""
+class PinholeModel(NamedTuple):
+    """The numbers of a camera model, as the compiled functions take them apart."""
 
     fx: float
     fy: float
@@ -42,11 +42,11 @@ class PinholeLens(NamedTuple):
     limit: float
 
 
-_COUNT = len(PinholeLens._fields)
+_COUNT = len(PinholeModel._fields)
 
 
 use_formulas(
-    PinholeLens,
+    PinholeModel,
     {
         pixel_of_plane: centred_pixel,
         plane_of_pixel: plane_of_centred_pixel,
@@ -55,16 +55,16 @@ use_formulas(
 )
 
 
-@formula_of(PinholeLens, project_point)
-def _project(x: Any, y: Any, z: Any, lens: Any) -> Any:
-    u, v = pixel_of_plane(x / z, y / z, lens)
+@formula_of(PinholeModel, project_point)
+def _project(x: Any, y: Any, z: Any, camera_model: Any) -> Any:
+    u, v = pixel_of_plane(x / z, y / z, camera_model)
     return (u if z > MINIMUM_DEPTH else math.nan), v
 
 
-@formula_of(PinholeLens, ray_of_pixel)
-def _ray(u: Any, v: Any, lens: Any) -> Any:
-    x, y = plane_of_pixel(u, v, lens)
-    return ray_of_chart(x, y, lens)
+@formula_of(PinholeModel, ray_of_pixel)
+def _ray(u: Any, v: Any, camera_model: Any) -> Any:
+    x, y = plane_of_pixel(u, v, camera_model)
+    return ray_of_chart(x, y, camera_model)
 
 
 def domain_limit(_coefficients: tuple[float, ...]) -> float:
@@ -73,23 +73,23 @@ def domain_limit(_coefficients: tuple[float, ...]) -> float:
 
 
 @njit(**INLINE)
-def _lens(numbers):  # type: ignore[no-untyped-def]
-    return PinholeLens(*first_numbers(numbers, _COUNT))
+def _camera_model(numbers):  # type: ignore[no-untyped-def]
+    return PinholeModel(*first_numbers(numbers, _COUNT))
 
 
-@kernel(PICTURE_SIGNATURE, **KERNEL)
-def project_into_picture(points_world, camera_from_world, lens, width, height, kept):  # type: ignore[no-untyped-def]
-    """Keep the points that fall into the picture; see `compiled`."""
-    return pick_points(points_world, camera_from_world, _lens(lens), width, height, kept)
+@kernel(IMAGE_SIGNATURE, **KERNEL)
+def project_into_image(points_world, camera_from_world, camera_model, width, height, kept):  # type: ignore[no-untyped-def]
+    """Keep the points that fall into the image; see `compiled`."""
+    return pick_points(points_world, camera_from_world, _camera_model(camera_model), width, height, kept)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def project_points(points_camera, lens, pixels):  # type: ignore[no-untyped-def]
+def project_points(points_camera, camera_model, pixels):  # type: ignore[no-untyped-def]
     """Give a pixel for every point; see `compiled`."""
-    place_points(points_camera, _lens(lens), pixels)
+    position_points(points_camera, _camera_model(camera_model), pixels)
 
 
 @kernel(ROWS_SIGNATURE, **KERNEL)
-def unproject_pixels(pixels, lens, rays):  # type: ignore[no-untyped-def]
+def unproject_pixels(pixels, camera_model, rays):  # type: ignore[no-untyped-def]
     """Give a unit ray for every pixel; see `compiled`."""
-    look_along(pixels, _lens(lens), rays)
+    look_along(pixels, _camera_model(camera_model), rays)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 
 class Chart(StrEnum):
-    """What a model's domain is a disk of, and so what the last number of `lens_vector` is the radius of."""
+    """What a model's domain is a disk of, and so what the last number of `intrinsics_vector` is the radius of."""
 
     PERSPECTIVE = "perspective"
     """The plane z = 1."""
@@ -28,8 +28,9 @@ class Model(NamedTuple):
         chart: what the domain is a disk of.
         source: where the formula comes from.
         assumed: whether no source confirms the formula.
-        on_request: whether what is assumed is so much that a lens is computed with only where a user asks for it.
-        pixel_axes: of coefficients in pixels, the axis of the picture that they are measured along: "u", "v",
+        on_request: whether what is assumed is so much that a camera model is computed with only where a user asks for
+            it.
+        pixel_axes: of coefficients in pixels, the axis of the image that they are measured along: "u", "v",
             or "uv" in all directions.
     """
 
@@ -98,7 +99,7 @@ MODELS: Mapping[str, Model] = MappingProxyType(
             "ftheta",
             "k1 k2 k3 k4 k5",
             Chart.ANGLE,
-            "after other lenses of the name",
+            "after other camera models of the name",
             assumed=True,
             on_request=True,
             pixel_axes=dict.fromkeys(("k1", "k2", "k3", "k4", "k5"), "uv"),

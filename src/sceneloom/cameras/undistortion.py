@@ -1,4 +1,4 @@
-"""Pictures as another lens would have taken them from the same place, such as one without distortion."""
+"""Images as another camera model would have taken them from the same location, such as one without distortion."""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from sceneloom.cameras.models import project_unbounded, unproject
 from sceneloom.errors import CalibrationError, OptionError
 
 WIDEST = math.radians(75.0)
-"""How far off its axis a picture without distortion is made to look at most: there it magnifies 15 times already."""
+"""How far off its axis an image without distortion is made to look at most: there it magnifies 15 times already."""
 
 _BORDER_STEPS = 65
 _BISECTIONS = 40
@@ -22,83 +22,83 @@ _ROWS_AT_ONCE = 128
 
 @dataclass(frozen=True, eq=False)
 class Undistortion:
-    """Where each pixel of a new lens is found in the pictures of an old one; computed once, used for each picture.
+    """Where each pixel of a new camera model is found in the images of an old one; computed once, used for each image.
 
     Attributes:
-        source: the lens that took the pictures.
-        target: the lens of the new pictures.
-        places: (h, w, 2) float32 [px], column and row in the old picture of each new pixel; NaN where the old lens
-            has none or the new one looks nowhere.
+        source: the camera model that took the images.
+        target: the camera model of the new images.
+        locations: (h, w, 2) float32 [px], column and row in the old image of each new pixel; NaN where the old camera
+            model has none or the new one looks nowhere.
     """
 
     source: Camera
     target: Camera
-    places: Float32Array
+    locations: Float32Array
 
     @classmethod
     def between(cls, source: Camera, target: Camera | None = None) -> Self:
-        """Compute the places; the new lens is `undistorted_camera(source)` unless it is given.
+        """Compute the locations; the new camera model is `undistorted_camera(source)` unless it is given.
 
         Raises:
-            CalibrationError: a model is unknown, or the old lens does not see the middle of its picture.
+            CalibrationError: a model is unknown, or the old camera model does not see the middle of its image.
         """
         new = undistorted_camera(source) if target is None else target
-        places = np.empty((new.height, new.width, 2), np.float32)
+        locations = np.empty((new.height, new.width, 2), np.float32)
         for start in range(0, new.height, _ROWS_AT_ONCE):
             rows = np.arange(start, min(start + _ROWS_AT_ONCE, new.height), dtype=np.float64)
             pixels = np.stack(np.meshgrid(np.arange(new.width, dtype=np.float64), rows), axis=-1)
             found = project_unbounded(source, unproject(new, pixels.reshape(-1, 2)))
-            places[start : start + len(rows)] = found.reshape(pixels.shape)
-        return cls(source, new, read_only(places))
+            locations[start : start + len(rows)] = found.reshape(pixels.shape)
+        return cls(source, new, read_only(locations))
 
     @cached_property
     def seen(self) -> BoolArray:
-        """(h, w) bool: which new pixels lie in the old picture."""
+        """(h, w) bool: which new pixels lie in the old image."""
         size = np.array([self.source.width, self.source.height], np.float32)
-        inside: BoolArray = np.all((self.places >= -0.5) & (self.places < size - 0.5), axis=-1)
+        inside: BoolArray = np.all((self.locations >= -0.5) & (self.locations < size - 0.5), axis=-1)
         return read_only(inside)
 
     def apply(self, rgb: UInt8Array, *, fill: int = 0) -> UInt8Array:
-        """Resample one picture, blending the four pixels around each place.
+        """Resample one image, blending the four pixels around each location.
 
         Args:
-            rgb: (H, W, C) uint8, a picture of the old lens.
+            rgb: (H, W, C) uint8, an image of the old camera model.
             fill: the value of pixels that are not `seen`.
 
         Returns:
             (h, w, C) uint8.
 
         Raises:
-            ArrayError: the picture is not of the old lens's size, or not of that dtype.
+            ArrayError: the image is not of the old camera model's size, or not of that dtype.
         """
         from sceneloom.kernels.resampling import resample_bilinear
 
         check_array("rgb", rgb, (self.source.height, self.source.width, None), np.uint8)
-        out = np.full((*self.places.shape[:2], rgb.shape[2]), fill, np.uint8)
-        filled = np.empty(self.places.shape[:2], np.bool_)
-        resample_bilinear(np.ascontiguousarray(rgb), self.places, out, filled)
+        out = np.full((*self.locations.shape[:2], rgb.shape[2]), fill, np.uint8)
+        filled = np.empty(self.locations.shape[:2], np.bool_)
+        resample_bilinear(np.ascontiguousarray(rgb), self.locations, out, filled)
         return out
 
 
 def undistort(
     camera: Camera, rgb: UInt8Array, *, to: Camera | None = None, keep: float = 0.0, fill: int = 0
 ) -> tuple[UInt8Array, BoolArray]:
-    """Resample one picture from a lens to another; for many pictures, keep an `Undistortion`.
+    """Resample one image from a camera model to another; for many images, keep an `Undistortion`.
 
     Args:
-        camera: the lens that took the picture.
+        camera: the camera model that took the image.
         rgb: (H, W, C) uint8.
-        to: the new lens; None for `undistorted_camera(camera, keep=keep)`.
+        to: the new camera model; None for `undistorted_camera(camera, keep=keep)`.
         keep: see there.
-        fill: the value of new pixels that the old picture does not show.
+        fill: the value of new pixels that the old image does not show.
 
     Returns:
-        picture: (h, w, C) uint8.
-        seen: (h, w) bool, which of its pixels the old picture shows.
+        image: (h, w, C) uint8.
+        seen: (h, w) bool, which of its pixels the old image shows.
 
     Raises:
-        ArrayError: the picture is not of the lens's size, or not of that dtype.
-        CalibrationError: a model is unknown, or the lens does not see the middle of its picture.
+        ArrayError: the image is not of the camera model's size, or not of that dtype.
+        CalibrationError: a model is unknown, or the camera model does not see the middle of its image.
         OptionError: `keep` is not between 0 and 1.
     """
     maps = Undistortion.between(camera, undistorted_camera(camera, keep=keep) if to is None else to)
@@ -108,20 +108,20 @@ def undistort(
 def undistorted_camera(
     camera: Camera, *, keep: float = 0.0, width: int | None = None, height: int | None = None
 ) -> Camera:
-    """Choose the pinhole whose picture shows what a lens shows.
+    """Choose the pinhole whose image shows what a camera model shows.
 
-    Its axis and the ratio of its focal lengths are those of the lens, and it looks no further than `WIDEST` off
+    Its axis and the ratio of its focal lengths are those of the camera model, and it looks no further than `WIDEST` off
     the axis.
 
     Args:
-        camera: the lens.
-        keep: 0 for a picture all of whose pixels the old one shows; 1 for one that shows all that the old one
+        camera: the camera model.
+        keep: 0 for an image all of whose pixels the old one shows; 1 for one that shows all that the old one
             does; between, focal lengths and centre go evenly from one to the other.
-        width: of the new picture [px]; None for the old one's.
+        width: of the new image [px]; None for the old one's.
         height: likewise.
 
     Raises:
-        CalibrationError: the model is unknown, or the lens does not see the middle of its picture.
+        CalibrationError: the model is unknown, or the camera model does not see the middle of its image.
         OptionError: `keep` is not between 0 and 1.
     """
     if not 0.0 <= keep <= 1.0:
@@ -143,16 +143,16 @@ def undistorted_camera(
 
 
 def _border_on_plane(camera: Camera) -> tuple[Float64Array, ...]:
-    """Where the picture's left, upper, right and lower border are on the plane z = 1, each (M, 2).
+    """Where the image's left, upper, right and lower border are on the plane z = 1, each (M, 2).
 
-    A border pixel that looks nowhere or too far off the axis gives way to the last one towards the picture's middle
+    A border pixel that looks nowhere or too far off the axis gives way to the last one towards the image's middle
     that does not.
     """
     middle = 0.5 * np.array([camera.width - 1.0, camera.height - 1.0])
     if not _sees(camera, middle[None])[0]:
         raise CalibrationError(
-            f"{camera.model} lens: the middle of its picture looks nowhere, or more than "
-            f"{math.degrees(WIDEST):.0f} degrees off the axis; expected a lens that a pinhole can stand for"
+            f"{camera.model} camera model: the middle of its image looks nowhere, or more than "
+            f"{math.degrees(WIDEST):.0f} degrees off the axis; expected a camera model that a pinhole can stand for"
         )
     along = np.linspace(-1.0, 1.0, _BORDER_STEPS)
     ones = np.ones(_BORDER_STEPS)

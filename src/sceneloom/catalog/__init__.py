@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
-    from sceneloom.catalog.asking import query
     from sceneloom.catalog.building import CatalogReport, build, update
     from sceneloom.catalog.database import Database, Result, opened
     from sceneloom.catalog.drives import Checks, Drive
+    from sceneloom.catalog.query import query
     from sceneloom.catalog.results import format_csv, iter_list, records
     from sceneloom.catalog.running import Failure
     from sceneloom.catalog.selection import SHOWN, Selection, sql_of
@@ -35,7 +35,7 @@ else:
             "format_csv": "sceneloom.catalog.results:format_csv",
             "iter_list": "sceneloom.catalog.results:iter_list",
             "opened": "sceneloom.catalog.database:opened",
-            "query": "sceneloom.catalog.asking:query",
+            "query": "sceneloom.catalog.query:query",
             "records": "sceneloom.catalog.results:records",
             "sql_of": "sceneloom.catalog.selection:sql_of",
             "update": "sceneloom.catalog.building:update",

@@ -1,4 +1,4 @@
-"""Rows of attributes: what is said about a scene, its sensors and its annotations, and when."""
+"""Rows of attributes: what is stated about a scene, its sensors and its annotations, and when."""
 
 import json
 import math

@@ -30,7 +30,7 @@ class BoxRows:
     Attributes:
         tracks: (N,) int64, number of the annotation.
         timestamps_ns: (N,) int64 [ns].
-        solids: (N, 8) float64: centre [m], length, width, height [m], yaw [rad], speed [m/s]; NaN of boxes in pictures.
+        solids: (N, 8) float64: centre [m], length, width, height [m], yaw [rad], speed [m/s]; NaN of boxes in images.
         flats: (N, 4) float64 [px]: left, top, width, height; NaN of boxes in space.
     """
 
@@ -51,9 +51,9 @@ class BoxRows:
 
 
 def box_rows(scene: Scene, moments_ns: Int64Array) -> BoxRows:
-    """Give each box at each of the scene's moments at which it is there, or at its own stamps where it is at none.
+    """Give each box at each of the scene's moments at which it is there, or at its own timestamps where it is at none.
 
-    Boxes in pictures are given at the times of their camera's pictures.
+    Boxes in images are given at the times of their camera's images.
 
     Args:
         scene: the scene.
@@ -63,26 +63,26 @@ def box_rows(scene: Scene, moments_ns: Int64Array) -> BoxRows:
         OptionError: unit or order of the cuboids' angles is none of those known.
     """
     angles = CuboidAngles.of(scene)
-    pictures_ns = {key_of(sensor.id): np.unique(frame_times(sensor)) for sensor in scene.sensors}
+    images_ns = {key_of(sensor.id): np.unique(frame_times(sensor)) for sensor in scene.sensors}
     parts = []
     for track, annotation in enumerate(scene.annotations):
         if isinstance(annotation, CuboidAnnotation) and len(annotation.path.timestamps_ns):
             parts.append(_solid(track, annotation, _times(annotation, moments_ns), angles))
         elif isinstance(annotation, Box2DAnnotation) and len(annotation.path.timestamps_ns):
-            own_ns = pictures_ns.get(key_of(annotation.sensor_id), moments_ns)
+            own_ns = images_ns.get(key_of(annotation.sensor_id), moments_ns)
             parts.append(_flat(track, annotation, _times(annotation, own_ns)))
     return BoxRows.joined(parts)
 
 
 def _times(annotation: CuboidAnnotation | Box2DAnnotation, moments_ns: Int64Array) -> Int64Array:
-    stamps = annotation.path.timestamps_ns
+    timestamps = annotation.path.timestamps_ns
     if annotation.stationary and len(moments_ns):
         return moments_ns
     inside = slice(
-        np.searchsorted(moments_ns, stamps.min()), np.searchsorted(moments_ns, stamps.max(), "right")
+        np.searchsorted(moments_ns, timestamps.min()), np.searchsorted(moments_ns, timestamps.max(), "right")
     )
     times = moments_ns[inside]
-    return times if len(times) else np.unique(stamps)
+    return times if len(times) else np.unique(timestamps)
 
 
 def _solid(track: int, annotation: CuboidAnnotation, times_ns: Int64Array, angles: CuboidAngles) -> BoxRows:
@@ -112,14 +112,14 @@ def _speeds(centers: Float64Array, times_ns: Int64Array) -> Float64Array:
 
 def annotation_rows(scene: Scene, ego: Ego, rows: BoxRows, start_ns: int) -> Rows:
     """Give the table `annotations`."""
-    said = [_said(annotation) for annotation in scene.annotations]
+    stated = [_stated(annotation) for annotation in scene.annotations]
     texts = {
-        name: Repeated(rows.tracks, tuple(row[name] for row in said))
+        name: Repeated(rows.tracks, tuple(row[name] for row in stated))
         for name in ("annotation", "type", "label", "sensor")
     }
     # all boxes of a moment share what is known of the ego then
     moments_ns, of_row = np.unique(rows.timestamps_ns, return_inverse=True)
-    places = ego.places_lla(moments_ns)[of_row]
+    locations = ego.positions_lla(moments_ns)[of_row]
     names = ("x", "y", "z", "length", "width", "height", "yaw", "speed")
     flat_names = ("left_px", "top_px", "width_px", "height_px")
     return {
@@ -130,8 +130,8 @@ def annotation_rows(scene: Scene, ego: Ego, rows: BoxRows, start_ns: int) -> Row
         **{name: rows.solids[:, k] for k, name in enumerate(names)},
         "distance": distances(scene, ego, rows),
         **{name: rows.flats[:, k] for k, name in enumerate(flat_names)},
-        "latitude": places[:, 0],
-        "longitude": places[:, 1],
+        "latitude": locations[:, 0],
+        "longitude": locations[:, 1],
         "ego_speed": ego.speeds(moments_ns)[of_row],
     }
 
@@ -147,7 +147,7 @@ def distances(scene: Scene, ego: Ego, rows: BoxRows) -> Float64Array:
     return away
 
 
-def _said(annotation: Any) -> dict[str, str | None]:
+def _stated(annotation: Any) -> dict[str, str | None]:
     return {
         "annotation": text_of(annotation.id),
         "type": str(annotation.type),
@@ -169,9 +169,9 @@ def track_rows(scene: Scene, rows: BoxRows, away: Float64Array, start_ns: int) -
         numbers[track, :2] = (int(times[0]) - start_ns) / 1e9, (int(times[-1]) - start_ns) / 1e9
         numbers[track, 2] = np.linalg.norm(np.diff(rows.solids[mine, :3], axis=0), axis=1).sum()
         numbers[track, 3] = np.fmin.reduce(away[mine])
-    said = [_said(annotation) for annotation in scene.annotations]
+    stated = [_stated(annotation) for annotation in scene.annotations]
     texts = {
-        name: [row[name] for row in said] for name in ("annotation", "type", "label", "parent", "sensor")
+        name: [row[name] for row in stated] for name in ("annotation", "type", "label", "parent", "sensor")
     }
     return {
         "track": np.arange(count),

@@ -112,9 +112,9 @@ def update(
         parts = Parts(layout)
         if chosen:
             return _updated(layout, parts, chosen, how, workers=workers, progress=progress)
-        standing = [Drive(entry.path, entry.options) for entry in parts.entries.values()]
-        gone = gone_of(standing)
-        there = [drive for drive in standing if drive not in gone]
+        stationary = [Drive(entry.path, entry.options) for entry in parts.entries.values()]
+        gone = gone_of(stationary)
+        there = [drive for drive in stationary if drive not in gone]
         if prune:
             parts.remove({drive.name for drive in gone})
         report = _updated(layout, parts, there, how, workers=workers, progress=progress)
@@ -136,7 +136,7 @@ def _drives(drives: Iterable[str | Path | Drive], reading: Mapping[str, Any]) ->
         text = path if isinstance(path, str) else str(path.absolute())
         if is_url(text) and redacted(text) != text:
             raise OptionError(
-                f"{redacted(text)}: catalogues keep addresses, and this one holds a secret; say it in the environment"
+                f"{redacted(text)}: catalogues keep addresses, and this one holds a secret; state it in the environment"
             )
         drive = Drive(text, {**reading, **own.reading})
         found.setdefault(drive.name, drive)
@@ -154,16 +154,20 @@ def _updated(
 ) -> CatalogReport:
     known, whole = parts.entries, parts.whole()
     files = looked_at(drives)
-    stamps = {drive.name: drive.stamp(checks, files[drive.path]) for drive in drives}
+    timestamps = {drive.name: drive.timestamp(checks, files[drive.path]) for drive in drives}
     due = [
         drive
         for drive in drives
-        if not stamps[drive.name] or drive.name not in whole or whole[drive.name].stamp != stamps[drive.name]
+        if not timestamps[drive.name]
+        or drive.name not in whole
+        or whole[drive.name].timestamp != timestamps[drive.name]
     ]
     run = Run(parts, layout.drafts, checks, workers=workers, progress=progress)
     run.go(due, files, done=len(drives) - len(due))
     lost = [
-        Failure(path=damage.file, error=f"{damage}; delete it, and say `update` with the paths of its drives")
+        Failure(
+            path=damage.file, error=f"{damage}; delete it, and state `update` with the paths of its drives"
+        )
         for damage in parts.lost
     ]
     return CatalogReport(

@@ -72,7 +72,7 @@ class Database:
             statements = self._connection.extract_statements(sql)
             self._check(statements)
         except self._duckdb.Error as error:
-            raise self._told(error) from error
+            raise self._reported(error) from error
         self._view_tables()
         self._connection.execute("BEGIN TRANSACTION READ ONLY")
         try:
@@ -82,8 +82,8 @@ class Database:
                 return Result(columns, self._connection.fetchall())
             return Result(columns, self._connection.fetchmany(limit))
         except self._duckdb.Error as error:
-            raise self._told(error) from error
-        except (OverflowError, ValueError) as error:  # of the way from DuckDB's values to Python's
+            raise self._reported(error) from error
+        except (OverflowError, ValueError) as error:  # of the trajectory from DuckDB's values to Python's
             raise OptionError(f"SQL: a value that Python cannot hold ({error}); cast it to text") from error
         finally:
             self._connection.execute("ROLLBACK")
@@ -102,7 +102,7 @@ class Database:
         if kind not in _READING:
             raise OptionError(f"SQL that is {kind}; a catalogue is only read: expected SELECT")
 
-    def _told(self, error: Exception) -> Exception:
+    def _reported(self, error: Exception) -> Exception:
         """An error of DuckDB's as one of ours: what was asked is wrong, or what was found."""
         text = " ".join(str(error).split())
         if any(words in text for words in _ABOUT_A_FILE):
@@ -155,7 +155,7 @@ def opened(catalogue: str | Path) -> Iterator[Database]:
             for setting in _SEALED:
                 connection.execute(setting)
         except duckdb.Error as error:
-            raise database._told(error) from error  # noqa: SLF001 - of this module
+            raise database._reported(error) from error  # noqa: SLF001 - of this module
         yield database
 
 

@@ -1,4 +1,7 @@
-"""The rows of one scene on their way into a catalogue: a folder with a file in Arrow's own form for each table."""
+"""The rows of one scene on their trajectory into a catalogue.
+
+A folder with a file in Arrow's own form for each table.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -27,7 +27,7 @@ class Checks(StrEnum):
 
     NONE = "none"
     QUICK = "quick"
-    """Without reading frames and pictures."""
+    """Without reading frames and images."""
     FULL = "full"
 
 
@@ -55,10 +55,10 @@ class Drive:
         """What its scene is called in the catalogue."""
         return scene_name(self.path, self.reading)
 
-    def stamp(self, checks: Checks, files: str) -> str:
-        """What tells it, its files by `looked_at`, and how it is catalogued from another time; "" for not known."""
-        told = repr((files, VERSION, __version__, checks.value))
-        return blake2b(told.encode(), digest_size=16).hexdigest() if files else ""
+    def timestamp(self, checks: Checks, files: str) -> str:
+        """What reports it, its files by `looked_at`, and how it is catalogued from another time; "" for not known."""
+        reported = repr((files, VERSION, __version__, checks.value))
+        return blake2b(reported.encode(), digest_size=16).hexdigest() if files else ""
 
 
 def gone_of(drives: Iterable[Drive]) -> list[Drive]:
@@ -78,7 +78,7 @@ def _is_gone(drive: Drive, names: Callable[[Path], Sequence[Path | str]]) -> boo
     except OptionError:
         return True
     except SceneloomError:
-        return False  # reading it tells why
+        return False  # reading it reports why
     return False
 
 
@@ -89,17 +89,18 @@ def looked_at(drives: Iterable[Drive]) -> dict[str, str]:
         try:
             found[path] = fingerprint(path)
         except DataError:
-            found[path] = ""  # reading it tells why
+            found[path] = ""  # reading it reports why
     return found
 
 
-def read_drive(place: str, output: Path, options: Mapping[str, Any]) -> int:
+def read_drive(location: str, output: Path, options: Mapping[str, Any]) -> int:
     """Read a drive and write the rows of all its tables.
 
     Args:
-        place: path or URL of the drive.
+        location: path or URL of the drive.
         output: folder to write (`write_draft`).
-        options: `scene`, its name; `stamp`, what tells it from another time; `checks`; `reading`, options for opening.
+        options: `scene`, its name; `timestamp`, what reports it from another time; `checks`; `reading`, options for
+            opening.
 
     Returns:
         the number of rows of the longest table.
@@ -107,20 +108,20 @@ def read_drive(place: str, output: Path, options: Mapping[str, Any]) -> int:
     Raises:
         SceneloomError: it cannot be read, or the rows cannot be written.
     """
-    where, reading = path_or_url(place), options["reading"]
+    where, reading = path_or_url(location), options["reading"]
     with open_scene(where, **reading) as scene:
         tables = scene_rows(
             scene.corrected(),
-            path=place,
+            path=location,
             options=reading,
-            fingerprint=options["stamp"],
+            fingerprint=options["timestamp"],
             size_bytes=size_on_disk(where),
-            findings=tuple(_findings(place, Checks(options["checks"]), reading)),
+            findings=tuple(_findings(location, Checks(options["checks"]), reading)),
         )
     return write_draft(options["scene"], tables, output)
 
 
-def _findings(place: str, checks: Checks, reading: Mapping[str, Any]) -> Iterator[Finding]:
+def _findings(location: str, checks: Checks, reading: Mapping[str, Any]) -> Iterator[Finding]:
     if checks is Checks.NONE:
         return
-    yield from validate(path_or_url(place), frames=checks is Checks.FULL, **reading).findings
+    yield from validate(path_or_url(location), frames=checks is Checks.FULL, **reading).findings

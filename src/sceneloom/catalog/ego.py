@@ -1,4 +1,4 @@
-"""The ego over time, as far as a scene tells it without reading frames: place, speed, latitude and longitude."""
+"""The ego over time, as far as a scene reports it without reading frames: location, speed, latitude and longitude."""
 
 import math
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, geodetic_from_enu
-from sceneloom.motion.gnss_receivers import usable_places
+from sceneloom.motion.gnss_receivers import usable_positions
 from sceneloom.scene.ego import stated_origin
 from sceneloom.scene.motion import GnssSensor, OdometrySensor
 from sceneloom.scene.scene import Scene
@@ -17,11 +17,11 @@ WINDOW_NS = 500_000_000
 """Speeds are those over so long, so that the noise of poses does not count as motion."""
 
 REACH_NS = 1_000_000_000
-"""So far beyond its first and last point a way holds."""
+"""So far beyond its first and last point a trajectory holds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Way:
+class TrajectoryPoints:
     """Points over time.
 
     Attributes:
@@ -33,7 +33,7 @@ class Way:
     positions: Float64Array
 
     @classmethod
-    def of(cls, timestamps_ns: Int64Array, positions: Float64Array) -> "Way | None":
+    def of(cls, timestamps_ns: Int64Array, positions: Float64Array) -> "TrajectoryPoints | None":
         """Make a way of points in any order, without those that are no numbers; None where none is left."""
         known = np.flatnonzero(np.isfinite(positions).all(axis=1))
         times, rows = np.unique(timestamps_ns[known], return_index=True)
@@ -77,65 +77,65 @@ class Ego:
     """What is known of the ego.
 
     Attributes:
-        way: in the scene's world, or None.
+        trajectory: in the scene's world, or None.
         fixes: of the first satellite receiver that has usable ones, earth-centred, or None.
-        origin_lla: the place whose east, north and up are the world's axes, or None.
+        origin_lla: the location whose east, north and up are the world's axes, or None.
     """
 
-    way: Way | None
-    fixes: Way | None
+    trajectory: TrajectoryPoints | None
+    fixes: TrajectoryPoints | None
     origin_lla: tuple[float, float, float] | None
 
     @classmethod
     def of(cls, scene: Scene) -> "Ego":
         """Take it from the first trajectory, the odometry, or what poses in the world a sensor has; and from fixes."""
-        return cls(_way(scene), _fixes(scene), stated_origin(scene))
+        return cls(_trajectory(scene), _fixes(scene), stated_origin(scene))
 
     def positions(self, timestamps_ns: Int64Array) -> Float64Array:
         """Where it was in the world, (M, 3) [m]; NaN where that is not known."""
-        return _unknown(timestamps_ns, 3) if self.way is None else self.way.at(timestamps_ns)
+        return _unknown(timestamps_ns, 3) if self.trajectory is None else self.trajectory.at(timestamps_ns)
 
     def speeds(self, timestamps_ns: Int64Array) -> Float64Array:
         """How fast it was, (M,) [m/s]; NaN where that is not known."""
-        way = self.way or self.fixes
-        return _unknown(timestamps_ns, 1)[:, 0] if way is None else way.speeds(timestamps_ns)
+        trajectory = self.trajectory or self.fixes
+        return _unknown(timestamps_ns, 1)[:, 0] if trajectory is None else trajectory.speeds(timestamps_ns)
 
-    def places_lla(self, timestamps_ns: Int64Array) -> Float64Array:
+    def positions_lla(self, timestamps_ns: Int64Array) -> Float64Array:
         """Latitude, longitude [deg] and height [m], (M, 3); NaN where they are not known."""
         if self.fixes is not None:
             return geodetic_from_ecef(self.fixes.at(timestamps_ns))
-        if self.origin_lla is not None and self.way is not None:
-            return geodetic_from_enu(self.way.at(timestamps_ns), self.origin_lla)
+        if self.origin_lla is not None and self.trajectory is not None:
+            return geodetic_from_enu(self.trajectory.at(timestamps_ns), self.origin_lla)
         return _unknown(timestamps_ns, 3)
 
     @property
     def metres(self) -> float:
-        """Length of its way [m]; NaN where that is not known."""
-        return math.nan if self.way is None else self.way.metres
+        """Length of its trajectory [m]; NaN where that is not known."""
+        return math.nan if self.trajectory is None else self.trajectory.metres
 
 
 def _unknown(timestamps_ns: Int64Array, width: int) -> Float64Array:
     return np.full((len(timestamps_ns), width), np.nan)
 
 
-def _way(scene: Scene) -> Way | None:
+def _trajectory(scene: Scene) -> TrajectoryPoints | None:
     for trajectory in scene.trajectories.values():
-        return Way.of(trajectory.timestamps_ns, trajectory.positions)
+        return TrajectoryPoints.of(trajectory.timestamps_ns, trajectory.positions)
     for sensor in scene.sensors:
-        if isinstance(sensor, OdometrySensor) and not sensor.poses.endless:
-            return Way.of(sensor.poses.timestamps_ns, sensor.poses.positions)
+        if isinstance(sensor, OdometrySensor) and not sensor.poses.static:
+            return TrajectoryPoints.of(sensor.poses.timestamps_ns, sensor.poses.positions)
     for sensor in scene.sensors:
         poses = getattr(sensor, "poses", None)
         in_world = getattr(sensor, "coordinates", None) is Coordinates.WORLD
-        if poses is not None and in_world and not poses.endless:
-            return Way.of(poses.timestamps_ns, poses.positions)
+        if poses is not None and in_world and not poses.static:
+            return TrajectoryPoints.of(poses.timestamps_ns, poses.positions)
     return None
 
 
-def _fixes(scene: Scene) -> Way | None:
+def _fixes(scene: Scene) -> TrajectoryPoints | None:
     for sensor in scene.sensors:
         if isinstance(sensor, GnssSensor):
-            rows, places = usable_places(sensor)
+            rows, locations = usable_positions(sensor)
             if len(rows):
-                return Way.of(sensor.timestamps_ns[rows], ecef_from_geodetic(places))
+                return TrajectoryPoints.of(sensor.timestamps_ns[rows], ecef_from_geodetic(locations))
     return None

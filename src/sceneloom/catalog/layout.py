@@ -29,8 +29,8 @@ def scene_name(path: str, options: Mapping[str, Any]) -> str:
     The name holds letters, digits, `_` and one `-` only, so that it means the same in folders, SQL and URLs, and no
     reader takes it for a number or a date.
     """
-    told = json.dumps([path, dict(options)], sort_keys=True, default=str)
-    code = blake2b(told.encode("utf-8", "surrogateescape"), digest_size=8).hexdigest()
+    reported = json.dumps([path, dict(options)], sort_keys=True, default=str)
+    code = blake2b(reported.encode("utf-8", "surrogateescape"), digest_size=8).hexdigest()
     last = [part for part in re.split(r"[/\\]", path) if part]
     return f"{_ODD.sub('_', last[-1] if last else '')[:_NAME_LENGTH]}-{code}"
 
@@ -49,14 +49,14 @@ class Layout:
             DataError: there is none, or one of another version.
         """
         try:
-            told: Any = json.loads(read_bytes(folder / MARKER))
+            reported: Any = json.loads(read_bytes(folder / MARKER))
         except DataError as error:
             if not isinstance(error.__cause__, FileNotFoundError | NotADirectoryError):
                 raise
             raise DataError(folder, "", "holds no catalogue; `sceneloom catalog build` makes one") from error
         except (ValueError, RecursionError) as error:
             raise DataError(folder / MARKER, "", f"is no JSON: {error}") from error
-        version = told.get("version") if isinstance(told, dict) else None
+        version = reported.get("version") if isinstance(reported, dict) else None
         if version != VERSION:
             raise DataError(folder / MARKER, "version", f"{version!r}; expected {VERSION}: build it anew")
         return cls(folder)
@@ -71,7 +71,7 @@ class Layout:
         there = (folder / MARKER).is_file()
         if there and not overwrite:
             raise OutputError(
-                f"{folder}: is a catalogue already; bring it up to date with `sceneloom catalog update`, or say "
+                f"{folder}: is a catalogue already; bring it up to date with `sceneloom catalog update`, or state "
                 "`--overwrite`"
             )
         if not there and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):

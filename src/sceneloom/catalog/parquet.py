@@ -10,7 +10,7 @@ from sceneloom.formats.files import check_regular, check_unpacked
 
 _ROWS_OF_GROUP = 131_072
 _SCENES = b"sceneloom.scenes"
-"""Under which name a footer tells the scenes."""
+"""Under which name a footer reports the scenes."""
 
 
 def write_part(table: Any, scenes: Any, path: Path) -> None:
@@ -18,14 +18,14 @@ def write_part(table: Any, scenes: Any, path: Path) -> None:
 
     Args:
         table: rows, as a table of pyarrow.
-        scenes: what its footer tells of them, as values that JSON has.
+        scenes: what its footer reports them, as values that JSON has.
         path: of the file.
     """
     _, parquet = pyarrow()
-    told = {_SCENES: json.dumps(scenes).encode()}
+    reported = {_SCENES: json.dumps(scenes).encode()}
     texts = [column.name for column in table.schema if str(column.type) == "string"]
     parquet.write_table(
-        table.replace_schema_metadata(told),
+        table.replace_schema_metadata(reported),
         path,
         compression="zstd",
         row_group_size=_ROWS_OF_GROUP,
@@ -55,10 +55,10 @@ def read_part(path: Path) -> Any:
 
 
 def read_footer(path: Path) -> tuple[int, Any]:
-    """Read how many rows a file has, and what it tells of its scenes.
+    """Read how many rows a file has, and what it reports its scenes.
 
     Raises:
-        DataError: it is not there, is no Parquet file, ends before its end, or tells nothing of scenes.
+        DataError: it is not there, is no Parquet file, ends before its end, or states nothing of scenes.
         MissingExtraError: pyarrow is not installed.
     """
     pa, parquet = pyarrow()
@@ -71,7 +71,7 @@ def read_footer(path: Path) -> tuple[int, Any]:
         raise DataError(path, "", _problem(error)) from error
     except (KeyError, ValueError, RecursionError) as error:
         raise DataError(
-            path, "", "does not tell which scenes it holds; expected a file of a catalogue"
+            path, "", "does not report which scenes it holds; expected a file of a catalogue"
         ) from error
 
 

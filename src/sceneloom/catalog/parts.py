@@ -1,8 +1,9 @@
 """Parts: many scenes together in a file for each table, so that a thousand drives are not a thousand files of each.
 
-A scene stays in the part into which it was put. A part is written anew, beside its files and then into their places,
-when a scene of it changes. Each file tells in its footer which scenes it holds and what their drives were like: a scene
-of which all tables tell the same is whole, and any other, whatever was stopped, damaged or deleted, is read again.
+A scene stays in the part into which it was put. A part is written anew, beside its files and then into their locations,
+when a scene of it changes. Each file reports in its footer which scenes it holds and what their drives were like: a
+scene of which all tables report the same is whole, and any other, whatever was stopped, damaged or deleted, is read
+again.
 """
 
 import os
@@ -27,17 +28,17 @@ _IN_ORDER = (*(table for table in TABLES if table != "scenes"), "scenes")
 
 
 class Entry(msgspec.Struct, frozen=True, array_like=True):
-    """What is told of a scene in each file that holds it.
+    """What is reported a scene in each file that holds it.
 
     Attributes:
         path: where its drive is.
         options: how that is read.
-        stamp: what tells the drive from what it was at another time; "" where that is not known.
+        timestamp: what reports the drive from what it was at another time; "" where that is not known.
     """
 
     path: str
     options: dict[str, Any]
-    stamp: str
+    timestamp: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +47,7 @@ class Fresh:
 
     Attributes:
         scene: its name.
-        entry: what is told of it.
+        entry: what is reported it.
         folder: its rows (`write_draft`).
         rows: how many the longest table has.
     """
@@ -83,16 +84,16 @@ class Parts:
 
     @property
     def entries(self) -> dict[str, Entry]:
-        """What is told of all scenes, by their names."""
+        """What is reported all scenes, by their names."""
         return {scene: entry for part in self._parts.values() for scene, entry in part.entries.items()}
 
     @property
     def lost(self) -> list[DataError]:
-        """The damage of parts of which no file is whole, so that none tells what was in them."""
+        """The damage of parts of which no file is whole, so that none reports what was in them."""
         return [part.damage[0] for part in self._parts.values() if part.damage and not part.held]
 
     def whole(self) -> dict[str, Entry]:
-        """Those scenes of which all tables tell the same."""
+        """Those scenes of which all tables report the same."""
         return {
             scene: entry
             for part in self._parts.values()
@@ -147,15 +148,15 @@ class Parts:
         for table in _IN_ORDER:
             held = before.held.get(table, {})
             kept = {scene: entry for scene, entry in held.items() if scene in staying}
-            place = self._layout.part(table, number)
+            location = self._layout.part(table, number)
             try:
-                rows = _kept_rows(place, table, kept, some=len(kept) < len(held))
+                rows = _kept_rows(location, table, kept, some=len(kept) < len(held))
             except DataError:
                 rows, kept = [], {}
             lost |= staying - set(kept)
             now.held[table] = kept | {scene: one.entry for scene, one in coming.items()}
             rows += [read_draft(one.folder, table) for one in coming.values()]
-            now.rows = max(now.rows, _replaced(place, rows, now.held[table]))
+            now.rows = max(now.rows, _replaced(location, rows, now.held[table]))
         self._parts[number] = now
         if not now.entries:
             del self._parts[number]
@@ -165,19 +166,19 @@ class Parts:
 def _read(layout: Layout, number: int) -> _Part:
     part = _Part()
     for table in TABLES:
-        place = layout.part(table, number)
+        location = layout.part(table, number)
         try:
-            rows, told = read_footer(place)
-            part.held[table] = msgspec.convert(told, dict[str, Entry])
+            rows, reported = read_footer(location)
+            part.held[table] = msgspec.convert(reported, dict[str, Entry])
             part.rows = max(part.rows, rows)
         except DataError as error:
             part.damage.append(error)
         except msgspec.ValidationError as error:
-            part.damage.append(DataError(place, "", f"tells of its scenes what cannot be: {error}"))
+            part.damage.append(DataError(location, "", f"reports its scenes what cannot be: {error}"))
     return part
 
 
-def _kept_rows(place: Path, table: str, kept: Mapping[str, Entry], *, some: bool) -> list[Any]:
+def _kept_rows(location: Path, table: str, kept: Mapping[str, Entry], *, some: bool) -> list[Any]:
     """The rows of scenes that stay; `some`: others are there, too.
 
     Raises:
@@ -186,9 +187,9 @@ def _kept_rows(place: Path, table: str, kept: Mapping[str, Entry], *, some: bool
     if not kept:
         return []
     pa, _ = pyarrow()
-    rows = read_part(place)
+    rows = read_part(location)
     if rows.schema.names != ["scene", *(column.name for column in TABLES[table])]:
-        raise DataError(place, "", f"columns {', '.join(rows.schema.names)}; expected those of {table}")
+        raise DataError(location, "", f"columns {', '.join(rows.schema.names)}; expected those of {table}")
     if some:
         from pyarrow import compute
 
@@ -196,20 +197,23 @@ def _kept_rows(place: Path, table: str, kept: Mapping[str, Entry], *, some: bool
     return [rows]
 
 
-def _replaced(place: Path, rows: list[Any], held: Mapping[str, Entry]) -> int:
-    """Write a file beside its place and then into it, or take it away where it holds nothing; how many rows it has."""
+def _replaced(location: Path, rows: list[Any], held: Mapping[str, Entry]) -> int:
+    """Write a file beside its location and then into it, or take it away where it holds nothing.
+
+    How many rows it has.
+    """
     pa, _ = pyarrow()
-    draft = place.with_name(f".{place.name}.{os.getpid()}")
+    draft = location.with_name(f".{location.name}.{os.getpid()}")
     try:
         if not held:
-            place.unlink(missing_ok=True)
+            location.unlink(missing_ok=True)
             return 0
-        place.parent.mkdir(parents=True, exist_ok=True)
+        location.parent.mkdir(parents=True, exist_ok=True)
         table = pa.concat_tables(rows)
         write_part(table, msgspec.to_builtins(held), draft)
-        draft.replace(place)
+        draft.replace(location)
     except OSError as error:
-        raise OutputError(f"{place}: cannot be written: {error.strerror or error}") from error
+        raise OutputError(f"{location}: cannot be written: {error.strerror or error}") from error
     finally:
         draft.unlink(missing_ok=True)
     return int(table.num_rows)

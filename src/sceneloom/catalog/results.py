@@ -29,7 +29,7 @@ def format_csv(result: Result) -> str:
 
 
 def iter_list(result: Result) -> Iterator[str]:
-    """Give a line of JSON for each drive, or time span of one, without what was said before.
+    """Give a line of JSON for each drive, or time span of one, without what was stated before.
 
     Raises:
         OptionError: the result has no column `path`, or a row of it has none.
@@ -53,14 +53,14 @@ def iter_list(result: Result) -> Iterator[str]:
 def _reading(options: Any) -> dict[str, Any]:
     """How a drive is to be opened, out of the column `options` of `scenes`."""
     try:
-        said = json.loads(options) if isinstance(options, str) else None
+        stated = json.loads(options) if isinstance(options, str) else None
     except (ValueError, RecursionError) as error:
         raise OptionError(f"options {options!r}; expected an object of JSON, as in `scenes`") from error
-    return {"reading": said} if said else {}
+    return {"reading": stated} if stated else {}
 
 
 def format_cell(value: Any) -> str:
-    """A value for people: numbers with three places, null as nothing."""
+    """A value for people: numbers with three locations, null as nothing."""
     if isinstance(value, float):
         return f"{value:.3f}"
     return _cell(value)

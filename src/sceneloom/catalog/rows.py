@@ -41,7 +41,7 @@ def scene_rows(
         scene: the scene; of its frames only the first of each lidar is read.
         path: where the drive is.
         options: how it is read.
-        fingerprint: what tells it from what it was at another time.
+        fingerprint: what reports it from what it was at another time.
         size_bytes: bytes on disk, where known.
         findings: what the rules found in it.
 
@@ -62,7 +62,9 @@ def scene_rows(
         "attributes": attribute_rows(scene),
         "findings": _findings(findings),
     }
-    first_lla = ego.places_lla(np.array([start_ns]))[0] if summary.start_ns is not None else (np.nan, np.nan)
+    first_lla = (
+        ego.positions_lla(np.array([start_ns]))[0] if summary.start_ns is not None else (np.nan, np.nan)
+    )
     whole = {
         "path": path,
         "options": json.dumps(dict(options), sort_keys=True),
@@ -95,13 +97,13 @@ def reference_sensor(scene: Scene) -> Sensor | None:
 
 
 def _annotated_ns(scene: Scene) -> Int64Array:
-    """The times at which boxes are said to be: the moments of a scene without frames."""
+    """The times at which boxes are stated to be: the moments of a scene without frames."""
     boxes = [one for one in scene.annotations if isinstance(one, CuboidAnnotation | Box2DAnnotation)]
     return np.unique(np.concatenate([np.zeros(0, np.int64), *(box.path.timestamps_ns for box in boxes)]))
 
 
 def _sensors(sensors: Sequence[SensorSummary]) -> Rows:
-    same = ("type", "count", "rate_hz", "start", "stop", "lens", "video", "mounted")
+    same = ("type", "count", "rate_hz", "start", "stop", "camera_model", "video", "mounted")
     return {
         "sensor": [str(sensor.id) for sensor in sensors],
         "gaps": [sensor.gap_count for sensor in sensors],
@@ -111,11 +113,11 @@ def _sensors(sensors: Sequence[SensorSummary]) -> Rows:
 
 def _frames(scene: Scene, ego: Ego, reference: Sensor | None, start_ns: int) -> Rows:
     sensors = [sensor for sensor in scene.sensors if isinstance(sensor, _FRAMED)]
-    stamps = [frame_times(sensor) for sensor in sensors]
-    counts = [len(times) for times in stamps]
-    times_ns: Int64Array = np.concatenate([np.zeros(0, np.int64), *stamps])
+    timestamps = [frame_times(sensor) for sensor in sensors]
+    counts = [len(times) for times in timestamps]
+    times_ns: Int64Array = np.concatenate([np.zeros(0, np.int64), *timestamps])
     codes = np.repeat(np.arange(len(sensors)), counts)
-    positions, places = ego.positions(times_ns), ego.places_lla(times_ns)
+    positions, locations = ego.positions(times_ns), ego.positions_lla(times_ns)
     return {
         "sensor": Repeated(codes, tuple(str(sensor.id) for sensor in sensors)),
         "type": Repeated(codes, tuple(str(sensor.type) for sensor in sensors)),
@@ -124,8 +126,8 @@ def _frames(scene: Scene, ego: Ego, reference: Sensor | None, start_ns: int) -> 
         "timestamp_ns": times_ns,
         "seconds": (times_ns - start_ns) / 1e9,
         **{name: positions[:, k] for k, name in enumerate("xyz")},
-        "latitude": places[:, 0],
-        "longitude": places[:, 1],
+        "latitude": locations[:, 0],
+        "longitude": locations[:, 1],
         "ego_speed": ego.speeds(times_ns),
     }
 
@@ -133,4 +135,4 @@ def _frames(scene: Scene, ego: Ego, reference: Sensor | None, start_ns: int) -> 
 def _findings(findings: Sequence[Finding]) -> Rows:
     same = ("rule", "severity", "message", "remedy", "count", "fixable")
     rows: Rows = {name: [getattr(finding, name) for finding in findings] for name in same}
-    return {**rows, "place": [finding.path for finding in findings]}
+    return {**rows, "location": [finding.path for finding in findings]}

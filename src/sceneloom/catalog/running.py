@@ -59,7 +59,7 @@ class Run:
             drafts: folder in which they are written before.
             checks: how much is checked.
             workers: processes; None for as many as are worth it.
-            progress: told the number of drives done and of all.
+            progress: reported the number of drives done and of all.
         """
         self._parts, self._drafts, self._checks = parts, drafts, checks
         self._workers, self._progress = workers, progress
@@ -113,12 +113,12 @@ class Run:
     def _task(self, number: int, drive: Drive, files: str) -> Task:
         options = {
             "scene": drive.name,
-            "stamp": drive.stamp(self._checks, files),
+            "timestamp": drive.timestamp(self._checks, files),
             "checks": self._checks.value,
             "reading": dict(drive.reading),
         }
         draft = self._drafts / drive.name
-        return Task(number=number, attempt=1, call=_CALL, place=drive.path, draft=draft, options=options)
+        return Task(number=number, attempt=1, call=_CALL, location=drive.path, draft=draft, options=options)
 
     def _take(self, drive: Drive, task: Task, outcome: Outcome) -> None:
         if outcome.kind == OutputError.__name__:
@@ -127,7 +127,7 @@ class Run:
             shutil.rmtree(task.draft, ignore_errors=True)
             self.failed.append(Failure(path=drive.path, error=outcome.error))
             return
-        entry = Entry(drive.path, dict(drive.reading), task.options["stamp"])
+        entry = Entry(drive.path, dict(drive.reading), task.options["timestamp"])
         self._waiting[drive.name] = drive, Fresh(drive.name, entry, task.draft, outcome.report)
 
     def _is_time(self) -> bool:

@@ -17,12 +17,12 @@ Part = tuple[str, tuple[Any, ...]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Selection:
-    """What to look for; all that is said must hold at a moment.
+    """What to look for; all that is stated must hold at a moment.
 
     Attributes:
         labels: one of these classes; `*` and `?` stand for any text and any character, the case does not count.
         types: one of these types of boxes: "cuboid", "box_2d".
-        start: not before: seconds after a drive's first time stamp, or a date and time (ISO 8601, UTC unless said).
+        start: not before: seconds after a drive's first timestamp, or a date and time (ISO 8601, UTC unless stated).
         stop: before.
         near: latitude, longitude [deg], and how far from there the ego may be [m].
         speed: least and greatest speed of the ego [m/s].
@@ -114,7 +114,7 @@ def _timed(value: float | str, name: str, sign: str) -> Part:
 
 
 def _near(latitude: float, longitude: float, metres: float) -> Part:
-    """Within a distance on the ellipsoid, whose curves at the place itself count: good to 1 % up to 100 km.
+    """Within a distance on the ellipsoid, whose curves at the location itself count: good to 1 % up to 100 km.
 
     Source: NIMA TR8350.2, radii of curvature in the meridian and the prime vertical.
     """

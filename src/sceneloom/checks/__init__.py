@@ -6,7 +6,7 @@ from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
     from sceneloom.checks.catalogue import RULE_MODULES, RuleRow, all_rules, chosen_rules
-    from sceneloom.checks.report import PLACES, ValidationReport
+    from sceneloom.checks.report import LOCATIONS, ValidationReport
     from sceneloom.checks.rule import ALL_PROFILES, SCALE_ONLY, CheckProfile, Hit, Rule
     from sceneloom.checks.subject import FrameInHand, Subject
     from sceneloom.checks.validation import validate
@@ -15,7 +15,7 @@ else:
         __name__,
         {
             "ALL_PROFILES": "sceneloom.checks.rule:ALL_PROFILES",
-            "PLACES": "sceneloom.checks.report:PLACES",
+            "LOCATIONS": "sceneloom.checks.report:LOCATIONS",
             "RULE_MODULES": "sceneloom.checks.catalogue:RULE_MODULES",
             "SCALE_ONLY": "sceneloom.checks.rule:SCALE_ONLY",
             "CheckProfile": "sceneloom.checks.rule:CheckProfile",
@@ -33,7 +33,7 @@ else:
 
 __all__ = [
     "ALL_PROFILES",
-    "PLACES",
+    "LOCATIONS",
     "RULE_MODULES",
     "SCALE_ONLY",
     "CheckProfile",

@@ -25,7 +25,7 @@ class PartTable:
     """Parts of annotations of one kind, such as all paths of cuboids, their rows one after another.
 
     Attributes:
-        parts: P objects with time stamps (`CuboidPath`, `Projection`, …).
+        parts: P objects with timestamps (`CuboidPath`, `Projection`, …).
         numbers: (P,) int64, number of the annotation of each.
         suffixes: where each stands inside its annotation (`.path`, `.projections[1]`).
         starts: (P + 1,) int64, first row of each part.
@@ -40,7 +40,7 @@ class PartTable:
 
     @classmethod
     def of(cls, entries: Sequence[tuple[int, str, Any]]) -> "PartTable":
-        """Line up parts, each with the number of its annotation and its place in there."""
+        """Line up parts, each with the number of its annotation and its location in there."""
         parts = [part for _, _, part in entries]
         times = [part.timestamps_ns for part in parts]
         starts = np.fromiter(accumulate(map(len, times), initial=0), np.int64, len(times) + 1)
@@ -70,19 +70,19 @@ class PartTable:
         arrays = [values(part) for part in self.parts]
         return np.concatenate(arrays) if arrays else np.zeros((0, columns))
 
-    def place(self, subject: Subject, part: int) -> str:
+    def location(self, subject: Subject, part: int) -> str:
         """Where a part stands in the file."""
         return subject.annotation_paths[int(self.numbers[part])] + self.suffixes[part]
 
     def hits(
-        self, subject: Subject, bad: BoolArray, say: Callable[[int], str], *, within: str = ""
+        self, subject: Subject, bad: BoolArray, state: Callable[[int], str], *, within: str = ""
     ) -> Iterator[Hit]:
         """Give one hit for each part that has rows at fault.
 
         Args:
             bad: (R,) bool, which rows are.
-            say: gives the message for a row.
-            within: what of the part is at fault (`.values`); the place of its first row at fault is named.
+            state: gives the message for a row.
+            within: what of the part is at fault (`.values`); the position of its first row at fault is named.
         """
         rows = np.flatnonzero(bad)
         if len(rows) == 0:
@@ -93,7 +93,7 @@ class PartTable:
         for first, count in zip(firsts.tolist(), counts.tolist(), strict=True):
             row, part = int(rows[first]), int(parts[first])
             inside = f"{within}[{row - int(self.starts[part])}]" if within else ""
-            yield Hit(self.place(subject, part) + inside, say(row), count=count)
+            yield Hit(self.location(subject, part) + inside, state(row), count=count)
 
 
 def cuboid_paths(subject: Subject) -> PartTable:
@@ -117,7 +117,7 @@ def point_projections(subject: Subject) -> PartTable:
 
 
 def box_paths(subject: Subject) -> PartTable:
-    """The paths of all boxes in pictures."""
+    """The paths of all boxes in images."""
     return _tables(subject)["boxes"]
 
 
@@ -188,7 +188,7 @@ def camera_rows(subject: Subject, table: PartTable) -> Iterator[tuple[CameraSens
 
 @dataclass(frozen=True, slots=True)
 class SensorMention:
-    """A place that names a sensor.
+    """A location that names a sensor.
 
     Attributes:
         number: of the annotation.
@@ -206,7 +206,7 @@ class SensorMention:
 
 
 def sensor_mentions(subject: Subject) -> list[SensorMention]:
-    """All places in annotations that name a sensor."""
+    """All locations in annotations that name a sensor."""
     return subject.table("mentions of sensors", lambda inner: list(_mentions(inner)))
 
 
@@ -234,7 +234,7 @@ def _naming(part: Any) -> Iterator[tuple[str, Any]]:
 
 
 def timed_parts(subject: Subject) -> PartTable:
-    """Everything of annotations that has time stamps, attributes and poses included."""
+    """Everything of annotations that has timestamps, attributes and poses included."""
     return subject.table("timed parts of annotations", _timed_parts)
 
 

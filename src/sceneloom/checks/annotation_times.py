@@ -1,4 +1,4 @@
-"""Rules about the times of annotations: in order, within the scene, and those of pictures where pictures are meant."""
+"""Rules about the times of annotations: in order, within the scene, and those of images where images are meant."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -14,7 +14,7 @@ from sceneloom.checks.annotation_table import (
     projections,
     timed_parts,
 )
-from sceneloom.checks.mending import mended_annotations
+from sceneloom.checks.repairing import repaired_annotations
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.scene.annotations.attributes import AttributePath
@@ -22,18 +22,18 @@ from sceneloom.scene.annotations.cuboids import CuboidAnnotation
 from sceneloom.scene.annotations.keypoints import PointsAnnotation
 from sceneloom.scene.annotations.relations import EventAnnotation
 from sceneloom.scene.findings import Severity
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import scene_period_ns, time_span
 
 _LEAST_TOLERANCE_NS = 1_000_000
-"""Times are written in microseconds and pictures are moved by half an exposure: a millisecond is no difference."""
+"""Times are written in microseconds and images are moved by half an exposure: a millisecond is no difference."""
 
 _BESIDE_NS = 1_000_000_000
 """What lies no farther than a second from the scene was cut off with it, or comes after it."""
 
-_SAME_PICTURE = 4
-"""A time within this part of a picture's interval means that picture."""
+_SAME_IMAGE = 4
+"""A time within this part of an image's interval means that image."""
 
 
 def _not_increasing(subject: Subject) -> Iterator[Hit]:
@@ -42,10 +42,10 @@ def _not_increasing(subject: Subject) -> Iterator[Hit]:
     bad = np.zeros(len(times), bool)
     bad[1:] = (times[1:] <= times[:-1]) & table.inner
 
-    def say(row: int) -> str:
+    def state(row: int) -> str:
         return f"{times[row]} ns after {times[row - 1]} ns; expected later times than those before"
 
-    yield from table.hits(subject, bad, say, within=".timestamps")
+    yield from table.hits(subject, bad, state, within=".timestamps")
     for k, attribute in enumerate(subject.scene.attributes):
         own = attribute.timestamps_ns
         rows = [] if own is None else np.flatnonzero(own[1:] <= own[:-1]).tolist()
@@ -57,7 +57,7 @@ def _not_increasing(subject: Subject) -> Iterator[Hit]:
 
 def _sorted_times(scene: Scene) -> Scene:
     """Sort paths by time and drop repeated rows; a path with two different rows at one time stays as it is."""
-    scene = mended_annotations(scene, _with_sorted_parts)
+    scene = repaired_annotations(scene, _with_sorted_parts)
     attributes = _ordered(scene.attributes)
     return scene if attributes is scene.attributes else replace(scene, attributes=attributes)
 
@@ -96,7 +96,7 @@ def _ordered(part: Any) -> Any:
 
 
 _COLUMNS = ("values", "vertices", "durations_ns", "cuboids", "boxes", "confirmed", "points", "positions")
-"""What parts of annotations hold for each time stamp."""
+"""What parts of annotations hold for each timestamp."""
 
 
 def _rows_in_order(times: Int64Array, columns: dict[str, Any]) -> list[int] | None:
@@ -124,7 +124,7 @@ def _empty(subject: Subject) -> Iterator[Hit]:
     table = timed_parts(subject)
     for part in np.flatnonzero(np.diff(table.starts) == 0).tolist():
         if table.suffixes[part].startswith(".path"):
-            yield Hit(table.place(subject, part), "no keyframes; expected at least one")
+            yield Hit(table.location(subject, part), "no keyframes; expected at least one")
     for path, annotation in subject.annotations():
         if isinstance(annotation, PointsAnnotation) and not annotation.paths:
             yield Hit(f"{path}.paths", "no points; expected at least one")
@@ -157,12 +157,14 @@ def _outside(subject: Subject) -> Iterator[Hit]:
             subject, table, part
         ):
             nearest = int(times.min()) if times.min() > bounds[1] else int(times.max())
-            yield Hit(f"{table.place(subject, part)}.timestamps", _said_outside(nearest, bounds), len(times))
+            yield Hit(
+                f"{table.location(subject, part)}.timestamps", _stated_outside(nearest, bounds), len(times)
+            )
     for path, event in _events(subject):
         length_ns = event.duration_ns or 0
         stop_ns = event.start_ns + (int(length_ns) if 0 < length_ns < np.inf else 0)
         if _is_outside(event.start_ns, stop_ns, bounds):
-            yield Hit(f"{path}.start", _said_outside(event.start_ns, bounds))
+            yield Hit(f"{path}.start", _stated_outside(event.start_ns, bounds))
 
 
 def _is_outside(first_ns: int, last_ns: int, bounds: tuple[int, int]) -> bool:
@@ -183,21 +185,21 @@ def _beyond(subject: Subject) -> Iterator[Hit]:
     times = table.timestamps_ns
     rows = np.flatnonzero((times < bounds[0]) | (times > bounds[1]))
     parts = np.searchsorted(table.starts, rows, side="right") - 1
-    told = {
+    reported = {
         part
         for part in np.unique(parts).tolist()
         if not _holds_always(subject, table, part)
         and not _part_is_outside(table, part, bounds)
-        and not isinstance(table.parts[part], PosePath)  # corrections have poses around what they correct
+        and not isinstance(table.parts[part], Poses)  # corrections have poses around what they correct
     }
-    rows = rows[np.isin(parts, list(told))]
+    rows = rows[np.isin(parts, list(reported))]
     if len(rows):
         far = times[rows].astype(np.float64)  # differences of int64 may be none of int64
         row = int(rows[np.argmax(np.maximum(bounds[0] - far, far - bounds[1]))])
         part = int(np.searchsorted(table.starts, row, side="right") - 1)
-        others = f"; of {len(told)} that reach beyond, it reaches farthest" if len(told) > 1 else ""
-        place = f"{table.place(subject, part)}.timestamps[{row - int(table.starts[part])}]"
-        yield Hit(place, _said_outside(int(times[row]), bounds) + others, count=len(told))
+        others = f"; of {len(reported)} that reach beyond, it reaches farthest" if len(reported) > 1 else ""
+        location = f"{table.location(subject, part)}.timestamps[{row - int(table.starts[part])}]"
+        yield Hit(location, _stated_outside(int(times[row]), bounds) + others, count=len(reported))
 
 
 def _part_is_outside(table: PartTable, part: int, bounds: tuple[int, int]) -> bool:
@@ -206,14 +208,14 @@ def _part_is_outside(table: PartTable, part: int, bounds: tuple[int, int]) -> bo
 
 
 def _holds_always(subject: Subject, table: PartTable, part: int) -> bool:
-    """Whether a part holds at all times: of something that stands still, or a static attribute."""
+    """Whether a part holds at all times: of something that is stationary, or a static attribute."""
     annotation, found = subject.scene.annotations[int(table.numbers[part])], table.parts[part]
     return bool(getattr(annotation, "stationary", None)) or (
         isinstance(found, AttributePath) and bool(found.static)
     )
 
 
-def _said_outside(time_ns: int, bounds: tuple[int, int]) -> str:
+def _stated_outside(time_ns: int, bounds: tuple[int, int]) -> str:
     first_ns, last_ns = bounds
     away = (first_ns - time_ns if time_ns < first_ns else time_ns - last_ns) / 1e9
     side = "before the scene begins" if time_ns < first_ns else "after the scene ends"
@@ -237,32 +239,32 @@ def _negative_durations(subject: Subject) -> Iterator[Hit]:
             bad = [row for row, length in enumerate(activation.durations_ns or ()) if not length >= 0]
             if bad:
                 length = (activation.durations_ns or ())[bad[0]]
-                place = f"{path}.activations[{k}].durations[{bad[0]}]"
-                yield Hit(place, f"{length} ns; expected a duration of 0 or more", count=len(bad))
+                location = f"{path}.activations[{k}].durations[{bad[0]}]"
+                yield Hit(location, f"{length} ns; expected a duration of 0 or more", count=len(bad))
 
 
-def _without_picture(subject: Subject) -> Iterator[Hit]:
+def _without_image(subject: Subject) -> Iterator[Hit]:
     for table in (projections(subject), point_projections(subject)):
         times_ns, bad = table.timestamps_ns, np.zeros(len(table.timestamps_ns), bool)
         for camera, rows in camera_rows(subject, table):
-            bad[rows] = _far_from_pictures(camera.pictures.timestamps_ns, times_ns[rows])
+            bad[rows] = _far_from_images(camera.images.timestamps_ns, times_ns[rows])
 
-        def say(row: int, times_ns: Int64Array = times_ns) -> str:
-            return f"the camera has no picture at {times_ns[row]} ns"
+        def state(row: int, times_ns: Int64Array = times_ns) -> str:
+            return f"the camera has no image at {times_ns[row]} ns"
 
-        yield from table.hits(subject, bad, say, within=".timestamps")
+        yield from table.hits(subject, bad, state, within=".timestamps")
 
 
-def _far_from_pictures(pictures_ns: Int64Array, times_ns: Int64Array) -> BoolArray:
-    if len(pictures_ns) == 0:
+def _far_from_images(images_ns: Int64Array, times_ns: Int64Array) -> BoolArray:
+    if len(images_ns) == 0:
         return np.zeros(len(times_ns), bool)
-    pictures_ns = np.sort(pictures_ns)
-    interval_ns = int(np.median(np.diff(pictures_ns))) if len(pictures_ns) > 1 else 0
-    after = np.searchsorted(pictures_ns, times_ns)
-    before_ns = times_ns - pictures_ns[(after - 1).clip(0)]
-    after_ns = pictures_ns[after.clip(max=len(pictures_ns) - 1)] - times_ns
+    images_ns = np.sort(images_ns)
+    interval_ns = int(np.median(np.diff(images_ns))) if len(images_ns) > 1 else 0
+    after = np.searchsorted(images_ns, times_ns)
+    before_ns = times_ns - images_ns[(after - 1).clip(0)]
+    after_ns = images_ns[after.clip(max=len(images_ns) - 1)] - times_ns
     away_ns = np.minimum(np.abs(before_ns), np.abs(after_ns))
-    far: BoolArray = away_ns > max(_LEAST_TOLERANCE_NS, interval_ns // _SAME_PICTURE)
+    far: BoolArray = away_ns > max(_LEAST_TOLERANCE_NS, interval_ns // _SAME_IMAGE)
     return far
 
 
@@ -305,10 +307,10 @@ RULES: tuple[Rule, ...] = (
         find=_negative_durations,
     ),
     Rule(
-        "projection-without-picture",
+        "projection-without-image",
         Severity.WARNING,
-        "The times of a projection are times of pictures of its camera.",
-        "Project at the times of the pictures.",
-        find=_without_picture,
+        "The times of a projection are times of images of its camera.",
+        "Project at the times of the images.",
+        find=_without_image,
     ),
 )

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from sceneloom.arrays import read_only
-from sceneloom.checks.mending import mended_annotations
+from sceneloom.checks.repairing import repaired_annotations
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.scene.annotations.attributes import AttributePath
@@ -13,8 +13,8 @@ from sceneloom.scene.findings import Severity
 from sceneloom.scene.scene import Scene
 
 
-class Said(NamedTuple):
-    """An attribute, wherever it stands: its place, its values, and whether it is static."""
+class Stated(NamedTuple):
+    """An attribute, wherever it stands: its location, its values, and whether it is static."""
 
     path: str
     name: Any
@@ -23,30 +23,30 @@ class Said(NamedTuple):
     static: bool
 
 
-def _attributes(subject: Subject) -> list[Said]:
+def _attributes(subject: Subject) -> list[Stated]:
     """All attributes of the scene and of its annotations."""
     return subject.table("attributes", lambda inner: list(_all_attributes(inner)))
 
 
-def _all_attributes(subject: Subject) -> Iterator[Said]:
+def _all_attributes(subject: Subject) -> Iterator[Stated]:
     for k, attribute in enumerate(subject.scene.attributes):
-        yield _said(f"attributes[{k}]", attribute)
+        yield _stated(f"attributes[{k}]", attribute)
     for path, annotation in subject.annotations():
         for k, attribute in enumerate(getattr(annotation, "attributes", ())):
-            yield _said(f"{path}.attributes[{k}]", attribute)
+            yield _stated(f"{path}.attributes[{k}]", attribute)
 
 
-def _said(path: str, attribute: AttributePath | Mapping[str, Any]) -> Said:
+def _stated(path: str, attribute: AttributePath | Mapping[str, Any]) -> Stated:
     if isinstance(attribute, AttributePath):
         times = attribute.timestamps_ns
         count = None if times is None else len(times)
-        return Said(path, attribute.name, attribute.values, count, bool(attribute.static))
-    stamps, values = attribute.get("timestamps"), attribute.get("values")
-    return Said(
+        return Stated(path, attribute.name, attribute.values, count, bool(attribute.static))
+    timestamps, values = attribute.get("timestamps"), attribute.get("values")
+    return Stated(
         path,
         attribute.get("name"),
         tuple(values) if values is not None else (),
-        None if stamps is None else len(stamps),
+        None if timestamps is None else len(timestamps),
         bool(attribute.get("static")),
     )
 
@@ -63,12 +63,12 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def _unusual(subject: Subject) -> Iterator[Hit]:
-    for said in _attributes(subject):
-        odd = [k for k, value in enumerate(said.values) if not _is_usual(value)]
+    for stated in _attributes(subject):
+        odd = [k for k, value in enumerate(stated.values) if not _is_usual(value)]
         if odd:
-            value = said.values[odd[0]]
-            message = f"{said.name!r} is {value!r}; expected text, a number or a list of texts"
-            yield Hit(f"{said.path}.values[{odd[0]}]", message, count=len(odd))
+            value = stated.values[odd[0]]
+            message = f"{stated.name!r} is {value!r}; expected text, a number or a list of texts"
+            yield Hit(f"{stated.path}.values[{odd[0]}]", message, count=len(odd))
 
 
 def _kind(value: Any) -> str:
@@ -78,34 +78,36 @@ def _kind(value: Any) -> str:
 
 
 def _of_several_kinds(subject: Subject) -> Iterator[Hit]:
-    for said in _attributes(subject):
-        kinds = dict.fromkeys(_kind(value) for value in said.values if _is_usual(value))
+    for stated in _attributes(subject):
+        kinds = dict.fromkeys(_kind(value) for value in stated.values if _is_usual(value))
         if len(kinds) > 1:
-            yield Hit(f"{said.path}.values", f"{said.name!r} is {' and '.join(kinds)} by turns")
+            yield Hit(f"{stated.path}.values", f"{stated.name!r} is {' and '.join(kinds)} alternately")
 
 
 def _static_changes(subject: Subject) -> Iterator[Hit]:
-    for said in _attributes(subject):
-        different = [k for k, value in enumerate(said.values) if not _same(value, said.values[0])]
-        if said.static and different:
-            message = f"{said.name!r} is static and {said.values[0]!r}, then {said.values[different[0]]!r}"
-            yield Hit(f"{said.path}.values[{different[0]}]", message, count=len(different))
+    for stated in _attributes(subject):
+        different = [k for k, value in enumerate(stated.values) if not _same(value, stated.values[0])]
+        if stated.static and different:
+            message = (
+                f"{stated.name!r} is static and {stated.values[0]!r}, then {stated.values[different[0]]!r}"
+            )
+            yield Hit(f"{stated.path}.values[{different[0]}]", message, count=len(different))
 
 
 def _static_repeats(subject: Subject) -> Iterator[Hit]:
-    for said in _attributes(subject):
+    for stated in _attributes(subject):
         if (
-            said.static
-            and len(said.values) > 1
-            and all(_same(value, said.values[0]) for value in said.values)
+            stated.static
+            and len(stated.values) > 1
+            and all(_same(value, stated.values[0]) for value in stated.values)
         ):
-            message = f"{said.name!r} is static and told {len(said.values)} times; once is enough"
-            yield Hit(said.path, message)
+            message = f"{stated.name!r} is static and reported {len(stated.values)} times; once is enough"
+            yield Hit(stated.path, message)
 
 
 def _static_once(scene: Scene) -> Scene:
     """Keep the first of the equal values of static attributes of annotations."""
-    return mended_annotations(scene, _with_static_once)
+    return repaired_annotations(scene, _with_static_once)
 
 
 def _with_static_once(annotation: Any) -> Any:
@@ -125,14 +127,14 @@ def _once(attribute: AttributePath) -> AttributePath:
 
 
 def _without_times(subject: Subject) -> Iterator[Hit]:
-    for said in _attributes(subject):
-        if said.static:
+    for stated in _attributes(subject):
+        if stated.static:
             continue
-        if said.time_count is None and len(said.values) > 1:
-            yield Hit(said.path, f"{said.name!r} has {len(said.values)} values and no timestamps")
-        elif said.time_count is not None and said.time_count != len(said.values):
-            message = f"{said.name!r} has {said.time_count} timestamps and {len(said.values)} values"
-            yield Hit(said.path, message)
+        if stated.time_count is None and len(stated.values) > 1:
+            yield Hit(stated.path, f"{stated.name!r} has {len(stated.values)} values and no timestamps")
+        elif stated.time_count is not None and stated.time_count != len(stated.values):
+            message = f"{stated.name!r} has {stated.time_count} timestamps and {len(stated.values)} values"
+            yield Hit(stated.path, message)
 
 
 RULES: tuple[Rule, ...] = (
@@ -160,7 +162,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "attribute-static-repeats",
         Severity.HINT,
-        "A static attribute is told once.",
+        "A static attribute is reported once.",
         "Keep the first of the equal values.",
         find=_static_repeats,
         fix=_static_once,
@@ -168,7 +170,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "attribute-times",
         Severity.ERROR,
-        "An attribute that changes has a time stamp for each value.",
+        "An attribute that changes has a timestamp for each value.",
         "Give each value its time.",
         find=_without_times,
     ),

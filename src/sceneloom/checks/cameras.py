@@ -1,11 +1,11 @@
-"""Rules about cameras: their lenses and their videos."""
+"""Rules about cameras: their camera models and their videos."""
 
 from collections.abc import Callable, Iterator
 from typing import BinaryIO
 
 from sceneloom.cameras.table import MODELS
 from sceneloom.checks.rule import Hit, Rule
-from sceneloom.checks.sensor_times import stamps_of
+from sceneloom.checks.sensor_times import timestamps_of
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.errors import DataError
 from sceneloom.scene.cameras import CameraSensor
@@ -14,7 +14,7 @@ from sceneloom.scene.findings import Severity
 from sceneloom.scene.scene import Scene
 
 _SHORTEST, _LONGEST = 0.05, 30.0
-"""Focal lengths outside these parts of the picture's longer side [1] belong to no lens: 30 sees two degrees."""
+"""Focal lengths outside these parts of the image's longer side [1] belong to no camera model: 30 sees two degrees."""
 
 _MOST_UNEQUAL = 1.5
 """Pixels are square, or nearly so."""
@@ -29,11 +29,11 @@ def _cameras(subject: Subject) -> Iterator[tuple[str, CameraSensor | DepthCamera
             yield path, sensor
 
 
-def _notices(code: str) -> Callable[[Subject], Iterator[Hit]]:
-    """Tell what the reader remarked under a code."""
+def _warnings(code: str) -> Callable[[Subject], Iterator[Hit]]:
+    """Report what the reader remarked under a code."""
 
     def find(subject: Subject) -> Iterator[Hit]:
-        return (Hit(n.place, n.message, n.count) for n in subject.remarks if n.code == code)
+        return (Hit(n.location, n.message, n.count) for n in subject.notes if n.code == code)
 
     return find
 
@@ -47,48 +47,54 @@ def _unknown_models(subject: Subject) -> Iterator[Hit]:
 
 def _centre_outside(subject: Subject) -> Iterator[Hit]:
     for path, sensor in _cameras(subject):
-        lens = sensor.camera
-        for name, centre, length in (("cx", lens.cx, lens.width), ("cy", lens.cy, lens.height)):
+        camera_model = sensor.camera
+        for name, centre, length in (
+            ("cx", camera_model.cx, camera_model.width),
+            ("cy", camera_model.cy, camera_model.height),
+        ):
             if not -0.5 <= centre <= length - 0.5:
-                problem = f"{centre:g}; expected a pixel of the picture, which has {length}"
+                problem = f"{centre:g}; expected a pixel of the image, which has {length}"
                 yield Hit(f"{path}.intrinsics.{name}", problem)
 
 
 def _odd_focal_lengths(subject: Subject) -> Iterator[Hit]:
     for path, sensor in _cameras(subject):
-        lens = sensor.camera
-        if lens.model in _OWN_FOCAL_MEANING:
+        camera_model = sensor.camera
+        if camera_model.model in _OWN_FOCAL_MEANING:
             continue
-        larger, smaller = max(lens.fx, lens.fy), min(lens.fx, lens.fy)
-        size = max(lens.width, lens.height)
+        larger, smaller = max(camera_model.fx, camera_model.fy), min(camera_model.fx, camera_model.fy)
+        size = max(camera_model.width, camera_model.height)
         if larger > _MOST_UNEQUAL * smaller:
-            yield Hit(f"{path}.intrinsics", f"fx {lens.fx:g}, fy {lens.fy:g}; expected nearly equal ones")
+            yield Hit(
+                f"{path}.intrinsics",
+                f"fx {camera_model.fx:g}, fy {camera_model.fy:g}; expected nearly equal ones",
+            )
         elif not _SHORTEST * size <= larger <= _LONGEST * size:
-            problem = f"focal length {larger:g} px for pictures of {lens.width}x{lens.height}"
+            problem = f"focal length {larger:g} px for images of {camera_model.width}x{camera_model.height}"
             yield Hit(f"{path}.intrinsics", problem)
 
 
 def _video_counts(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
-    """Compare the pictures of a video with its stamps, once for each video."""
+    """Compare the images of a video with its timestamps, once for each video."""
     del subject
     sensor = frame.sensor
     if not isinstance(sensor, CameraSensor | DepthCameraSensor) or sensor.video is None or frame.number:
         return
     named = sensor.video.frame_indices
     try:
-        count = _pictures_in(sensor.video.open)
+        count = _images_in(sensor.video.open)
     except DataError as error:
         yield Hit(f"{frame.sensor_path}.video.content", error.problem)
         return
-    expected = len(stamps_of(sensor))
+    expected = len(timestamps_of(sensor))
     fits = count == expected if named is None else max(named, default=-1) < count
     if not fits:
-        problem = f"{expected} time stamps; the video has {count} pictures"
+        problem = f"{expected} timestamps; the video has {count} images"
         yield Hit(f"{frame.sensor_path}.video.timestamps", problem)
 
 
-def _pictures_in(open_video: Callable[[], BinaryIO]) -> int:
-    """Count the pictures of a video by its packets, without decoding them.
+def _images_in(open_video: Callable[[], BinaryIO]) -> int:
+    """Count the images of a video by its packets, without decoding them.
 
     Raises:
         DataError: it is no video, or broken.
@@ -110,13 +116,13 @@ RULES: tuple[Rule, ...] = (
         Severity.WARNING,
         "A camera has a video or images, not both.",
         "Leave one of them out; the video is taken, the images are carried along.",
-        find=_notices("video-and-images"),
+        find=_warnings("video-and-images"),
     ),
     Rule(
-        "lens-model-known",
+        "camera-model-model-known",
         Severity.WARNING,
-        "The lens follows a distortion model that can be computed with.",
-        "Use one of the known models; a lens can be fitted to another model.",
+        "The camera model follows a distortion model that can be computed with.",
+        "Use one of the known models; a camera model can be fitted to another model.",
         find=_unknown_models,
     ),
     Rule(
@@ -124,28 +130,28 @@ RULES: tuple[Rule, ...] = (
         Severity.HINT,
         "The distortion has as many numbers as its model.",
         "Write zeros for those that are missing, which is how they are read.",
-        find=_notices("short-distortion"),
+        find=_warnings("short-distortion"),
         fix=_as_read,
     ),
     Rule(
         "principal-point",
         Severity.WARNING,
-        "The principal point lies inside the picture.",
-        "See whether the lens was calibrated for another size, or the picture cut without moving cx and cy.",
+        "The principal point lies inside the image.",
+        "See whether the camera model was calibrated for another size, or the image cut without moving cx and cy.",
         find=_centre_outside,
     ),
     Rule(
         "focal-length",
         Severity.WARNING,
-        "Focal lengths are nearly equal, and those of a lens that there is.",
-        "Give focal lengths in pixels of these pictures, not in millimetres or of another size.",
+        "Focal lengths are nearly equal, and those of a camera model that there is.",
+        "Give focal lengths in pixels of these images, not in millimetres or of another size.",
         find=_odd_focal_lengths,
     ),
     Rule(
         "video-count",
         Severity.ERROR,
-        "A video has as many pictures as time stamps.",
-        "Find out which pictures were lost, and give the others their own stamps.",
+        "A video has as many images as timestamps.",
+        "Find out which images were lost, and give the others their own timestamps.",
         look=_video_counts,
     ),
 )

@@ -18,33 +18,33 @@ RULE_MODULES: tuple[str, ...] = (
     "sceneloom.checks.recordings.imu_values",
     "sceneloom.checks.recordings.sensor_values",
     "sceneloom.checks.recordings.fixes",
-    "sceneloom.checks.recordings.fixes_turning",
+    "sceneloom.checks.recordings.fixes_rotating",
     "sceneloom.checks.recordings.pose_steps",
     "sceneloom.checks.recordings.configuration",
     "sceneloom.checks.recordings.frame_lines",
     "sceneloom.checks.recordings.calibration_entries",
-    "sceneloom.checks.recordings.calibrated_lenses",
+    "sceneloom.checks.recordings.calibrated_camera_models",
     "sceneloom.checks.recordings.mountings",
-    "sceneloom.checks.recordings.stereo_pictures",
+    "sceneloom.checks.recordings.stereo_images",
     "sceneloom.checks.recordings.lidar_lines",
     "sceneloom.checks.times",
     "sceneloom.checks.point_times",
     "sceneloom.checks.poses",
     "sceneloom.checks.recordings.poses_and_imu",
     "sceneloom.checks.recordings.poses_and_gnss",
-    "sceneloom.checks.recordings.mended_streams",
+    "sceneloom.checks.recordings.repaired_streams",
     "sceneloom.checks.sensors",
     "sceneloom.checks.cameras",
     "sceneloom.checks.points",
     "sceneloom.checks.point_frames",
     "sceneloom.checks.surroundings",
-    "sceneloom.checks.pictures",
+    "sceneloom.checks.images",
     "sceneloom.checks.references",
     "sceneloom.checks.annotation_times",
     "sceneloom.checks.attributes",
     "sceneloom.checks.cuboids",
     "sceneloom.checks.cuboid_angles",
-    "sceneloom.checks.boxes_in_pictures",
+    "sceneloom.checks.boxes_in_images",
     "sceneloom.checks.shapes",
     "sceneloom.checks.labelled_points",
     "sceneloom.checks.corrections",
@@ -81,14 +81,14 @@ def chosen_rules(
 
 
 class RuleRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One rule as a list of rules tells it.
+    """One rule as a list of rules reports it.
 
     Attributes:
         id: of the rule.
         severity: how bad a finding is.
         summary: what holds in a sound scene.
         remedy: what a person can do.
-        fixable: whether `--fix` mends it.
+        fixable: whether `--fix` repairs it.
         only_in: the profiles that it is limited to; () for all.
     """
 

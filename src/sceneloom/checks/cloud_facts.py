@@ -20,7 +20,7 @@ class CloudFacts:
 
     Attributes:
         count: how many.
-        not_finite: of them, how many have a place that is not finite.
+        not_finite: of them, how many have a location that is not finite.
         at_origin: how many lie exactly at the origin.
         far: how many have a coordinate beyond `FAR_M`.
         farthest: the largest coordinate [m], 0 without points.
@@ -28,7 +28,7 @@ class CloudFacts:
         coloured: how many have a colour.
         white: how many of these are white.
         black: how many are black.
-        digest: of the places.
+        digest: of the locations.
     """
 
     count: int
@@ -90,7 +90,7 @@ def sensor_facts(subject: Subject) -> dict[SensorKey, SensorFacts]:
 
 
 def cloud_facts(subject: Subject, frame: FrameInHand) -> CloudFacts | None:
-    """Give the facts of a frame in hand, found at the first asking; None for pictures and what cannot be read."""
+    """Give the facts of a frame in hand, found at the first asking; None for images and what cannot be read."""
     if not isinstance(frame.frame, LidarFrame | RadarFrame):
         return None
     latest = subject.table("facts of the frame in hand", lambda _: dict[str, CloudFacts]())

@@ -53,8 +53,10 @@ def _adjustment_short(subject: Subject) -> Iterator[Hit]:
             continue
         missing_ns = max(poses.start_ns - span[0], span[1] - poses.stop_ns)
         if missing_ns > period_ns:
-            told = f"{poses.start_ns} to {poses.stop_ns} ns; the frames' times are {span[0]} to {span[1]} ns"
-            yield Hit(f"{path}.poses", told)
+            reported = (
+                f"{poses.start_ns} to {poses.stop_ns} ns; the frames' times are {span[0]} to {span[1]} ns"
+            )
+            yield Hit(f"{path}.poses", reported)
 
 
 def _several_calibrations(subject: Subject) -> Iterator[Hit]:
@@ -72,15 +74,15 @@ def _calibrates_nothing(subject: Subject) -> Iterator[Hit]:
             yield Hit(path, "neither poses nor intrinsics nor a time offset; expected one of them")
 
 
-def _other_picture_size(subject: Subject) -> Iterator[Hit]:
+def _other_image_size(subject: Subject) -> Iterator[Hit]:
     for path, calibration in _calibrations(subject):
-        sensor, lens = subject.sensor(calibration.sensor_id), calibration.intrinsics
-        if lens is None or not isinstance(sensor, CameraSensor):
+        sensor, camera_model = subject.sensor(calibration.sensor_id), calibration.intrinsics
+        if camera_model is None or not isinstance(sensor, CameraSensor):
             continue
-        given, usual = (lens.width, lens.height), (sensor.camera.width, sensor.camera.height)
+        given, usual = (camera_model.width, camera_model.height), (sensor.camera.width, sensor.camera.height)
         if given != usual:
-            told = f"{given[0]} x {given[1]} px; the camera's pictures are {usual[0]} x {usual[1]} px"
-            yield Hit(f"{path}.intrinsics", told)
+            reported = f"{given[0]} x {given[1]} px; the camera's images are {usual[0]} x {usual[1]} px"
+            yield Hit(f"{path}.intrinsics", reported)
 
 
 RULES: tuple[Rule, ...] = (
@@ -96,7 +98,7 @@ RULES: tuple[Rule, ...] = (
         "localization-adjustments-several",
         Severity.WARNING,
         "A scene has one localization adjustment at most.",
-        "Keep one: in which order several are applied is not said.",
+        "Keep one: in which order several are applied is not stated.",
         find=_several_adjustments,
     ),
     Rule(
@@ -110,21 +112,21 @@ RULES: tuple[Rule, ...] = (
         "camera-calibrations-several",
         Severity.WARNING,
         "A camera has one calibration annotation at most.",
-        "Keep one: in which order several are applied is not said.",
+        "Keep one: in which order several are applied is not stated.",
         find=_several_calibrations,
     ),
     Rule(
         "camera-calibration-empty",
         Severity.WARNING,
-        "A camera calibration says something about poses, lens or time.",
+        "A camera calibration says something about poses, camera model or time.",
         "Take it out.",
         find=_calibrates_nothing,
     ),
     Rule(
         "camera-calibration-size",
         Severity.WARNING,
-        "The lens of a camera calibration is for pictures of the camera's size.",
-        "Scale its numbers to the size of the pictures.",
-        find=_other_picture_size,
+        "The camera model of a camera calibration is for images of the camera's size.",
+        "Scale its numbers to the size of the images.",
+        find=_other_image_size,
     ),
 )

@@ -1,7 +1,7 @@
-"""Rules about the angles of cuboids: read in the unit and order that is said, headings fit motion, boxes hold points.
+"""Rules about the angles of cuboids: read in the unit and order that is stated, headings fit motion, boxes hold points.
 
 Each reading is tried: two units, six orders of the product. Objects on wheels move along their heading, forwards or
-backwards, and a box that is turned wrongly loses points of its object.
+backwards, and a box that is rotated wrongly loses points of its object.
 """
 
 from collections.abc import Iterator
@@ -12,22 +12,22 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array
 from sceneloom.checks.annotation_table import cuboid_paths, cuboid_rows
-from sceneloom.checks.point_places import point_places, transform_at
+from sceneloom.checks.point_positions import point_positions, transform_at
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.geometry.euler import ORDERS, AngleUnit, rotation_from_cuboid_angles
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.findings import Severity
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.scene import Scene
+from sceneloom.scene.warnings import WarningKind
 
 _LEAST_STEP_M, _LEAST_SPEED = 0.5, 2.0
 """Steps that are shorter or slower show no direction [m], [m/s]."""
 
 _STRIDES = (1, 4, 16)
 _LONGEST_S = 2.0
-"""Over a longer time an object may turn, so that its heading is not that of its whole step."""
+"""Over a longer time an object may rotate, so that its heading is not that of its whole step."""
 
 _MOST_STEPS = 5_000
 _ENOUGH_STEPS = 50
@@ -45,7 +45,7 @@ _MORE_POINTS = 1.15
 _OFF_GROUND_M = 0.2
 
 _SAME_DEG, _SAME_SHARE = 1.0, 0.98
-"""Of readings that are so nearly alike, the one that differs least from what is said is named."""
+"""Of readings that are so nearly alike, the one that differs least from what is stated is named."""
 
 
 class Reading(NamedTuple):
@@ -58,24 +58,24 @@ class Reading(NamedTuple):
         return f"{self.unit} in the order {self.order}"
 
 
-def said_reading(scene: Scene) -> Reading:
-    """The reading that the scene says, or is taken to say."""
+def stated_reading(scene: Scene) -> Reading:
+    """The reading that the scene says, or is taken to state."""
     angles = CuboidAngles.of(scene)
     return Reading(angles.unit, angles.order)
 
 
-def _readings(said: Reading) -> list[Reading]:
-    """All readings: the one that is said, then the likeliest slips."""
+def _readings(stated: Reading) -> list[Reading]:
+    """All readings: the one that is stated, then the likeliest slips."""
     readings = [Reading(unit.value, order) for unit in AngleUnit for order in ORDERS]
-    return sorted(readings, key=lambda reading: (reading != said) + (reading.order != said.order))
+    return sorted(readings, key=lambda reading: (reading != stated) + (reading.order != stated.order))
 
 
 def cuboid_headings(rows: Float64Array, reading: Reading) -> Float64Array:
     """The direction in which cuboids point, (N, 3) float64: their x axis."""
-    return np.ascontiguousarray(_turns(rows, reading)[:, :, 0])
+    return np.ascontiguousarray(_rotations(rows, reading)[:, :, 0])
 
 
-def _turns(rows: Float64Array, reading: Reading) -> Float64Array:
+def _rotations(rows: Float64Array, reading: Reading) -> Float64Array:
     return rotation_from_cuboid_angles(rows[:, 6:9], unit=reading.unit, order=reading.order)
 
 
@@ -117,7 +117,7 @@ def _off_motion(subject: Subject) -> tuple[dict[Reading, float], int]:
             return {}, len(rows)
         return {
             reading: _median_angle(cuboid_headings(rows, reading), directions)
-            for reading in _readings(said_reading(inner.scene))
+            for reading in _readings(stated_reading(inner.scene))
         }, len(rows)
 
     return subject.table("headings off motion", made)
@@ -130,21 +130,21 @@ def _median_angle(headings: Float64Array, directions: Float64Array) -> float:
 
 def _against_motion(subject: Subject) -> Iterator[Hit]:
     angles, steps = _off_motion(subject)
-    said = said_reading(subject.scene)
-    if not angles or angles[said] < _OFF_DEG:
+    stated = stated_reading(subject.scene)
+    if not angles or angles[stated] < _OFF_DEG:
         return
     least = min(angles.values())
     best = next(reading for reading, angle in angles.items() if angle <= least + _SAME_DEG)
     if angles[best] < _ALONG_DEG:
         yield Hit(
             "annotations",
-            f"read as {said} headings are {angles[said]:.0f}° off the motion, read as {best} {angles[best]:.0f}° "
+            f"read as {stated} headings are {angles[stated]:.0f}° off the motion, read as {best} {angles[best]:.0f}° "
             f"(median of {steps} steps)",
         )
 
 
 @dataclass(slots=True, eq=False)
-class Tally:
+class Statistics:
     """Points in boxes, by reading, of how many boxes; the frames that are to be looked at, and those that were."""
 
     points: dict[Reading, int] = field(default_factory=dict)
@@ -153,21 +153,21 @@ class Tally:
     counted: set[str] = field(default_factory=set)
 
 
-def _tally(subject: Subject) -> Tally:
-    return subject.table("points in boxes", lambda _: Tally())
+def _statistics(subject: Subject) -> Statistics:
+    return subject.table("points in boxes", lambda _: Statistics())
 
 
 def _count_in_boxes(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
-    """Count the points in the boxes of a frame under each reading; what they show is said at the end."""
+    """Count the points in the boxes of a frame under each reading; what they show is stated at the end."""
     yield from ()
     lidar, sweep = frame.sensor, frame.frame
     if not isinstance(lidar, LidarSensor) or not isinstance(sweep, LidarFrame):
         return
     if len(cuboid_rows(subject)) == 0 or frame.number not in _wanted(subject, frame.sensor_path, lidar):
         return
-    if frame.path in _tally(subject).counted:
+    if frame.path in _statistics(subject).counted:
         return
-    source = point_places(subject, lidar).get(lidar.points_frame)
+    source = point_positions(subject, lidar).get(lidar.points_frame)
     world_from_points = None if source is None else transform_at(source, sweep.timestamp_ns)
     positions = sweep.points.positions
     some = positions[:: len(positions) // _KEPT_POINTS + 1]
@@ -176,15 +176,15 @@ def _count_in_boxes(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
         return
     points_world = world_from_points.apply(some)
     rows = _boxes_at(subject, sweep, np.median(points_world, axis=0))
-    tally = _tally(subject)
-    tally.counted.add(frame.path)
-    tally.boxes += len(rows)
-    for reading, count in _points_in(points_world, rows, said_reading(subject.scene)).items():
-        tally.points[reading] = tally.points.get(reading, 0) + count
+    statistics = _statistics(subject)
+    statistics.counted.add(frame.path)
+    statistics.boxes += len(rows)
+    for reading, count in _points_in(points_world, rows, stated_reading(subject.scene)).items():
+        statistics.points[reading] = statistics.points.get(reading, 0) + count
 
 
 def _wanted(subject: Subject, path: str, lidar: LidarSensor) -> frozenset[int]:
-    wanted = _tally(subject).wanted
+    wanted = _statistics(subject).wanted
     if path not in wanted:
         wanted[path] = frozenset(np.linspace(0, len(lidar.frames) - 1, _LOOKED_AT).astype(int).tolist())
     return wanted[path]
@@ -200,11 +200,11 @@ def _boxes_at(subject: Subject, sweep: LidarFrame, around: Float64Array) -> Floa
     return np.asarray(found[:: len(found) // _MOST_BOXES + 1])
 
 
-def _points_in(points_world: Float64Array, rows: Float64Array, said: Reading) -> dict[Reading, int]:
+def _points_in(points_world: Float64Array, rows: Float64Array, stated: Reading) -> dict[Reading, int]:
     """Count the points in boxes, but for those just above their floors, under each reading."""
     from scipy.spatial import cKDTree
 
-    readings = _readings(said)
+    readings = _readings(stated)
     if len(rows) == 0:
         return dict.fromkeys(readings, 0)
     reach = np.linalg.norm(rows[:, :3], axis=1) / 2
@@ -216,54 +216,54 @@ def _points_in(points_world: Float64Array, rows: Float64Array, said: Reading) ->
 
 
 def _inside(away: Float64Array, rows: Float64Array, boxes: Int64Array, reading: Reading) -> int:
-    points_box = np.einsum("nji,nj->ni", _turns(rows, reading)[boxes], away)
+    points_box = np.einsum("nji,nj->ni", _rotations(rows, reading)[boxes], away)
     halves = rows[boxes, :3] / 2
     inside: AnyArray = (np.abs(points_box) <= halves).all(axis=1)
     return int(np.count_nonzero(inside & (points_box[:, 2] > _OFF_GROUND_M - halves[:, 2])))
 
 
 def _against_points(subject: Subject) -> Iterator[Hit]:
-    tally, said = _tally(subject), said_reading(subject.scene)
-    if not tally.points:
+    statistics, stated = _statistics(subject), stated_reading(subject.scene)
+    if not statistics.points:
         return
     angles, steps = _off_motion(subject)
-    most = max(tally.points.values())
-    best = next(reading for reading, count in tally.points.items() if count >= _SAME_SHARE * most)
-    more, fewer = tally.points[best], tally.points[said]
+    most = max(statistics.points.values())
+    best = next(reading for reading, count in statistics.points.items() if count >= _SAME_SHARE * most)
+    more, fewer = statistics.points[best], statistics.points[stated]
     if more < _LEAST_POINTS or more < _MORE_POINTS * fewer:
         return
-    if angles and angles[best] > max(angles[said], _ALONG_DEG):
+    if angles and angles[best] > max(angles[stated], _ALONG_DEG):
         return
     moving = (
-        f"; headings are {angles[said]:.0f}° and {angles[best]:.0f}° off the motion, in the median of {steps} steps"
+        f"; headings are {angles[stated]:.0f}° and {angles[best]:.0f}° off the motion, in the median of {steps} steps"
         if angles
         else ""
     )
     yield Hit(
         "annotations",
-        f"read as {said} {tally.boxes} boxes hold {fewer} points, read as {best} {more}{moving}",
+        f"read as {stated} {statistics.boxes} boxes hold {fewer} points, read as {best} {more}{moving}",
     )
 
 
 def _unsaid(subject: Subject) -> Iterator[Hit]:
-    """Where nothing says how the angles are meant, tell what the data say about the reading that was taken."""
-    assumed = {notice.code for notice in subject.remarks if notice.kind is NoticeKind.ASSUMED}
+    """Where nothing says how the angles are meant, report what the data state about the reading that was taken."""
+    assumed = {warning.code for warning in subject.notes if warning.kind is WarningKind.ASSUMED}
     if not assumed & {"euler-unit", "euler-order"}:
         return
-    said = said_reading(subject.scene)
-    other = Reading(next(unit.value for unit in AngleUnit if unit.value != said.unit), said.order)
-    tally, (angles, steps) = _tally(subject), _off_motion(subject)
+    stated = stated_reading(subject.scene)
+    other = Reading(next(unit.value for unit in AngleUnit if unit.value != stated.unit), stated.order)
+    statistics, (angles, steps) = _statistics(subject), _off_motion(subject)
     evidence = []
     if angles:
         evidence.append(
-            f"headings are {angles[said]:.0f}° off the motion in the median of {steps} steps, in {other.unit} "
+            f"headings are {angles[stated]:.0f}° off the motion in the median of {steps} steps, in {other.unit} "
             f"{angles[other]:.0f}°"
         )
-    if tally.points:
-        held, in_other = tally.points[said], tally.points[other]
-        evidence.append(f"{tally.boxes} boxes hold {held} points, in {other.unit} {in_other}")
-    told = "; ".join(evidence) or "neither motion nor points in the boxes tell"
-    yield Hit("annotations", f"not said; taken to be {said}: {told}")
+    if statistics.points:
+        held, in_other = statistics.points[stated], statistics.points[other]
+        evidence.append(f"{statistics.boxes} boxes hold {held} points, in {other.unit} {in_other}")
+    reported = "; ".join(evidence) or "neither motion nor points in the boxes report"
+    yield Hit("annotations", f"not stated; taken to be {stated}: {reported}")
 
 
 _REMEDY = "Open the file with `--euler-unit` and `--euler-order` as the message says, and write it again."
@@ -272,7 +272,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "cuboid-heading-off-motion",
         Severity.WARNING,
-        "Cuboids move along their headings under the unit and order of their angles that is said.",
+        "Cuboids move along their headings under the unit and order of their angles that is stated.",
         _REMEDY,
         find=_against_motion,
     ),

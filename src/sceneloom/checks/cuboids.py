@@ -7,8 +7,8 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, read_only
 from sceneloom.checks.annotation_table import PartTable, cuboid_paths, cuboid_rows
-from sceneloom.checks.cuboid_angles import cuboid_headings, said_reading
-from sceneloom.checks.mending import mended_annotations
+from sceneloom.checks.cuboid_angles import cuboid_headings, stated_reading
+from sceneloom.checks.repairing import repaired_annotations
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.geometry.euler import AngleUnit
@@ -28,16 +28,16 @@ _SIZE_CHANGE_M = 0.5
 
 _SLACK_M = 2.0
 _ACCELERATION = 20.0
-"""Twice what tyres hold on a road [m/s²]; with the slack it bounds how far a keyframe lies off the way."""
+"""Twice what tyres hold on a road [m/s²]; with the slack it bounds how far a keyframe lies off the trajectory."""
 
 _FASTEST = 100.0
 """No vehicle on a road is faster [m/s]."""
 
-_STANDING_M = 1.0
+_STATIONARY_M = 1.0
 
-_TURN_DEG = 100.0
-_TURN_WITHIN_NS = 600_000_000
-"""Nothing on wheels turns that far within this time."""
+_ROTATION_DEG = 100.0
+_ROTATION_WITHIN_NS = 600_000_000
+"""Nothing on wheels rotates that far within this time."""
 
 
 def _not_finite(subject: Subject) -> Iterator[Hit]:
@@ -49,15 +49,15 @@ def _not_finite(subject: Subject) -> Iterator[Hit]:
             if activation.cuboids is None:
                 continue
             seen = activation.cuboids
-            # a cuboid that is not told is null as a whole
+            # a cuboid that is not reported is null as a whole
             partly = ~np.isfinite(seen).all(axis=1) & ~np.isnan(seen).all(axis=1)
             for row in np.flatnonzero(partly).tolist():
                 where = f"{path}.activations[{k}].cuboids[{row}]"
                 yield Hit(where, f"{_numbers(seen[row])}; expected finite numbers")
 
 
-def _hits(subject: Subject, bad: BoolArray, say: Callable[[int], str]) -> Iterator[Hit]:
-    return cuboid_paths(subject).hits(subject, bad, say, within=".values")
+def _hits(subject: Subject, bad: BoolArray, state: Callable[[int], str]) -> Iterator[Hit]:
+    return cuboid_paths(subject).hits(subject, bad, state, within=".values")
 
 
 def _in_any(bad: BoolArray) -> BoolArray:
@@ -76,8 +76,8 @@ def _negative_size(subject: Subject) -> Iterator[Hit]:
 
 
 def _positive_sizes(scene: Scene) -> Scene:
-    """Turn negative lengths positive: a box is the same seen from its other side."""
-    return mended_annotations(scene, _with_positive_size)
+    """Rotate negative lengths positive: a box is the same seen from its other side."""
+    return repaired_annotations(scene, _with_positive_size)
 
 
 def _with_positive_size(cuboid: Annotation) -> Annotation:
@@ -123,27 +123,27 @@ def _from_second(table: PartTable, bad_steps: BoolArray) -> BoolArray:
 
 
 def _jumps(subject: Subject) -> Iterator[Hit]:
-    """Find keyframes that no vehicle could reach, or that lie off the way between their neighbours."""
+    """Find keyframes that no vehicle could reach, or that lie off the trajectory between their neighbours."""
     table, positions = cuboid_paths(subject), cuboid_rows(subject)[:, 3:6]
     seconds = np.diff(table.timestamps_ns) / 1e9
     forward = table.inner & (seconds > 0)
-    way = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    out_of_reach = _from_second(table, forward & (way > _SLACK_M + _FASTEST * seconds))
-    off = _off_the_way(positions, seconds, forward)
+    trajectory = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    out_of_reach = _from_second(table, forward & (trajectory > _SLACK_M + _FASTEST * seconds))
+    off = _off_the_trajectory(positions, seconds, forward)
 
-    def say(row: int) -> str:
+    def state(row: int) -> str:
         if off[row]:
-            return f"{off[row]:.1f} m off the way between the keyframes before and after"
-        return f"{way[row - 1]:.1f} m from the keyframe before, in {seconds[row - 1]:.3f} s"
+            return f"{off[row]:.1f} m off the trajectory between the keyframes before and after"
+        return f"{trajectory[row - 1]:.1f} m from the keyframe before, in {seconds[row - 1]:.3f} s"
 
     bad = out_of_reach | (off > 0)
-    return _hits(subject, bad, say)
+    return _hits(subject, bad, state)
 
 
-def _off_the_way(positions: Float64Array, seconds: Float64Array, forward: BoolArray) -> Float64Array:
-    """How far keyframes lie off the way between their neighbours, (R,) float64 [m]; 0 where an object may.
+def _off_the_trajectory(positions: Float64Array, seconds: Float64Array, forward: BoolArray) -> Float64Array:
+    """How far keyframes lie off the trajectory between their neighbours, (R,) float64 [m]; 0 where an object may.
 
-    One misplaced keyframe bends the ways of its neighbours, too: only the one that is farthest off is told.
+    One misplaced keyframe bends the trajectories of its neighbours, too: only the one that is farthest off is reported.
     """
     off = np.zeros(len(positions))
     if len(positions) < 3:
@@ -158,31 +158,31 @@ def _off_the_way(positions: Float64Array, seconds: Float64Array, forward: BoolAr
     return off
 
 
-def _standing_moves(subject: Subject) -> Iterator[Hit]:
+def _stationary_moves(subject: Subject) -> Iterator[Hit]:
     for path, annotation in subject.annotations():
         if isinstance(annotation, CuboidAnnotation) and annotation.stationary:
             positions = annotation.path.values[:, 3:6]
             spread = float(np.linalg.norm(np.ptp(positions, axis=0))) if len(positions) > 1 else 0.0
-            if spread > _STANDING_M:
+            if spread > _STATIONARY_M:
                 yield Hit(f"{path}.stationary", f"true, yet the keyframes lie {spread:.1f} m apart")
 
 
-def _turns(subject: Subject) -> Iterator[Hit]:
+def _rotations(subject: Subject) -> Iterator[Hit]:
     table, rows = cuboid_paths(subject), cuboid_rows(subject)
     steps = np.diff(table.timestamps_ns)
-    reading = said_reading(subject.scene)
-    half_turn = 180.0 if reading.unit == AngleUnit.DEGREES else np.pi
-    reach = np.abs(np.diff(rows[:, 6:9], axis=0)).sum(axis=1) / half_turn * 180.0
-    # no cuboid turns by more than its three angles do together
-    may = table.inner & (steps > 0) & (steps <= _TURN_WITHIN_NS) & (reach > _TURN_DEG)
+    reading = stated_reading(subject.scene)
+    half_rotation = 180.0 if reading.unit == AngleUnit.DEGREES else np.pi
+    reach = np.abs(np.diff(rows[:, 6:9], axis=0)).sum(axis=1) / half_rotation * 180.0
+    # no cuboid rotates by more than its three angles do together
+    may = table.inner & (steps > 0) & (steps <= _ROTATION_WITHIN_NS) & (reach > _ROTATION_DEG)
     steps_chosen = np.flatnonzero(may)
     before = cuboid_headings(rows[steps_chosen], reading)
     after = cuboid_headings(rows[steps_chosen + 1], reading)
     angles = np.degrees(np.arccos(np.sum(before * after, axis=1).clip(-1, 1)))
     bad = np.zeros(len(rows), bool)
-    bad[steps_chosen[angles > _TURN_DEG] + 1] = True
+    bad[steps_chosen[angles > _ROTATION_DEG] + 1] = True
     angle_of = dict(zip((steps_chosen + 1).tolist(), angles.tolist(), strict=True))
-    return _hits(subject, bad, lambda row: f"turned by {angle_of[row]:.0f}° in {steps[row - 1] / 1e9:.3f} s")
+    return _hits(subject, bad, lambda row: f"rotated by {angle_of[row]:.0f}° in {steps[row - 1] / 1e9:.3f} s")
 
 
 RULES: tuple[Rule, ...] = (
@@ -225,22 +225,22 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "cuboid-jump",
         Severity.WARNING,
-        "Cuboids move as objects can: no keyframe lies off the way between its neighbours or out of reach.",
+        "Cuboids move as objects can: no keyframe lies off the trajectory between its neighbours or out of reach.",
         "Look whether one path joins two objects, or a keyframe is misplaced.",
         find=_jumps,
     ),
     Rule(
-        "cuboid-turn",
+        "cuboid-rotation",
         Severity.WARNING,
-        f"No cuboid turns by more than {_TURN_DEG:g}° within {_TURN_WITHIN_NS / 1e9:g} s.",
+        f"No cuboid rotates by more than {_ROTATION_DEG:g}° within {_ROTATION_WITHIN_NS / 1e9:g} s.",
         "Look whether front and back were mixed up in a keyframe.",
-        find=_turns,
+        find=_rotations,
     ),
     Rule(
         "cuboid-stationary-moves",
         Severity.WARNING,
-        f"The keyframes of a stationary cuboid lie within {_STANDING_M:g} m.",
+        f"The keyframes of a stationary cuboid lie within {_STATIONARY_M:g} m.",
         "Take `stationary` out, or leave one keyframe.",
-        find=_standing_moves,
+        find=_stationary_moves,
     ),
 )

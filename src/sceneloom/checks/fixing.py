@@ -1,4 +1,4 @@
-"""Mending a scene by the fixes of its rules."""
+"""Repairing a scene by the fixes of its rules."""
 
 from collections.abc import Sequence
 
@@ -8,10 +8,10 @@ from sceneloom.checks.walk import Hits, find_all
 from sceneloom.scene.scene import Scene
 
 _MOST_ROUNDS = 8
-"""A fix may bring to light what another mends; none needs more rounds than there are such steps."""
+"""A fix may bring to light what another repairs; none needs more rounds than there are such steps."""
 
 
-def mended(scene: Scene, rules: Sequence[Rule], hits: Hits) -> tuple[Scene, frozenset[str]]:
+def repaired(scene: Scene, rules: Sequence[Rule], hits: Hits) -> tuple[Scene, frozenset[str]]:
     """Apply fixes until nothing is found that one of them would change.
 
     Args:
@@ -20,7 +20,7 @@ def mended(scene: Scene, rules: Sequence[Rule], hits: Hits) -> tuple[Scene, froz
         hits: of the first search, in frames as well; later ones look at what is known without reading.
 
     Returns:
-        The mended scene, and the ids of the rules whose fixes were applied.
+        The repaired scene, and the ids of the rules whose fixes were applied.
     """
     fixable = [rule for rule in rules if rule.fix is not None]
     applied: set[str] = set()

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sceneloom.arrays import read_only
-from sceneloom.checks.mending import mended_annotations
+from sceneloom.checks.repairing import repaired_annotations
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.scene.annotations.annotation import Annotation
@@ -104,8 +104,8 @@ def _repeated(subject: Subject) -> Iterator[Hit]:
 
 
 def _each_once(scene: Scene) -> Scene:
-    """Name each point once, at its first place."""
-    return mended_annotations(scene, _with_each_once)
+    """Name each point once, at its first location."""
+    return repaired_annotations(scene, _with_each_once)
 
 
 def _with_each_once(annotation: Annotation) -> Annotation:
@@ -139,10 +139,10 @@ def _of_two(subject: Subject) -> Iterator[Hit]:
             first, second = instances[one], instances[other]
             if first.annotation is not second.annotation:
                 shared[id(second.annotation), id(first.annotation)].append((second, first, int(count)))
-    for places in shared.values():
-        second, first, _ = places[0]
-        total = sum(count for *_, count in places)
-        where = f" in {len(places)} frames, first here" if len(places) > 1 else ""
+    for locations in shared.values():
+        second, first, _ = locations[0]
+        total = sum(count for *_, count in locations)
+        where = f" in {len(locations)} frames, first here" if len(locations) > 1 else ""
         message = f"{second.annotation.id!r} shares {_points(total)} with {first.annotation.id!r}{where}"
         yield Hit(f"{second.path}.point_ids", message)
 

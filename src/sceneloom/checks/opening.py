@@ -11,7 +11,7 @@ from sceneloom.formats.faults import PlacedFault
 from sceneloom.formats.recording.examination import RecordingExamination
 from sceneloom.formats.sfs.faults import Examination
 from sceneloom.formats.spec import FormatSpec
-from sceneloom.formats.table import chosen_corrections, format_and_place, opened_by, part_of
+from sceneloom.formats.table import chosen_corrections, format_and_location, opened_by, part_of
 from sceneloom.redaction import redacted
 from sceneloom.scene.scene import Corrections, Scene
 
@@ -30,7 +30,7 @@ def open_subject(
     Args:
         path: a file or folder, or the URL of a scene file.
         format: the format's name, where the content should not decide.
-        start, stop: seconds after the first time stamp: the part between them is a scene of its own, without the texts
+        start, stop: seconds after the first timestamp: the part between them is a scene of its own, without the texts
             of its file, with the faults of all of it.
         corrections: as of `open_scene`.
         reading: reading options of the format; `lenient` plays no part.
@@ -46,11 +46,11 @@ def open_subject(
     if start is None and stop is None:
         return subject
     part = part_of(subject.scene, start=start, stop=stop)
-    return Subject(part, faults=subject.faults, notices=subject.remarks)
+    return Subject(part, faults=subject.faults, warnings=subject.notes)
 
 
 def _whole_subject(path: str | Path, format: str | None, reading: dict[str, Any]) -> Subject:
-    form, where = format_and_place(path, format=format)
+    form, where = format_and_location(path, format=format)
     options = {name: value for name, value in reading.items() if value is not None and name != "lenient"}
     if not form.examiner:
         return _opened(form, where, options)
@@ -69,7 +69,7 @@ def _examined(examination: Examination, path: str | Path) -> Subject:
         examination.faults,
         examination.sensor_paths,
         examination.annotation_paths,
-        examination.notices,
+        examination.warnings,
         fetch=examination.fetch,
         frame_numbers=examination.frame_numbers,
     )
@@ -97,8 +97,10 @@ def _opened(form: FormatSpec, path: Path, options: dict[str, Any]) -> Subject:
 
 
 def _unreadable(path: Path, error: DataError) -> PlacedFault:
-    place = ": ".join(part for part in (error.file.removeprefix(str(path)).lstrip("/"), error.place) if part)
-    return PlacedFault(place, error.problem, "unreadable")
+    location = ": ".join(
+        part for part in (error.file.removeprefix(str(path)).lstrip("/"), error.location) if part
+    )
+    return PlacedFault(location, error.problem, "unreadable")
 
 
 def _nothing(path: str | Path, format_name: str) -> Scene:

@@ -1,10 +1,10 @@
-"""A rule about the frame of points: they stay with the sensor, or match from frame to frame, in the one that is said.
+"""A rule about the frame of points: they stay with the sensor, or match from frame to frame, in the one that is stated.
 
 Two tests. By distance: points lie around their sensor, so a frame in which they are far from it is not theirs; this
-needs a sensor that is far from the origin at some time. By overlap: what stands still is at the same place in the
+needs a sensor that is far from the origin at some time. By overlap: what is stationary is at the same location in the
 world in two frames, so the frame in which more points of one sweep meet points of another one is theirs; this needs
 a sensor that moves by metres between the two. What is flat looks alike from everywhere: points near the ground, as
-the lowest in their surroundings tell it, are left out.
+the lowest in their surroundings report it, are left out.
 """
 
 from collections.abc import Iterator, Mapping
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
-from sceneloom.checks.point_places import places_at, point_places, sensor_place, transform_at
+from sceneloom.checks.point_positions import point_positions, positions_at, sensor_position, transform_at
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
@@ -88,11 +88,11 @@ def sweep_of(frame: LidarFrame | RadarFrame) -> Sweep:
 
 def plan_sweeps(subject: Subject, path: str, sensor: LidarSensor | RadarSensor) -> Sweeps:
     """Choose frames spread over the drive, and to each one from which the sensor has moved far enough."""
-    place, count = sensor_place(subject, sensor), len(sensor.frames)
-    if place is None:
+    location, count = sensor_position(subject, sensor), len(sensor.frames)
+    if location is None:
         return Sweeps(path, sensor, frozenset(), ())
     spread = np.unique(np.linspace(0, count - 1, _LOOKED_AT).astype(int)).tolist()
-    where = places_at(place, sensor)
+    where = positions_at(location, sensor)
     pairs: dict[tuple[int, int], None] = {}
     for number in spread:
         moved = np.linalg.norm(where - where[number], axis=1)
@@ -105,34 +105,34 @@ def plan_sweeps(subject: Subject, path: str, sensor: LidarSensor | RadarSensor) 
 
 def _wrong_frame(subject: Subject) -> Iterator[Hit]:
     for sweeps in _all_sweeps(subject).values():
-        told = _by_distance(subject, sweeps) or _by_overlap(subject, sweeps)
-        if told is not None:
-            yield Hit(f"{sweeps.path}.frames[].points", told, count=len(sweeps.sensor.frames))
+        reported = _by_distance(subject, sweeps) or _by_overlap(subject, sweeps)
+        if reported is not None:
+            yield Hit(f"{sweeps.path}.frames[].points", reported, count=len(sweeps.sensor.frames))
 
 
 def _by_distance(subject: Subject, sweeps: Sweeps) -> str | None:
     """Compare how far the middle point of each frame is from the sensor, under each reading."""
-    said, middles = sweeps.sensor.points_frame, distances(subject, sweeps)
-    if said not in middles:
+    stated, middles = sweeps.sensor.points_frame, distances(subject, sweeps)
+    if stated not in middles:
         return None
     nearest = min(middles, key=lambda reading: middles[reading])
-    if not lie_nearer(middles[nearest], middles[said]):
+    if not lie_nearer(middles[nearest], middles[stated]):
         return None
     return (
-        f"taken as {_in(said)} half of the points lie more than {middles[said]:.0f} m from the sensor, "
-        f"taken as {_in(nearest)} {middles[nearest]:.0f} m; said is {said.value}"
+        f"taken as {_in(stated)} half of the points lie more than {middles[stated]:.0f} m from the sensor, "
+        f"taken as {_in(nearest)} {middles[nearest]:.0f} m; stated is {stated.value}"
     )
 
 
 def distances(subject: Subject, sweeps: Sweeps) -> Mapping[PointsFrame, float]:
     """Give the distance from the sensor within which half of the points of a sweep lie [m], under each reading."""
-    place = sensor_place(subject, sweeps.sensor)
+    location = sensor_position(subject, sweeps.sensor)
     middles = dict[PointsFrame, float]()
-    for reading, source in point_places(subject, sweeps.sensor).items():
+    for reading, source in point_positions(subject, sweeps.sensor).items():
         away = []
         for sweep in sweeps.seen.values():
             world_from_points = transform_at(source, sweep.timestamp_ns)
-            world_from_sensor = None if place is None else transform_at(place, sweep.timestamp_ns)
+            world_from_sensor = None if location is None else transform_at(location, sweep.timestamp_ns)
             if world_from_points is None or world_from_sensor is None or len(sweep.points) == 0:
                 continue
             to_sensor = world_from_points.apply(sweep.points) - world_from_sensor.translation
@@ -153,15 +153,15 @@ def _in(frame: PointsFrame) -> str:
 
 def _by_overlap(subject: Subject, sweeps: Sweeps) -> str | None:
     """Compare how many points of one frame meet points of another, under each reading."""
-    said, means = sweeps.sensor.points_frame, overlaps(subject, sweeps)
-    if said not in means:
+    stated, means = sweeps.sensor.points_frame, overlaps(subject, sweeps)
+    if stated not in means:
         return None
     best = max(means, key=lambda reading: means[reading])
-    if not meet_more(means[best], means[said]):
+    if not meet_more(means[best], means[stated]):
         return None
     return (
-        f"taken as {_in(said)} {means[said]:.0%} of the points off the ground meet points of another frame, "
-        f"taken as {_in(best)} {means[best]:.0%} ({len(sweeps.pairs)} pairs of frames); said is {said.value}"
+        f"taken as {_in(stated)} {means[stated]:.0%} of the points off the ground meet points of another frame, "
+        f"taken as {_in(best)} {means[best]:.0%} ({len(sweeps.pairs)} pairs of frames); stated is {stated.value}"
     )
 
 
@@ -184,14 +184,14 @@ def meet_more(one: float, other: float) -> bool:
 
 
 def _overlaps(subject: Subject, lidar: LidarSensor, one: Sweep, other: Sweep) -> Mapping[PointsFrame, float]:
-    """The share of points of one frame that meet points of another, under each reading that places both."""
+    """The share of points of one frame that meet points of another, under each reading that locations both."""
     from scipy.spatial import cKDTree
 
     shares: dict[PointsFrame, float] = {}
     if len(other.points) < _LEAST_ASKED:
         return shares
     others = cKDTree(other.points)
-    for reading, source in point_places(subject, lidar).items():
+    for reading, source in point_positions(subject, lidar).items():
         world_from_one = transform_at(source, one.timestamp_ns)
         world_from_other = transform_at(source, other.timestamp_ns)
         if world_from_one is None or world_from_other is None:
@@ -219,7 +219,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "points-in-another-frame",
         Severity.WARNING,
-        "Points lie around their sensor, and match from frame to frame, in the frame that they are said to be in.",
+        "Points lie around their sensor, and match from frame to frame, in the frame that they are stated to be in.",
         "Open the file with `--points-frame world`, `ego` or `sensor`, and write it again.",
         look=_keep,
         conclude=_wrong_frame,

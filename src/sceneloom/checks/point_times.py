@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from sceneloom.checks.observations import note_observation, observations_of
 from sceneloom.checks.reading import as_read
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.sensor_times import period_ns, seconds
-from sceneloom.checks.sightings import note_sighting, sightings_of
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.formats.sfs.container import RawBytes
 from sceneloom.formats.sfs.times import READABLE_TICKS_NS, UINT32_MAX, FileClock, point_times_dtype
@@ -22,23 +22,23 @@ _WRAP_NS = (UINT32_MAX + 1) * 1_000
 _NEAR_NS = 1_000_000_000
 
 _ROUNDING_NS = 1_000
-"""Stamps in microseconds may be so late [ns]."""
+"""Timestamps in microseconds may be so late [ns]."""
 
 _ON_ANOTHER_CLOCK = 100
-"""Times so many periods away are not late, but of another clock, which another rule tells."""
+"""Times so many periods away are not late, but of another clock, which another rule reports."""
 
 _WHAT: dict[PointTimes, str] = {
-    PointTimes.RELATIVE: "count from the frame's own stamp; expected times on the scene's clock",
-    PointTimes.OTHER_CLOCK: "are on another clock than the frame's stamp",
-    PointTimes.UNKNOWN: "are not those of a sweep at the frame's stamp",
+    PointTimes.RELATIVE: "count from the frame's own timestamp; expected times on the scene's clock",
+    PointTimes.OTHER_CLOCK: "are on another clock than the frame's timestamp",
+    PointTimes.UNKNOWN: "are not those of a sweep at the frame's timestamp",
 }
 
 
 def _relative_in_file(subject: Subject) -> Iterator[Hit]:
     """What the reader of scene files has put right already."""
-    for notice in subject.remarks:
-        if notice.code == "relative-point-times":
-            yield Hit(notice.place, notice.message, notice.count)
+    for warning in subject.notes:
+        if warning.code == "relative-point-times":
+            yield Hit(warning.location, warning.message, warning.count)
 
 
 def _not_on_the_clock(subject: Subject, frame: FrameInHand) -> Iterable[Hit]:
@@ -59,7 +59,7 @@ def _not_on_the_clock(subject: Subject, frame: FrameInHand) -> Iterable[Hit]:
         problem = f"are {float(max(factor, 1 / factor)):g} times too {'large' if factor > 1 else 'small'}"
     if problem is not None:
         problem = f"they {problem}; the first is {timed.raw.first_ns} ns"
-        note_sighting(subject, "point-times-clock", frame, "points.timestamps", problem)
+        note_observation(subject, "point-times-clock", frame, "points.timestamps", problem)
     return ()
 
 
@@ -92,12 +92,12 @@ def _file_times(frame: Any) -> Any:
 
 
 def _wraps(raw: RawTimes, zero_ns: int) -> int:
-    """How often microseconds in 32 bits have run over between a frame's stamp and its first point; 0 for not."""
+    """How often microseconds in 32 bits have run over between a frame's timestamp and its first point; 0 for not."""
     if not 0 <= raw.first_ns - zero_ns < _WRAP_NS:
         return 0
     late_ns = raw.timestamp_ns - raw.first_ns
-    turns = round(late_ns / _WRAP_NS)
-    return turns if abs(late_ns - turns * _WRAP_NS) < _NEAR_NS else 0
+    rotations = round(late_ns / _WRAP_NS)
+    return rotations if abs(late_ns - rotations * _WRAP_NS) < _NEAR_NS else 0
 
 
 def _all_equal(subject: Subject, frame: FrameInHand) -> Iterable[Hit]:
@@ -105,9 +105,9 @@ def _all_equal(subject: Subject, frame: FrameInHand) -> Iterable[Hit]:
         times = frame.frame.points.timestamps_ns
         if times is not None and len(times) > 1 and times.min() == times.max():
             problem = (
-                f"all {len(times)} are {int(times[0])} ns; they tell nothing about the motion in the sweep"
+                f"all {len(times)} are {int(times[0])} ns; they state nothing about the motion in the sweep"
             )
-            note_sighting(subject, "point-times-equal", frame, "points.timestamps", problem)
+            note_observation(subject, "point-times-equal", frame, "points.timestamps", problem)
     return ()
 
 
@@ -128,7 +128,7 @@ def _outside_the_sweep(subject: Subject, frame: FrameInHand) -> Iterable[Hit]:
     elif late > 0:
         problem = f"points reach to {seconds(late)} beyond the end of the next sweep"
     if problem is not None:
-        note_sighting(subject, "point-times-frame", frame, "points.timestamps", problem)
+        note_observation(subject, "point-times-frame", frame, "points.timestamps", problem)
     return ()
 
 
@@ -148,15 +148,15 @@ RULES: tuple[Rule, ...] = (
         "Write absolute times; in microseconds of 32 bits choose a time_offset, or write nanoseconds.",
         find=_relative_in_file,
         look=_not_on_the_clock,
-        conclude=sightings_of("point-times-clock"),
+        conclude=observations_of("point-times-clock"),
     ),
     Rule(
         "point-times-frame",
         Severity.HINT,
         "No point lies before its frame, nor after the next one.",
-        "Stamp frames at their earliest point: writing the scene does.",
+        "Timestamp frames at their earliest point: writing the scene does.",
         look=_outside_the_sweep,
-        conclude=sightings_of("point-times-frame"),
+        conclude=observations_of("point-times-frame"),
     ),
     Rule(
         "point-times-equal",
@@ -164,6 +164,6 @@ RULES: tuple[Rule, ...] = (
         "Points of a sweep have times of their own.",
         "Leave the times out if the sensor gives none; with them, the motion during a sweep can be undone.",
         look=_all_equal,
-        conclude=sightings_of("point-times-equal"),
+        conclude=observations_of("point-times-equal"),
     ),
 )

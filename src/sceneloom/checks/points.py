@@ -1,4 +1,4 @@
-"""Rules about the points of lidars and radars: places, intensities and colours that sensors give."""
+"""Rules about the points of lidars and radars: locations, intensities and colours that sensors give."""
 
 from collections.abc import Iterator
 
@@ -13,7 +13,7 @@ from sceneloom.scene.findings import Severity
 
 _ORIGIN_SHARE = 0.05
 _ENOUGH_POINTS = 100
-"""Of fewer points nothing is said."""
+"""Of fewer points nothing is stated."""
 
 _COLLAPSED_SHARE = 0.1
 _FEW_LEVELS = 4
@@ -27,7 +27,7 @@ _FASTEST = 150.0
 def _not_finite(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
     facts = cloud_facts(subject, frame)
     if facts is not None and facts.not_finite:
-        message = f"{facts.not_finite} of {facts.count} points have a place that is not finite"
+        message = f"{facts.not_finite} of {facts.count} points have a location that is not finite"
         yield Hit(f"{frame.path}.points.positions", message, count=facts.not_finite)
 
 
@@ -50,7 +50,7 @@ def _map_not_finite(subject: Subject) -> Iterator[Hit]:
     for path, positions in _maps(subject):
         bad = int(np.count_nonzero(~np.isfinite(positions).all(axis=1)))
         if bad:
-            message = f"{bad} of {len(positions)} points have a place that is not finite"
+            message = f"{bad} of {len(positions)} points have a location that is not finite"
             yield Hit(f"{path}.points.positions", message, count=bad)
 
 
@@ -69,7 +69,7 @@ def _maps(subject: Subject) -> Iterator[tuple[str, Float32Array]]:
 
 
 def _seen(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
-    """Take the frame in; what it shows together with the others is said at the end."""
+    """Take the frame in; what it shows together with the others is stated at the end."""
     cloud_facts(subject, frame)
     yield from ()
 
@@ -107,12 +107,12 @@ def _repeated(subject: Subject) -> Iterator[Hit]:
 
 def _odd_intensities(subject: Subject) -> Iterator[Hit]:
     for facts in sensor_facts(subject).values():
-        told = _told_intensities(facts)
-        if told is not None:
-            yield Hit(f"{facts.path}.frames[].points.intensities", told, count=len(facts.counts))
+        reported = _reported_intensities(facts)
+        if reported is not None:
+            yield Hit(f"{facts.path}.frames[].points.intensities", reported, count=len(facts.counts))
 
 
-def _told_intensities(facts: SensorFacts) -> str | None:
+def _reported_intensities(facts: SensorFacts) -> str | None:
     levels = facts.levels
     if levels is None or levels.sum() < _ENOUGH_POINTS:
         return None
@@ -174,8 +174,8 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "points-not-finite",
         Severity.WARNING,
-        "The place of every point is finite.",
-        "Leave points without a place out.",
+        "The location of every point is finite.",
+        "Leave points without a location out.",
         find=_map_not_finite,
         look=_not_finite,
     ),
@@ -189,7 +189,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "points-far",
         Severity.WARNING,
-        f"Points lie within {FAR_M / 1000:g} km of the origin, where float32 tells millimetres.",
+        f"Points lie within {FAR_M / 1000:g} km of the origin, where float32 reports millimetres.",
         "Choose an origin near the drive, as `sceneloom fuse` does, and keep the way to it in the metadata.",
         find=_map_far,
         look=_far,

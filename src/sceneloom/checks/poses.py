@@ -6,7 +6,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.checks.rule import Hit, Rule, unless_recording
-from sceneloom.checks.sensor_times import frames_path, period_ns, seconds, stamps_of
+from sceneloom.checks.sensor_times import frames_path, period_ns, seconds, timestamps_of
 from sceneloom.checks.subject import Subject
 from sceneloom.geometry.rotations import angle_between
 from sceneloom.scene.cameras import CameraSensor
@@ -14,7 +14,7 @@ from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.findings import Severity
 from sceneloom.scene.motion import OdometrySensor
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Sensor
 from sceneloom.scene.sensor_sources import is_on_ego
 from sceneloom.scene.types import Coordinates, key_of
@@ -22,14 +22,14 @@ from sceneloom.scene.types import Coordinates, key_of
 FASTEST = 150.0
 """Nothing that carries sensors on the ground is faster [m/s]."""
 
-FASTEST_TURN_DEG = 720.0
-"""No vehicle turns faster [deg/s]."""
+FASTEST_ROTATION_DEG = 720.0
+"""No vehicle rotates faster [deg/s]."""
 
 STEP_FACTOR, STEP_MARGIN = 3.0, 1.0
-TURN_FACTOR, TURN_MARGIN_DEG = 3.0, 15.0
+ROTATION_FACTOR, ROTATION_MARGIN_DEG = 3.0, 15.0
 
 _FEWEST_STEPS = 4
-"""Fewer steps do not tell what is usual."""
+"""Fewer steps do not report what is usual."""
 
 Placed = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
 
@@ -40,13 +40,13 @@ def _placed_sensors(subject: Subject) -> Iterator[tuple[str, Placed]]:
             yield path, sensor
 
 
-def _without_place(subject: Subject) -> Iterator[Hit]:
-    """Sensors that nothing places; not cameras of a recording, whose missing mounting is an error already."""
+def _without_position(subject: Subject) -> Iterator[Hit]:
+    """Sensors that nothing locations; not cameras of a recording, whose missing mounting is an error already."""
     reported = any(fault.code == "mounts-missing" for fault in subject.faults)
     for path, sensor in _placed_sensors(subject):
         if reported and isinstance(sensor, CameraSensor):
             continue
-        if sensor.poses is None and sensor.mount is None and len(stamps_of(sensor)):
+        if sensor.poses is None and sensor.mount is None and len(timestamps_of(sensor)):
             yield Hit(f"{path}.poses", "no poses and no mounting; expected where the sensor was")
 
 
@@ -57,7 +57,7 @@ def _without_trajectory(subject: Subject) -> Iterator[Hit]:
     mounted = [
         path
         for path, sensor in _placed_sensors(subject)
-        if sensor.poses is None and sensor.mount is not None and len(stamps_of(sensor))
+        if sensor.poses is None and sensor.mount is not None and len(timestamps_of(sensor))
     ]
     if mounted:
         problem = f"none, and {', '.join(mounted)} are known by their mountings on the ego only"
@@ -66,57 +66,64 @@ def _without_trajectory(subject: Subject) -> Iterator[Hit]:
 
 def _uncovered(subject: Subject) -> Iterator[Hit]:
     for path, sensor in _placed_sensors(subject):
-        stamps_ns = stamps_of(sensor)
-        if sensor.poses is None or sensor.poses.endless or not len(stamps_ns):
+        timestamps_ns = timestamps_of(sensor)
+        if sensor.poses is None or sensor.poses.static or not len(timestamps_ns):
             continue
-        reach_ns = period_ns(stamps_ns)
-        beyond_ns = _beyond(sensor.poses, stamps_ns)
+        reach_ns = period_ns(timestamps_ns)
+        beyond_ns = _beyond(sensor.poses, timestamps_ns)
         far = np.flatnonzero(beyond_ns > reach_ns)
         if len(far):
             problem = (
-                f"{len(far)} of {len(stamps_ns)} frames lie before the first or after the last pose, by up to "
+                f"{len(far)} of {len(timestamps_ns)} frames lie before the first or after the last pose, by up to "
                 f"{seconds(float(beyond_ns.max()))}; expected at most one period of {seconds(reach_ns)}"
             )
             yield Hit(f"{frames_path(path, sensor)}[{far[0]}]", problem, len(far))
 
 
-def _beyond(poses: PosePath, stamps_ns: Int64Array) -> Int64Array:
-    """How far each stamp lies outside the poses, (N,) int64 [ns]; 0 inside."""
-    return np.maximum(np.maximum(poses.start_ns - stamps_ns, stamps_ns - poses.stop_ns), 0)
+def _beyond(poses: Poses, timestamps_ns: Int64Array) -> Int64Array:
+    """How far each timestamp lies outside the poses, (N,) int64 [ns]; 0 inside."""
+    return np.maximum(np.maximum(poses.start_ns - timestamps_ns, timestamps_ns - poses.stop_ns), 0)
 
 
 def _paths(subject: Subject) -> Iterator[tuple[str, Int64Array, Float64Array, Float64Array | None]]:
-    """All ways through space with their places: of sensors, and trajectories that no odometry sensor tells."""
-    told = set()
+    """All ways through space with their locations: of sensors, and trajectories that no odometry sensor reports."""
+    reported = set()
     for path, sensor in subject.sensors():
-        poses: PosePath | None = getattr(sensor, "poses", None)
-        if isinstance(poses, PosePath):
+        poses: Poses | None = getattr(sensor, "poses", None)
+        if isinstance(poses, Poses):
             yield f"{path}.poses", poses.timestamps_ns, poses.positions, poses.quaternions_xyzw
         if isinstance(sensor, OdometrySensor):
-            told.add(str(sensor.id))
-    for name, way in subject.scene.trajectories.items():
-        if name not in told and len(way.timestamps_ns):
-            yield f"trajectories[{name}]", way.timestamps_ns, way.positions, way.quaternions_xyzw
+            reported.add(str(sensor.id))
+    for name, trajectory in subject.scene.trajectories.items():
+        if name not in reported and len(trajectory.timestamps_ns):
+            yield (
+                f"trajectories[{name}]",
+                trajectory.timestamps_ns,
+                trajectory.positions,
+                trajectory.quaternions_xyzw,
+            )
 
 
 def _jumps(subject: Subject) -> Iterator[Hit]:
-    for path, stamps_ns, positions, _ in _paths(subject):
-        times = np.diff(stamps_ns) / 1e9
+    for path, timestamps_ns, positions, _ in _paths(subject):
+        times = np.diff(timestamps_ns) / 1e9
         steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
         for k in np.flatnonzero(beyond_neighbours(steps, times, FASTEST, STEP_FACTOR, STEP_MARGIN)).tolist():
             problem = f"{steps[k]:.2f} m in {times[k]:.3f} s, unlike the steps beside it"
             yield Hit(f"{path}.values[{k + 1}]", problem)
 
 
-def _turns(subject: Subject) -> Iterator[Hit]:
-    for path, stamps_ns, _, quaternions_xyzw in _paths(subject):
-        if quaternions_xyzw is None or len(stamps_ns) < 2:
+def _rotations(subject: Subject) -> Iterator[Hit]:
+    for path, timestamps_ns, _, quaternions_xyzw in _paths(subject):
+        if quaternions_xyzw is None or len(timestamps_ns) < 2:
             continue
-        times = np.diff(stamps_ns) / 1e9
-        turns = np.degrees(angle_between(quaternions_xyzw[:-1], quaternions_xyzw[1:]))
-        wrong = beyond_neighbours(turns, times, FASTEST_TURN_DEG, TURN_FACTOR, TURN_MARGIN_DEG)
+        times = np.diff(timestamps_ns) / 1e9
+        rotations = np.degrees(angle_between(quaternions_xyzw[:-1], quaternions_xyzw[1:]))
+        wrong = beyond_neighbours(
+            rotations, times, FASTEST_ROTATION_DEG, ROTATION_FACTOR, ROTATION_MARGIN_DEG
+        )
         for k in np.flatnonzero(wrong).tolist():
-            problem = f"turned by {turns[k]:.1f} degrees in {times[k]:.3f} s, unlike the steps beside it"
+            problem = f"rotated by {rotations[k]:.1f} degrees in {times[k]:.3f} s, unlike the steps beside it"
             yield Hit(f"{path}.values[{k + 1}]", problem)
 
 
@@ -144,13 +151,13 @@ def beyond_neighbours(
     return wrong
 
 
-def _times_of_ways(subject: Subject) -> Iterator[Hit]:
-    for name, way in subject.scene.trajectories.items():
-        stamps_ns = way.timestamps_ns
-        for k in np.flatnonzero(stamps_ns[1:] <= stamps_ns[:-1]).tolist():
-            stamp, before = way.timestamps_ns[k + 1], way.timestamps_ns[k]
+def _times_of_trajectories(subject: Subject) -> Iterator[Hit]:
+    for name, trajectory in subject.scene.trajectories.items():
+        timestamps_ns = trajectory.timestamps_ns
+        for k in np.flatnonzero(timestamps_ns[1:] <= timestamps_ns[:-1]).tolist():
+            timestamp, before = trajectory.timestamps_ns[k + 1], trajectory.timestamps_ns[k]
             yield Hit(
-                f"trajectories[{name}][{k + 1}]", f"{stamp} ns after {before} ns; expected a later time"
+                f"trajectories[{name}][{k + 1}]", f"{timestamp} ns after {before} ns; expected a later time"
             )
 
 
@@ -163,7 +170,7 @@ def _ego_unknown(subject: Subject) -> Iterator[Hit]:
         return
     for path, sensor in subject.sensors():
         if _has_ego_poses(sensor):
-            problem = "'ego', and no odometry sensor tells where the ego was"
+            problem = "'ego', and no odometry sensor reports where the ego was"
             yield Hit(f"{path}.coordinates", problem)
 
 
@@ -191,7 +198,7 @@ def _ego_ambiguous(subject: Subject) -> Iterator[Hit]:
     for path, sensor in subject.sensors():
         if is_on_ego(sensor) and (type(sensor.parent_id), sensor.parent_id) not in known:
             names = ", ".join(sorted(repr(identifier) for _, identifier in known))
-            problem = f"{sensor.parent_id!r} in place of one of {names}; coordinates are 'ego', and there are several"
+            problem = f"{sensor.parent_id!r} instead of one of {names}; coordinates are 'ego', and there are several"
             yield Hit(f"{path}.parent_id", problem)
 
 
@@ -201,12 +208,12 @@ RULES: tuple[Rule, ...] = (
         Severity.WARNING,
         "Every lidar, radar and camera has poses, or a mounting on the ego.",
         "Give the sensor its poses, or its mounting (`sceneloom convert` takes it from a calibration).",
-        find=_without_place,
+        find=_without_position,
     ),
     Rule(
-        "ego-way-known",
+        "ego-trajectory-known",
         Severity.HINT,
-        "Of a drive with mounted sensors the way of the ego is known.",
+        "Of a drive with mounted sensors the ego trajectory is known.",
         "Find it from the sweeps (`sceneloom fuse --trajectory lidar`), or add one to the drive.",
         find=_without_trajectory,
     ),
@@ -225,30 +232,30 @@ RULES: tuple[Rule, ...] = (
         find=unless_recording(_jumps),
     ),
     Rule(
-        "poses-turn",
+        "poses-rotation",
         Severity.WARNING,
-        "No pose is turned against its neighbours more than a vehicle can turn.",
+        "No pose is rotated against its neighbours more than a vehicle can rotate.",
         "See whether the order of the quaternion's numbers changes, or an angle wraps.",
-        find=unless_recording(_turns),
+        find=unless_recording(_rotations),
     ),
     Rule(
         "trajectory-times-increasing",
         Severity.ERROR,
         "The poses of each trajectory have strictly increasing times.",
         "Sort them, and leave out those that stand there twice.",
-        find=_times_of_ways,
+        find=_times_of_trajectories,
     ),
     Rule(
         "ego-odometry",
         Severity.ERROR,
-        "Where poses are in ego coordinates, an odometry sensor tells where the ego was.",
+        "Where poses are in ego coordinates, an odometry sensor reports where the ego was.",
         "Add an odometry sensor with the poses of the ego, or give poses in the world.",
         find=_ego_unknown,
     ),
     Rule(
         "ego-points-placed",
         Severity.WARNING,
-        "Where points are in the ego's frame, a trajectory or an odometry sensor tells where the ego was.",
+        "Where points are in the ego's frame, a trajectory or an odometry sensor reports where the ego was.",
         "Add the trajectory of the ego, or find it from the sweeps (`sceneloom fuse --trajectory lidar`).",
         find=_ego_points_unknown,
     ),

@@ -6,14 +6,14 @@ from sceneloom.checks.rule import Find, Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.formats.faults import PlacedFault
 from sceneloom.scene.findings import Severity
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.scene import Scene
+from sceneloom.scene.warnings import WarningKind
 
-_TOLD_BY_RULES_OF_RECORDINGS = frozenset(
+_REPORTED_BY_RULES_OF_RECORDINGS = frozenset(
     {
         "blank-lines-at-end",
         "byte-order-mark",
-        "lens-scaled",
+        "camera-model-scaled",
         "lines-sorted",
         "missing-bitmaps",
         "poses-without-orientation",
@@ -21,14 +21,14 @@ _TOLD_BY_RULES_OF_RECORDINGS = frozenset(
         "rotation-normalised",
     }
 )
-"""Notices of the recording's reader that rules over its lines tell better."""
+"""Warnings of the recording's reader that rules over its lines report better."""
 
-_TOLD_BY_RULES = frozenset(
+_REPORTED_BY_RULES = frozenset(
     {
         "at-fault",
         "item-at-fault",
-        "mended",
-        "no-pictures",
+        "repaired",
+        "no-images",
         "no-poses",
         "relative-point-times",
         "short-distortion",
@@ -36,11 +36,11 @@ _TOLD_BY_RULES = frozenset(
         "video-and-images",
     }
 )
-"""Notices of readers that other rules tell better."""
+"""Warnings of readers that other rules report better."""
 
 
 def faults_of(code: str) -> Find:
-    """Tell the faults of a code that the reader found."""
+    """Report the faults of a code that the reader found."""
 
     def find(subject: Subject) -> Iterator[Hit]:
         return (Hit(f.where, _with_cost(f), f.count) for f in subject.faults if f.code == code)
@@ -53,31 +53,31 @@ def _with_cost(fault: PlacedFault) -> str:
     return f"{fault.problem}; left out: {fault.costs}" if fault.costs else fault.problem
 
 
-def _notices_of(kind: NoticeKind) -> Find:
+def _warnings_of(kind: WarningKind) -> Find:
     def find(subject: Subject) -> Iterator[Hit]:
-        told = _TOLD_BY_RULES
+        reported = _REPORTED_BY_RULES
         if subject.recording is not None:
-            told = told | _TOLD_BY_RULES_OF_RECORDINGS
-        for notice in subject.remarks:
-            if notice.kind == kind and notice.code not in told:
-                yield Hit(_within_recording(subject, notice.place), notice.message, notice.count)
+            reported = reported | _REPORTED_BY_RULES_OF_RECORDINGS
+        for warning in subject.notes:
+            if warning.kind == kind and warning.code not in reported:
+                yield Hit(_within_recording(subject, warning.location), warning.message, warning.count)
 
     return find
 
 
-def _within_recording(subject: Subject, place: str) -> str:
-    """A place as faults of recordings tell it: from the folder on."""
+def _within_recording(subject: Subject, location: str) -> str:
+    """A location as faults of recordings report it: from the folder on."""
     if subject.recording is None:
-        return place
-    return place.removeprefix(str(subject.recording.folder)).lstrip("/")
+        return location
+    return location.removeprefix(str(subject.recording.folder)).lstrip("/")
 
 
-def notices_of_code(*codes: str) -> Find:
-    """Tell what the reader remarked under some codes."""
+def warnings_of_code(*codes: str) -> Find:
+    """Report what the reader remarked under some codes."""
 
     def find(subject: Subject) -> Iterator[Hit]:
-        remarks = (remark for remark in subject.remarks if remark.code in codes)
-        return (Hit(_within_recording(subject, r.place), r.message, r.count) for r in remarks)
+        notes = (note for note in subject.notes if note.code in codes)
+        return (Hit(_within_recording(subject, r.location), r.message, r.count) for r in notes)
 
     return find
 
@@ -125,7 +125,7 @@ FAULT_RULES: tuple[Rule, ...] = (
     _rule(
         "arrays-whole",
         "item",
-        "Every array lies inside the file, overlaps no other, and its keys lead to a place of the header.",
+        "Every array lies inside the file, overlaps no other, and its keys lead to a location of the header.",
         "Write the file again; `--fix` leaves the array out, and what cannot be without it.",
     ),
     _rule(
@@ -138,7 +138,7 @@ FAULT_RULES: tuple[Rule, ...] = (
         "quaternion-norm",
         "quaternion-norm",
         "Quaternions of poses have length 1, within 0.01.",
-        "Normalise them; the direction that they tell stays.",
+        "Normalise them; the direction that they report stays.",
         as_read,
     ),
     _rule(
@@ -162,7 +162,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "frame-readable",
         Severity.ERROR,
-        "Every frame can be read and every picture decoded.",
+        "Every frame can be read and every image decoded.",
         "Record or export the frame again, or leave it out.",
         look=_unreadable,
     ),
@@ -171,20 +171,20 @@ RULES: tuple[Rule, ...] = (
         Severity.HINT,
         "Nothing had to be left out on reading.",
         "See whether what was left out is needed.",
-        find=_notices_of(NoticeKind.SKIPPED),
+        find=_warnings_of(WarningKind.SKIPPED),
     ),
     Rule(
         "reading-repaired",
         Severity.HINT,
         "Nothing had to be brought into order on reading.",
         "Correct it where the data are made, so that every program reads the same.",
-        find=_notices_of(NoticeKind.REPAIRED),
+        find=_warnings_of(WarningKind.REPAIRED),
     ),
     Rule(
         "reading-assumed",
         Severity.HINT,
         "Nothing had to be assumed on reading.",
-        "Where it is otherwise, say so in the files, or with the option that the message names, if it names one.",
-        find=_notices_of(NoticeKind.ASSUMED),
+        "Where it is otherwise, report it in the files, or with the option that the message names, if it names one.",
+        find=_warnings_of(WarningKind.ASSUMED),
     ),
 )

@@ -42,7 +42,7 @@ def _known_ids(subject: Subject) -> Mapping[Key, int]:
 
 
 def _unknown(kind: str, identifier: Identifier, known: Mapping[Key, Any]) -> str:
-    """Say that nothing has this id, and whether something has it as text in place of a number."""
+    """Report that nothing has this id, and whether something has it as text instead of a number."""
     twin: Identifier | None = str(identifier) if isinstance(identifier, int) else _as_integer(identifier)
     if twin is not None and _key(twin) in known:
         return f"{identifier!r} is no {kind}; there is one {twin!r}, which is another id"
@@ -77,35 +77,35 @@ def _parent_cycles(subject: Subject) -> Iterator[Hit]:
     known, annotations = _known_ids(subject), subject.scene.annotations
     settled: set[int] = set()
     for start in range(len(annotations)):
-        way: dict[int, None] = {}
+        trajectory: dict[int, None] = {}
         number: int | None = start
-        while number is not None and number not in settled and number not in way:
-            way[number] = None
+        while number is not None and number not in settled and number not in trajectory:
+            trajectory[number] = None
             parent_id = annotations[number].parent_id
             number = None if parent_id is None else known.get(_key(parent_id))
-        if number is not None and number in way:
-            cycle = list(way)[list(way).index(number) :]
+        if number is not None and number in trajectory:
+            cycle = list(trajectory)[list(trajectory).index(number) :]
             names = " in ".join(repr(annotations[k].id) for k in [*cycle[:5], number])
             more = f" (and {len(cycle) - 5} more between)" if len(cycle) > 5 else ""
             yield Hit(f"{subject.annotation_paths[number]}.parent_id", f"{names}{more}; expected no cycle")
-        settled.update(way)
+        settled.update(trajectory)
 
 
 def _unknown_sensors(subject: Subject) -> Iterator[Hit]:
     known = {_key(sensor.id): sensor for sensor in subject.scene.sensors}
-    named = [(_place(subject, mention), mention.sensor_id) for mention in sensor_mentions(subject)]
+    named = [(_location(subject, mention), mention.sensor_id) for mention in sensor_mentions(subject)]
     for k, attribute in enumerate(subject.scene.attributes):
         if attribute.sensor_id is not None:
             named.append((f"attributes[{k}].sensor_id", attribute.sensor_id))
-    for place, sensor_id in named:
+    for location, sensor_id in named:
         if _key(sensor_id) not in known and not subject.is_left_out("sensors", sensor_id):
-            yield Hit(place, _unknown("sensor", sensor_id, known))
+            yield Hit(location, _unknown("sensor", sensor_id, known))
 
 
 def _several_for_a_sensor(subject: Subject) -> Iterator[Hit]:
     """Activations, and projections of a cuboid or of one point, of which a sensor has more than one."""
     for path, annotation in subject.annotations():
-        for place, parts in _parts_of_sensors(path, annotation):
+        for location, parts in _parts_of_sensors(path, annotation):
             first: dict[Key, int] = {}
             for k, part in enumerate(parts):
                 before = first.setdefault(_key(part.sensor_id), k)
@@ -113,7 +113,7 @@ def _several_for_a_sensor(subject: Subject) -> Iterator[Hit]:
                     problem = (
                         f"{part.sensor_id!r} has one already, at [{before}]; expected one for each sensor"
                     )
-                    yield Hit(f"{place}[{k}].sensor_id", problem)
+                    yield Hit(f"{location}[{k}].sensor_id", problem)
 
 
 def _parts_of_sensors(path: str, annotation: Annotation) -> Iterator[tuple[str, Sequence[Any]]]:
@@ -125,7 +125,7 @@ def _parts_of_sensors(path: str, annotation: Annotation) -> Iterator[tuple[str, 
             yield f"{path}.projections[{k}]", of_point
 
 
-def _place(subject: Subject, mention: SensorMention) -> str:
+def _location(subject: Subject, mention: SensorMention) -> str:
     return subject.annotation_paths[mention.number] + mention.suffix
 
 
@@ -140,7 +140,7 @@ def _wrong_sensors(subject: Subject) -> Iterator[Hit]:
             continue
         classes, word = expected
         if not isinstance(sensor, classes):
-            yield Hit(_place(subject, mention), f"{mention.sensor_id!r} is {_a(sensor)}; expected {word}")
+            yield Hit(_location(subject, mention), f"{mention.sensor_id!r} is {_a(sensor)}; expected {word}")
 
 
 def _expected_sensor(part: Any) -> tuple[tuple[type, ...], str] | None:
@@ -203,8 +203,8 @@ def _unused_attributes_of_points(subject: Subject) -> Iterator[Hit]:
         for k, attribute in enumerate(getattr(annotation, "attributes", ())):
             index = attribute.point_index if isinstance(attribute, AttributePath) else None
             if index is not None and not 0 <= index < count:
-                place = f"{path}.attributes[{k}].point_index"
-                yield Hit(place, f"{index}; the annotation has {count} points, counted from 0")
+                location = f"{path}.attributes[{k}].point_index"
+                yield Hit(location, f"{index}; the annotation has {count} points, counted from 0")
 
 
 def _spellings(subject: Subject) -> Iterator[Hit]:
@@ -218,9 +218,9 @@ def _spellings(subject: Subject) -> Iterator[Hit]:
     for letters, labels in groups.items():
         if letters and len(labels) > 1:
             usual = max(labels, key=lambda label: counts[label])
-            told = ", ".join(f"{label!r} ({counts[label]} times)" for label in labels)
+            reported = ", ".join(f"{label!r} ({counts[label]} times)" for label in labels)
             rare = sum(counts[label] for label in labels if label != usual)
-            yield Hit("annotations", f"labels {told}; expected one spelling, as {usual!r}", count=rare)
+            yield Hit("annotations", f"labels {reported}; expected one spelling, as {usual!r}", count=rare)
 
 
 RULES: tuple[Rule, ...] = (
@@ -262,7 +262,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "annotation-sensor-type",
         Severity.ERROR,
-        "Boxes and shapes in pictures, projections and camera calibrations are of cameras; labelled points are of "
+        "Boxes and shapes in images, projections and camera calibrations are of cameras; labelled points are of "
         "sensors with points; activations are of lidars, radars and cameras.",
         "Name the sensor that was meant.",
         find=_wrong_sensors,

@@ -38,12 +38,12 @@ def chosen_frames(frames: LazyFrames[Any], rows: Int64Array) -> LazyFrames[Any]:
 
 def is_sorted(frames: LazyFrames[Any]) -> bool:
     """Whether the frames stand in the order of their times."""
-    stamps_ns = frames.timestamps_ns
-    return not (stamps_ns[1:] < stamps_ns[:-1]).any()
+    timestamps_ns = frames.timestamps_ns
+    return not (timestamps_ns[1:] < timestamps_ns[:-1]).any()
 
 
 def with_sorted_frames(scene: Scene) -> Scene:
-    """Sort the frames of every sensor by time; pictures of a video stay, since the video has its own order."""
+    """Sort the frames of every sensor by time; images of a video stay, since the video has its own order."""
     sensors = tuple(map(_sorted, scene.sensors))
     changed = any(new is not old for new, old in zip(sensors, scene.sensors, strict=True))
     return replace(scene, sensors=sensors) if changed else scene
@@ -54,8 +54,8 @@ def _sorted(sensor: Sensor) -> Sensor:
         return replace(sensor, frames=sorted_frames(sensor.frames))
     if isinstance(sensor, RadarSensor) and not is_sorted(sensor.frames):
         return replace(sensor, frames=sorted_frames(sensor.frames))
-    if isinstance(sensor, CameraSensor) and sensor.video is None and not is_sorted(sensor.pictures):
-        return replace(sensor, pictures=sorted_frames(sensor.pictures))
+    if isinstance(sensor, CameraSensor) and sensor.video is None and not is_sorted(sensor.images):
+        return replace(sensor, images=sorted_frames(sensor.images))
     if isinstance(sensor, DepthCameraSensor) and sensor.video is None and not is_sorted(sensor.frames):
         return replace(sensor, frames=sorted_frames(sensor.frames))
     return sensor

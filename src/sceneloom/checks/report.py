@@ -9,8 +9,8 @@ from sceneloom.checks.walk import Hits
 from sceneloom.formats.loss import Loss
 from sceneloom.scene.findings import Finding, Severity
 
-PLACES = 20
-"""So many places of one rule are told singly unless the caller wants all."""
+LOCATIONS = 20
+"""So many locations of one rule are listed singly unless the caller wants all."""
 
 
 class ValidationReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -23,13 +23,13 @@ class ValidationReport(msgspec.Struct, frozen=True, kw_only=True):
         strict: whether warnings count, too.
         passed: no errors, and where strict no warnings either.
         findings: by severity, then by rule.
-        counts: how many places were found, by severity.
+        counts: how many locations were found, by severity.
         rules: ids of the rules that were run.
-        frames_read: whether frames and pictures were read.
-        fixed: what was found at first and is mended in `output`.
+        frames_read: whether frames and images were read.
+        fixed: what was found at first and is repaired in `output`.
         left_out: what stood in the source and could not be taken into `output`.
         losses: what `output` could not hold, though nothing was wrong with it.
-        output: the file that the mended scene was written to, or None; the findings are then those of it.
+        output: the file that the repaired scene was written to, or None; the findings are then those of it.
         unwritten: why there is no `output` though there was to be one, or None.
     """
 
@@ -49,20 +49,23 @@ class ValidationReport(msgspec.Struct, frozen=True, kw_only=True):
     unwritten: str | None = None
 
 
-def findings_of(hits: Hits, rules: Sequence[Rule], *, places: int | None = PLACES) -> tuple[Finding, ...]:
+def findings_of(
+    hits: Hits, rules: Sequence[Rule], *, locations: int | None = LOCATIONS
+) -> tuple[Finding, ...]:
     """Make findings of hits, the worst first.
 
     Args:
         hits: of each rule.
         rules: the rules, in their order.
-        places: so many places of one rule are told singly, the others as one finding with their count; None for all.
+        locations: so many locations of one rule are listed singly, the others as one finding with their count; None for
+            all.
     """
     ranked = sorted(rules, key=lambda rule: list(Severity).index(rule.severity))
-    return tuple(finding for rule in ranked for finding in _of_rule(rule, hits.get(rule.id, []), places))
+    return tuple(finding for rule in ranked for finding in _of_rule(rule, hits.get(rule.id, []), locations))
 
 
 def counts_of(findings: Sequence[Finding]) -> dict[str, int]:
-    """How many places were found, by severity."""
+    """How many locations were found, by severity."""
     return {severity.value: sum(f.count for f in findings if f.severity == severity) for severity in Severity}
 
 
@@ -71,8 +74,8 @@ def is_passed(counts: dict[str, int], *, strict: bool) -> bool:
     return not counts[Severity.ERROR] and not (strict and counts[Severity.WARNING])
 
 
-def _of_rule(rule: Rule, hits: Sequence[Hit], places: int | None) -> list[Finding]:
-    shown = hits if places is None or len(hits) <= places + 1 else hits[:places]
+def _of_rule(rule: Rule, hits: Sequence[Hit], locations: int | None) -> list[Finding]:
+    shown = hits if locations is None or len(hits) <= locations + 1 else hits[:locations]
     findings = [_finding(rule, hit) for hit in shown]
     further = hits[len(shown) :]
     if further:

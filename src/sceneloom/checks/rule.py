@@ -1,4 +1,4 @@
-"""What a rule is: an id, what it says, where it looks, and how it mends."""
+"""What a rule is: an id, what it says, where it looks, and how it repairs."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from sceneloom.scene.scene import Scene
 
 @dataclass(frozen=True, slots=True)
 class Hit:
-    """A place where a rule does not hold.
+    """A location where a rule does not hold.
 
     Attributes:
         path: in the words of the file (`sensors[3].frames[12].points.colors`).
@@ -42,7 +42,7 @@ Fix = Callable[[Scene], Scene]
 
 
 def unless_recording(find: Find) -> Find:
-    """Leave recordings out, of which rules over their lines tell the same with the line, and more."""
+    """Leave recordings out, of which rules over their lines report the same with the line, and more."""
 
     def found(subject: Subject) -> Iterable[Hit]:
         return () if subject.recording is not None else find(subject)
@@ -60,9 +60,9 @@ class Rule:
         summary: what holds in a sound scene, one sentence for the catalogue.
         remedy: what a person can do about a hit.
         find: looks at the whole scene without reading frames.
-        look: looks at one frame or picture; each is read once for all rules, and those of a sensor come in order.
+        look: looks at one frame or image; each is read once for all rules, and those of a sensor come in order.
         conclude: says at the end what all frames together show; what `look` kept for it is in `Subject.cache`.
-        fix: gives the scene mended: safe, idempotent, changing nothing else; None where a person has to decide.
+        fix: gives the scene repaired: safe, idempotent, changing nothing else; None where a person has to decide.
         profiles: for which profiles it holds.
     """
 

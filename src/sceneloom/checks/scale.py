@@ -1,4 +1,4 @@
-"""Rules of the profile `scale`: whatever Scale's own library refuses to load or to validate, told where it stands.
+"""Rules of the profile `scale`: whatever Scale's own library refuses to load or to validate, reported where it stands.
 
 They look at the header of a file, since that is what the library reads; the fields are those of
 `sceneloom.formats.sfs.scale_library`, which the writer of that profile follows, too.
@@ -18,26 +18,26 @@ from sceneloom.formats.sfs.scale_library import (
     PARTS,
     SENSORS,
     VALIDATED_SENSORS,
-    Place,
+    Location,
     record_faults,
     time_fault,
 )
 from sceneloom.scene.findings import Severity
 
-Located = tuple[Place, Any]
+Located = tuple[Location, Any]
 
 _VERSION = "1.0"
 
 
 def _items(subject: Subject, name: str) -> Iterator[Located]:
-    """The sensors or annotations of the file, as they stand in its header, with their places."""
+    """The sensors or annotations of the file, as they stand in its header, with their locations."""
     found = (subject.header or {}).get(name)
     for index, item in enumerate(found if isinstance(found, list) else ()):
         yield (name, index), item
 
 
-def _hit(place: Place, message: str) -> Hit:
-    return Hit(format_keys(place), message)
+def _hit(location: Location, message: str) -> Hit:
+    return Hit(format_keys(location), message)
 
 
 def _scene_faults(subject: Subject) -> Iterator[Hit]:
@@ -56,8 +56,8 @@ def _scene_faults(subject: Subject) -> Iterator[Hit]:
     for name in ("sensors", "annotations"):
         if header.get(name) is not None and not isinstance(header[name], list):
             yield _hit((name,), "no list")
-    for place, problem in record_faults(dict(header), PARTS["scene"]):
-        yield _hit(place, problem)
+    for location, problem in record_faults(dict(header), PARTS["scene"]):
+        yield _hit(location, problem)
 
 
 def _type_of(record: Any) -> str:
@@ -67,35 +67,35 @@ def _type_of(record: Any) -> str:
 
 
 def _unknown_sensors(subject: Subject) -> Iterator[Hit]:
-    for place, sensor in _items(subject, "sensors"):
+    for location, sensor in _items(subject, "sensors"):
         kind = _type_of(sensor)
         if kind not in VALIDATED_SENSORS:
             yield _hit(
-                (*place, "type"), f"{kind!r}; the library validates {', '.join(VALIDATED_SENSORS)} only"
+                (*location, "type"), f"{kind!r}; the library validates {', '.join(VALIDATED_SENSORS)} only"
             )
 
 
 def _unknown_annotations(subject: Subject) -> Iterator[Hit]:
-    for place, annotation in _items(subject, "annotations"):
+    for location, annotation in _items(subject, "annotations"):
         kind = _type_of(annotation)
         if kind not in ANNOTATIONS:
-            yield _hit((*place, "type"), f"{kind!r}; the library loads {', '.join(ANNOTATIONS)} only")
+            yield _hit((*location, "type"), f"{kind!r}; the library loads {', '.join(ANNOTATIONS)} only")
 
 
 class Parsed(NamedTuple):
     """A sensor or annotation of a type that the library knows, and what it has against its fields."""
 
-    place: Place
+    location: Location
     record: Mapping[str, Any]
-    faults: tuple[tuple[Place, str], ...]
+    faults: tuple[tuple[Location, str], ...]
 
 
 def _parsed(subject: Subject) -> list[Parsed]:
     def made(inner: Subject) -> list[Parsed]:
         return [
-            Parsed(place, record, tuple(record_faults(record, records[_type_of(record)], place)))
+            Parsed(location, record, tuple(record_faults(record, records[_type_of(record)], location)))
             for name, records in (("sensors", SENSORS), ("annotations", ANNOTATIONS))
-            for place, record in _items(inner, name)
+            for location, record in _items(inner, name)
             if _type_of(record) in records
         ]
 
@@ -104,36 +104,36 @@ def _parsed(subject: Subject) -> list[Parsed]:
 
 def _field_faults(subject: Subject) -> Iterator[Hit]:
     for parsed in _parsed(subject):
-        for place, problem in parsed.faults:
-            yield _hit(place, problem)
+        for location, problem in parsed.faults:
+            yield _hit(location, problem)
 
 
-def _sound(subject: Subject, name: str) -> Iterator[tuple[Place, Mapping[str, Any]]]:
+def _sound(subject: Subject, name: str) -> Iterator[tuple[Location, Mapping[str, Any]]]:
     """The sensors or annotations whose fields are as they have to be, so that their contents can be judged."""
-    for place, record, faults in _parsed(subject):
-        if place[0] == name and not faults:
-            yield place, record
+    for location, record, faults in _parsed(subject):
+        if location[0] == name and not faults:
+            yield location, record
 
 
 def _repeated_ids(subject: Subject) -> Iterator[Hit]:
-    seen: dict[Any, Place] = {}
-    for place, sensor in _items(subject, "sensors"):
+    seen: dict[Any, Location] = {}
+    for location, sensor in _items(subject, "sensors"):
         identifier = sensor.get("id") if isinstance(sensor, dict) else None
         if isinstance(identifier, str | int):
-            first = seen.setdefault(identifier, place)
-            if first != place:
-                yield _hit((*place, "id"), f"{identifier!r} is the id of {format_keys(first)}, too")
+            first = seen.setdefault(identifier, location)
+            if first != location:
+                yield _hit((*location, "id"), f"{identifier!r} is the id of {format_keys(first)}, too")
 
 
 def _time_faults(subject: Subject) -> Iterator[Hit]:
-    for place, sensor in _sound(subject, "sensors"):
-        for inside, stamps in _series_of(sensor):
-            fault = time_fault(stamps, paced=inside[0] != "poses")
+    for location, sensor in _sound(subject, "sensors"):
+        for inside, timestamps in _series_of(sensor):
+            fault = time_fault(timestamps, paced=inside[0] != "poses")
             if fault is not None:
-                yield _hit((*place, *inside), fault)
+                yield _hit((*location, *inside), fault)
 
 
-def _series_of(sensor: Mapping[str, Any]) -> Iterator[tuple[Place, list[int]]]:
+def _series_of(sensor: Mapping[str, Any]) -> Iterator[tuple[Location, list[int]]]:
     if sensor["type"] != "camera":
         yield ("frames",), [frame["timestamp"] for frame in sensor["frames"]]
     elif sensor.get("video") is not None:
@@ -144,24 +144,26 @@ def _series_of(sensor: Mapping[str, Any]) -> Iterator[tuple[Place, list[int]]]:
 
 
 def _rows_that_do_not_convert(subject: Subject) -> Iterator[Hit]:
-    for place, sensor in _sound(subject, "sensors"):
-        yield from _path_faults(sensor["poses"], 7, (*place, "poses"), empty=False)
-    for place, annotation in _sound(subject, "annotations"):
+    for location, sensor in _sound(subject, "sensors"):
+        yield from _path_faults(sensor["poses"], 7, (*location, "poses"), empty=False)
+    for location, annotation in _sound(subject, "annotations"):
         if annotation["type"] == "cuboid":
-            yield from _path_faults(annotation["path"], 9, (*place, "path"), empty=True)
+            yield from _path_faults(annotation["path"], 9, (*location, "path"), empty=True)
         elif annotation["type"] == "localization_adjustment":
-            yield from _path_faults(annotation["poses"], 7, (*place, "poses"), empty=False)
+            yield from _path_faults(annotation["poses"], 7, (*location, "poses"), empty=False)
 
 
-def _path_faults(path: Mapping[str, Any], columns: int, place: Place, *, empty: bool) -> Iterator[Hit]:
-    stamps, rows = path["timestamps"], path["values"]
+def _path_faults(path: Mapping[str, Any], columns: int, location: Location, *, empty: bool) -> Iterator[Hit]:
+    timestamps, rows = path["timestamps"], path["values"]
     if not rows and not empty:
-        yield _hit((*place, "values"), f"no rows; expected at least one of {columns} numbers")
-    elif len(stamps) != len(rows):
-        yield _hit((*place, "values"), f"{len(rows)} rows for {len(stamps)} stamps; expected as many")
+        yield _hit((*location, "values"), f"no rows; expected at least one of {columns} numbers")
+    elif len(timestamps) != len(rows):
+        yield _hit(
+            (*location, "values"), f"{len(rows)} rows for {len(timestamps)} timestamps; expected as many"
+        )
     for index, row in enumerate(rows):
         if len(row) != columns:
-            yield _hit((*place, "values", index), f"{len(row)} numbers; expected {columns}")
+            yield _hit((*location, "values", index), f"{len(row)} numbers; expected {columns}")
             return
 
 
@@ -176,9 +178,9 @@ _COLUMNS = {"positions": 3, "colors": 3, "directions": 3}
 
 
 def _point_faults(subject: Subject) -> Iterator[Hit]:
-    for place, sensor in _sound(subject, "sensors"):
+    for location, sensor in _sound(subject, "sensors"):
         for number, frame in enumerate(sensor.get("frames", ())):
-            inside = (*place, "frames", number, "points")
+            inside = (*location, "frames", number, "points")
             for name, problem in _faults_of_points(frame["points"]):
                 yield _hit((*inside, name), problem)
             early = _earlier_than(frame["timestamp"], subject, frame["points"].get("timestamps"))
@@ -199,36 +201,39 @@ def _faults_of_points(points: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield name, f"shape {array.shape}; expected {count} rows of {columns}"
 
 
-def _earlier_than(timestamp: int, subject: Subject, stamps: AnyArray | None) -> str | None:
+def _earlier_than(timestamp: int, subject: Subject, timestamps: AnyArray | None) -> str | None:
     """What is wrong with the times of points, if any is before their frame's."""
-    if stamps is None or stamps.dtype != _DTYPES["timestamps"]:
+    if timestamps is None or timestamps.dtype != _DTYPES["timestamps"]:
         return None
-    first = int(subject.fetched(stamps).min()) if stamps.size else 0
-    earliest = f"the earliest is {first}" if stamps.size else "no times count as 0"
+    first = int(subject.fetched(timestamps).min()) if timestamps.size else 0
+    earliest = f"the earliest is {first}" if timestamps.size else "no times count as 0"
     return None if timestamp <= first else f"{earliest}; expected none before the frame's {timestamp}"
 
 
 def _radar_lengths(subject: Subject) -> Iterator[Hit]:
-    for place, sensor in _items(subject, "sensors"):
+    for location, sensor in _items(subject, "sensors"):
         frames = sensor.get("frames") if _type_of(sensor) == "radar" else None
         for number, frame in enumerate(frames if isinstance(frames, list) else ()):
             points = frame.get("points") if isinstance(frame, dict) else None
             lengths = points.get("lengths") if isinstance(points, dict) else None
             if isinstance(lengths, np.ndarray):
                 what = "cannot be cut into rows of 3" if lengths.size % 3 else "are dropped in silence"
-                inside = (*place, "frames", number, "points", "lengths")
+                inside = (*location, "frames", number, "points", "lengths")
                 yield _hit(inside, f"{lengths.size} lengths {what}")
 
 
 def _static_attributes(subject: Subject) -> Iterator[Hit]:
     header = subject.header or {}
     owners = [((), header), *_items(subject, "annotations")]
-    for place, owner in owners:
+    for location, owner in owners:
         attributes = owner.get("attributes") if isinstance(owner, Mapping) else None
         for index, attribute in enumerate(attributes if isinstance(attributes, list) else ()):
-            stamps = attribute.get("timestamps") if isinstance(attribute, dict) else None
-            if isinstance(stamps, list) and attribute.get("static") is True and len(stamps) > 1:
-                yield _hit((*place, "attributes", index), f"static, with {len(stamps)} stamps; expected one")
+            timestamps = attribute.get("timestamps") if isinstance(attribute, dict) else None
+            if isinstance(timestamps, list) and attribute.get("static") is True and len(timestamps) > 1:
+                yield _hit(
+                    (*location, "attributes", index),
+                    f"static, with {len(timestamps)} timestamps; expected one",
+                )
 
 
 _DROPPED: Mapping[str, tuple[str, ...]] = {
@@ -239,10 +244,10 @@ _DROPPED: Mapping[str, tuple[str, ...]] = {
 
 
 def _dropped(subject: Subject) -> Iterator[Hit]:
-    for place, sensor in _items(subject, "sensors"):
+    for location, sensor in _items(subject, "sensors"):
         for name in _DROPPED.get(_type_of(sensor), ()):
             if isinstance(sensor.get(name), str | int) and sensor[name] != "world":
-                yield _hit((*place, name), f"{sensor[name]!r} is dropped by the loader")
+                yield _hit((*location, name), f"{sensor[name]!r} is dropped by the loader")
 
 
 RULES: tuple[Rule, ...] = (
@@ -289,7 +294,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "scale-times",
         Severity.ERROR,
-        "The times of frames, pictures and poses are not negative, increase, begin within 100 s and come at most 100 "
+        "The times of frames, images and poses are not negative, increase, begin within 100 s and come at most 100 "
         "a second.",
         "Put the start into `time_offset`; leave frames out, or give them their own times.",
         find=_time_faults,
@@ -298,8 +303,8 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "scale-rows",
         Severity.ERROR,
-        "Paths of poses and cuboids have a row of 7 or 9 numbers for each stamp.",
-        "Give each stamp its row.",
+        "Paths of poses and cuboids have a row of 7 or 9 numbers for each timestamp.",
+        "Give each timestamp its row.",
         find=_rows_that_do_not_convert,
         profiles=SCALE_ONLY,
     ),
@@ -323,7 +328,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "scale-static-attribute",
         Severity.WARNING,
-        "Static attributes have one time stamp.",
+        "Static attributes have one timestamp.",
         "Keep the first value.",
         find=_static_attributes,
         profiles=SCALE_ONLY,
@@ -331,7 +336,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "scale-dropped",
         Severity.HINT,
-        "Sensors say nothing that Scale's library drops.",
+        "Sensors state nothing that Scale's library drops.",
         "Keep a copy of the file: what that library writes no longer has it.",
         find=_dropped,
         profiles=SCALE_ONLY,

@@ -1,4 +1,4 @@
-"""What several rules say about the times of a sensor: its stamps, its typical interval, its places."""
+"""What several rules state about the times of a sensor: its timestamps, its typical interval, its locations."""
 
 import numpy as np
 
@@ -10,26 +10,26 @@ from sceneloom.scene.scene import Sensor
 from sceneloom.scene.span import NOMINAL_PERIOD_NS
 
 
-def stamps_of(sensor: Sensor) -> Int64Array:
-    """The times of a sensor's frames or pictures, (N,) int64 [ns]; none for sensors without frames."""
+def timestamps_of(sensor: Sensor) -> Int64Array:
+    """The times of a sensor's frames or images, (N,) int64 [ns]; none for sensors without frames."""
     if isinstance(sensor, CameraSensor):
-        return sensor.pictures.timestamps_ns
+        return sensor.images.timestamps_ns
     if isinstance(sensor, LidarSensor | RadarSensor | DepthCameraSensor):
         return sensor.frames.timestamps_ns
     return np.zeros(0, np.int64)
 
 
-def period_ns(stamps_ns: Int64Array) -> float:
-    """The median time from frame to frame [ns]; that of 10 Hz where the stamps tell none."""
-    median_ns = float(np.median(np.diff(stamps_ns))) if len(stamps_ns) > 1 else 0.0
+def period_ns(timestamps_ns: Int64Array) -> float:
+    """The median time from frame to frame [ns]; that of 10 Hz where the timestamps report none."""
+    median_ns = float(np.median(np.diff(timestamps_ns))) if len(timestamps_ns) > 1 else 0.0
     return median_ns if median_ns > 0 else float(NOMINAL_PERIOD_NS)
 
 
 def frames_path(sensor_path: str, sensor: Sensor) -> str:
-    """`sensors[3].frames`, or `sensors[3].pictures`."""
-    return f"{sensor_path}.{'pictures' if isinstance(sensor, CameraSensor) else 'frames'}"
+    """`sensors[3].frames`, or `sensors[3].images`."""
+    return f"{sensor_path}.{'images' if isinstance(sensor, CameraSensor) else 'frames'}"
 
 
 def seconds(nanoseconds: float) -> str:
-    """A time in seconds, as findings tell it."""
+    """A time in seconds, as findings report it."""
     return f"{nanoseconds / 1e9:.6f} s"

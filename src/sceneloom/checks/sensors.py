@@ -22,7 +22,7 @@ from sceneloom.scene.types import Identifier, key_of
 Key = tuple[type, Identifier]
 
 
-_EMPTYING = frozenset({"missing-videos", "unreadable-videos", "unmatched-pictures"})
+_EMPTYING = frozenset({"missing-videos", "unreadable-videos", "unmatched-images"})
 """Faults of a recording that leave a camera without images."""
 
 
@@ -32,11 +32,11 @@ def _nothing(subject: Subject) -> Iterator[Hit]:
 
 
 def _count(sensor: Sensor) -> int | None:
-    """How much a sensor has measured; None where that cannot be said, and for poses, of which there is always one."""
+    """How much a sensor has measured; None where that cannot be stated, and for poses, of which there is always one."""
     if isinstance(sensor, LidarSensor | RadarSensor | DepthCameraSensor):
         return len(sensor.frames)
     if isinstance(sensor, CameraSensor):
-        return len(sensor.pictures)
+        return len(sensor.images)
     if isinstance(sensor, PointsSensor):
         return len(sensor.positions)
     if isinstance(sensor, ImuSensor):
@@ -59,7 +59,7 @@ def _empty(subject: Subject) -> Iterator[Hit]:
     explained = sum(isinstance(sensor, CameraSensor) for _, sensor in empty) <= reported
     for path, sensor in empty:
         if not (explained and isinstance(sensor, CameraSensor)):
-            what = "pictures" if isinstance(sensor, CameraSensor) else "measurements"
+            what = "images" if isinstance(sensor, CameraSensor) else "measurements"
             yield Hit(path, f"{sensor.type} {sensor.id!r} has no {what}")
 
 
@@ -104,12 +104,12 @@ def _parent_cycles(subject: Subject) -> Iterator[Hit]:
     }
     for path, sensor in subject.sensors():
         start: Key = key_of(sensor.id)
-        way, at = [start], parents.get(start)
-        while at is not None and at not in way:
-            way.append(at)
+        trajectory, at = [start], parents.get(start)
+        while at is not None and at not in trajectory:
+            trajectory.append(at)
             at = parents.get(at)
         if at == start:
-            names = " in ".join(repr(identifier) for _, identifier in [*way, start])
+            names = " in ".join(repr(identifier) for _, identifier in [*trajectory, start])
             yield Hit(f"{path}.parent_id", f"a cycle: {names}")
 
 
@@ -123,11 +123,11 @@ def _streams(subject: Subject) -> Iterator[tuple[str, Int64Array, Float64Array]]
 
 
 def _disordered_samples(subject: Subject) -> Iterator[Hit]:
-    for path, stamps_ns, _ in _streams(subject):
-        wrong = np.flatnonzero(stamps_ns[1:] <= stamps_ns[:-1])
+    for path, timestamps_ns, _ in _streams(subject):
+        wrong = np.flatnonzero(timestamps_ns[1:] <= timestamps_ns[:-1])
         if len(wrong):
             k = int(wrong[0]) + 1
-            problem = f"{stamps_ns[k]} ns after {stamps_ns[k - 1]} ns; expected a later time than that before"
+            problem = f"{timestamps_ns[k]} ns after {timestamps_ns[k - 1]} ns; expected a later time than that before"
             yield Hit(f"{path}.timestamps_ns[{k}]", problem, len(wrong))
 
 
@@ -163,7 +163,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "sensor-empty",
         Severity.WARNING,
-        "Every sensor has frames, pictures, points or samples, or annotations name it.",
+        "Every sensor has frames, images, points or samples, or annotations name it.",
         "Leave the sensor out if it is not used, or find its data.",
         find=_empty,
     ),

@@ -44,10 +44,10 @@ def _shapes(subject: Subject) -> Iterator[tuple[str, ShapeAnnotation]]:
 
 
 def _hits_of(subject: Subject, judge: Callable[[ShapeAnnotation, Float64Array], str | None]) -> Iterator[Hit]:
-    """Give a hit for each shape that has keyframes of which `judge` says something; the first one is told."""
+    """Give a hit for each shape that has keyframes of which `judge` says something; the first one is reported."""
     for path, shape in _shapes(subject):
         found = [
-            (k, said) for k, v in enumerate(shape.path.vertices) if (said := judge(shape, v)) is not None
+            (k, stated) for k, v in enumerate(shape.path.vertices) if (stated := judge(shape, v)) is not None
         ]
         if found:
             first, message = found[0]
@@ -87,8 +87,8 @@ def _not_finite(subject: Subject) -> Iterator[Hit]:
     for number, path in enumerate(table.parts):
         rows = np.flatnonzero(~np.isfinite(path.values).all(axis=1))
         if len(rows):
-            place = f"{table.place(subject, number)}.values[{rows[0]}]"
-            yield Hit(place, f"{path.values[rows[0]].tolist()}; expected finite numbers", count=len(rows))
+            location = f"{table.location(subject, number)}.values[{rows[0]}]"
+            yield Hit(location, f"{path.values[rows[0]].tolist()}; expected finite numbers", count=len(rows))
 
 
 def _not_flat(subject: Subject) -> Iterator[Hit]:
@@ -149,9 +149,9 @@ def _sides(starts: Float64Array, stops: Float64Array, points: Float64Array) -> F
     """(E, P): on which side of each edge each point lies, -1, 0 or 1; 0 within rounding of the edge's line."""
     along = stops - starts
     away = points[None] - starts[:, None]
-    turns = along[:, None, 0] * away[..., 1] - along[:, None, 1] * away[..., 0]
+    rotations = along[:, None, 0] * away[..., 1] - along[:, None, 1] * away[..., 0]
     reach = np.abs(along).sum(axis=1)[:, None] * np.abs(away).sum(axis=2)
-    return np.asarray(np.where(np.abs(turns) <= 1e-9 * reach, 0.0, np.sign(turns)))
+    return np.asarray(np.where(np.abs(rotations) <= 1e-9 * reach, 0.0, np.sign(rotations)))
 
 
 def _counts_change(subject: Subject) -> Iterator[Hit]:
@@ -169,7 +169,7 @@ def _counts_change(subject: Subject) -> Iterator[Hit]:
 
 def _pairs_as_triples(subject: Subject) -> Iterator[Hit]:
     """Outlines in space whose rows fit pairs as well: smoother, whole, or beside others that are pairs."""
-    others = any(notice.code == "no-height" for notice in subject.remarks)
+    others = any(warning.code == "no-height" for warning in subject.notes)
     for path, shape in _shapes(subject):
         if shape.type not in _OUTLINES_IN_SPACE or not shape.path.vertices:
             continue
@@ -208,12 +208,12 @@ def _counts_of_points(subject: Subject) -> Iterator[Hit]:
         if points.labels is not None and len(points.labels) != count:
             yield Hit(f"{path}.labels", f"{len(points.labels)} labels for {count} points; expected as many")
         if points.projections and len(points.projections) != count:
-            told = f"projections of {len(points.projections)} points, of {count}; expected as many"
-            yield Hit(f"{path}.projections", told)
+            reported = f"projections of {len(points.projections)} points, of {count}; expected as many"
+            yield Hit(f"{path}.projections", reported)
         for k, point in enumerate(points.paths):
             if point.values.shape[1] != 3 and len(point.values):
-                told = f"{point.values.shape[1]} numbers in a row; expected x, y, z of one point"
-                yield Hit(f"{path}.paths[{k}].values", told)
+                reported = f"{point.values.shape[1]} numbers in a row; expected x, y, z of one point"
+                yield Hit(f"{path}.paths[{k}].values", reported)
 
 
 def _ids_of_points(subject: Subject) -> Iterator[Hit]:

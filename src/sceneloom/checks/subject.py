@@ -9,40 +9,40 @@ from sceneloom.arrays import AnyArray
 from sceneloom.formats.faults import PlacedFault
 from sceneloom.formats.recording.further_contents import RecordingContents
 from sceneloom.scene.annotations.annotation import Annotation
-from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.clouds import LidarFrame, RadarFrame
 from sceneloom.scene.depth import DepthFrame
-from sceneloom.scene.notices import Notice
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Identifier, key_of
+from sceneloom.scene.warnings import DataWarning
 
 Table = TypeVar("Table")
 
-_FRAME = re.compile(r"(.*?sensors\[\d+\])\.(frames|pictures)\[(\d+)\](.*)", re.DOTALL)
+_FRAME = re.compile(r"(.*?sensors\[\d+\])\.(frames|images)\[(\d+)\](.*)", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
 class FrameInHand:
-    """A frame or picture that was read, or could not be.
+    """A frame or image that was read, or could not be.
 
     Attributes:
         sensor: whose it is.
         sensor_path: `sensors[3]`.
         number: of the frame within its sensor.
-        frame: None where it could not be read; a picture is decoded already.
+        frame: None where it could not be read; an image is decoded already.
         fault: why it could not.
     """
 
     sensor: Sensor
     sensor_path: str
     number: int
-    frame: LidarFrame | RadarFrame | Picture | DepthFrame | None
+    frame: LidarFrame | RadarFrame | CameraImage | DepthFrame | None
     fault: str | None = None
 
     @property
     def path(self) -> str:
-        """`sensors[3].frames[12]`, or `sensors[3].pictures[12]`."""
-        name = "pictures" if isinstance(self.sensor, CameraSensor) else "frames"
+        """`sensors[3].frames[12]`, or `sensors[3].images[12]`."""
+        name = "images" if isinstance(self.sensor, CameraSensor) else "frames"
         return f"{self.sensor_path}.{name}[{self.number}]"
 
 
@@ -56,9 +56,9 @@ class Subject:
         faults: what was found wrong while the file was read.
         sensor_paths: where each sensor of the scene stands in its file; empty: counted in the scene.
         annotation_paths: where each annotation stands; empty: counted in the scene.
-        notices: what the reader assumed, repaired or left out this time; None: all that the scene tells of.
+        warnings: what the reader assumed, repaired or left out this time; None: all that the scene reports.
         fetch: gives arrays of the header with their values, which those of a file behind a URL may lack.
-        recording: what the files of a recording say, lines in the order of the file; None for other formats.
+        recording: what the files of a recording state, lines in the order of the file; None for other formats.
         frame_numbers: the numbers in the file of the frames and images of a sensor, by the path of their list, where
             some were left out.
         cache: what `table` keeps.
@@ -69,7 +69,7 @@ class Subject:
     faults: tuple[PlacedFault, ...] = ()
     sensor_paths: Sequence[str] = ()
     annotation_paths: Sequence[str] = ()
-    notices: Sequence[Notice] | None = None
+    warnings: Sequence[DataWarning] | None = None
     fetch: Callable[[Any], Any] | None = None
     recording: RecordingContents | None = None
     frame_numbers: Mapping[str, Sequence[int]] = field(default_factory=dict)
@@ -92,9 +92,9 @@ class Subject:
         return not (self.scene.sensors or self.scene.annotations or self.scene.trajectories)
 
     @property
-    def remarks(self) -> Sequence[Notice]:
+    def notes(self) -> Sequence[DataWarning]:
         """What the reader remarked; of a scene file not what was remarked when it was made."""
-        return self.scene.notices if self.notices is None else self.notices
+        return self.scene.warnings if self.warnings is None else self.warnings
 
     def fetched(self, array: AnyArray) -> AnyArray:
         """An array of the header with its values."""
@@ -112,7 +112,7 @@ class Subject:
         if found is None:
             return path
         owner, name, number, rest = found.groups()
-        numbers = self.frame_numbers.get(f"{owner}.{'images' if name == 'pictures' else name}")
+        numbers = self.frame_numbers.get(f"{owner}.{'images' if name == 'images' else name}")
         if numbers is None or int(number) >= len(numbers):
             return path
         return f"{owner}.{name}[{numbers[int(number)]}]{rest}"
@@ -132,7 +132,7 @@ class Subject:
     def is_left_out(self, kind: str, identifier: Identifier) -> bool:
         """Whether the file lists a sensor or annotation (`kind`: "sensors", "annotations") that has not been read.
 
-        Its own fault is told; that others name it is none.
+        Its own fault is reported; that others name it is none.
         """
         return key_of(identifier) in self.table(f"ids of {kind} in the file", lambda inner: _ids(inner, kind))
 

@@ -1,4 +1,4 @@
-"""Rules about what stands around a vehicle: the ground below, objects where points are, pictures upright.
+"""Rules about what stands around a vehicle: the ground below, objects where points are, images upright.
 
 Poses of another drive, quaternions whose numbers stand in another order, transforms that go the other way and axes that
 point elsewhere leave every number plausible. What they spoil is where things are: z is up in the world, so most of what
@@ -12,7 +12,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.checks.annotation_table import cuboid_paths, cuboid_rows
-from sceneloom.checks.point_places import point_places, sensor_place, transform_at
+from sceneloom.checks.point_positions import point_positions, sensor_position, transform_at
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import FrameInHand, Subject
 from sceneloom.errors import SceneloomError
@@ -22,10 +22,10 @@ from sceneloom.kernels.points_in_boxes import find_points_in_boxes
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.findings import Severity
-from sceneloom.scene.sample_places import choose_ego, places_of
+from sceneloom.scene.sample_positions import choose_ego, locations_of
 
-_MOST_PICTURES = 2_000
-"""So many, evenly spread, tell how a camera is usually turned."""
+_MOST_IMAGES = 2_000
+"""So many, evenly spread, report how a camera is usually rotated."""
 
 _LOOKED_AT = 8
 _KEPT_POINTS = 60_000
@@ -51,7 +51,7 @@ _ROLLED_DEG = 60.0
 
 
 @dataclass(slots=True)
-class _Tally:
+class _Statistics:
     """What the frames of one lidar showed."""
 
     lidar: LidarSensor
@@ -62,45 +62,48 @@ class _Tally:
     holding: int = 0
 
 
-def _tallies(subject: Subject) -> dict[str, _Tally]:
+def _tallies(subject: Subject) -> dict[str, _Statistics]:
     return subject.table("surroundings of lidars", lambda _: {})
 
 
 def _look(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
-    """Look around a lidar in some of its frames; what they show is said at the end."""
+    """Look around a lidar in some of its frames; what they show is stated at the end."""
     yield from ()
     lidar, sweep = frame.sensor, frame.frame
     if not isinstance(lidar, LidarSensor):
         return
-    tally = _tallies(subject).get(frame.sensor_path)
-    if tally is None:
+    statistics = _tallies(subject).get(frame.sensor_path)
+    if statistics is None:
         spread = np.linspace(0, len(lidar.frames) - 1, _LOOKED_AT).astype(int)
-        tally = _tallies(subject)[frame.sensor_path] = _Tally(lidar, frozenset(spread.tolist()))
-    if frame.number not in tally.wanted or not isinstance(sweep, LidarFrame):
+        statistics = _tallies(subject)[frame.sensor_path] = _Statistics(lidar, frozenset(spread.tolist()))
+    if frame.number not in statistics.wanted or not isinstance(sweep, LidarFrame):
         return
-    tally.wanted -= {frame.number}
+    statistics.wanted -= {frame.number}
     placed = _around(subject, lidar, sweep)
     if placed is not None:
         points, sensor = placed
-        tally.frames += 1
+        statistics.frames += 1
         height = _sheet_above(points - sensor)
-        tally.above += [height] if height is not None else []
+        statistics.above += [height] if height is not None else []
         boxes, holding = _boxes_with_points(subject, sweep, points, sensor)
-        tally.boxes, tally.holding = tally.boxes + boxes, tally.holding + holding
+        statistics.boxes, statistics.holding = statistics.boxes + boxes, statistics.holding + holding
 
 
 def _around(
     subject: Subject, lidar: LidarSensor, sweep: LidarFrame
 ) -> tuple[Float64Array, Float64Array] | None:
-    """Some points of a sweep (N, 3) and the place of its sensor (3,), in the world [m]; None where not known."""
-    source, place = point_places(subject, lidar).get(lidar.points_frame), sensor_place(subject, lidar)
+    """Some points of a sweep (N, 3) and the position of its sensor (3,), in the world [m]; None where not known."""
+    source, location = (
+        point_positions(subject, lidar).get(lidar.points_frame),
+        sensor_position(subject, lidar),
+    )
     positions = sweep.points.positions
     some = positions[:: len(positions) // _KEPT_POINTS + 1].astype(np.float64)
     some = some[np.isfinite(some).all(axis=1)]
-    if source is None or place is None or len(some) < _LEAST_POINTS:
+    if source is None or location is None or len(some) < _LEAST_POINTS:
         return None
     world_from_points = transform_at(source, sweep.timestamp_ns)
-    world_from_sensor = transform_at(place, sweep.timestamp_ns)
+    world_from_sensor = transform_at(location, sweep.timestamp_ns)
     if world_from_points is None or world_from_sensor is None:
         return None
     return world_from_points.apply(some), world_from_sensor.translation
@@ -137,7 +140,7 @@ def _boxes_with_points(
         return 0, 0
     found = np.zeros(len(rows), np.int64)
     angles = CuboidAngles.of(subject.scene)
-    turns = rotation_from_cuboid_angles(rows[:, 6:], unit=angles.unit, order=angles.order)
+    rotations = rotation_from_cuboid_angles(rows[:, 6:], unit=angles.unit, order=angles.order)
     centers, halves = rows[:, 3:6].copy(), rows[:, :3] / 2 + _MARGIN_M
     centers[:, 2] += (_OFF_GROUND_M + _MARGIN_M) / 2
     halves[:, 2] -= (_OFF_GROUND_M + _MARGIN_M) / 2
@@ -145,7 +148,7 @@ def _boxes_with_points(
         np.ascontiguousarray(points),
         np.zeros(0),
         centers[None],
-        np.ascontiguousarray(turns[None]),
+        np.ascontiguousarray(rotations[None]),
         np.ascontiguousarray(halves[None]),
         found,
         np.zeros(0, np.int64),
@@ -160,50 +163,52 @@ def _looked_at(centers: Float64Array, points: Float64Array) -> BoolArray:
     return np.asarray(farthest[_degrees(centers)] >= np.hypot(*centers.T))
 
 
-def _degrees(places: Float64Array) -> Int64Array:
-    return np.degrees(np.arctan2(places[:, 1], places[:, 0])).astype(np.int64) % 360
+def _degrees(locations: Float64Array) -> Int64Array:
+    return np.degrees(np.arctan2(locations[:, 1], locations[:, 0])).astype(np.int64) % 360
 
 
 def _ground_above(subject: Subject) -> Iterator[Hit]:
-    for path, tally in _tallies(subject).items():
-        if len(tally.above) * 2 > tally.frames:
-            height = float(np.median(tally.above))
-            told = (
-                f"most level points lie {height:.1f} m above the sensor in {len(tally.above)} of {tally.frames} "
+    for path, statistics in _tallies(subject).items():
+        if len(statistics.above) * 2 > statistics.frames:
+            height = float(np.median(statistics.above))
+            reported = (
+                f"most level points lie {height:.1f} m above the sensor in {len(statistics.above)} of "
+                f"{statistics.frames} "
                 "frames looked at; expected the ground below it"
             )
-            yield Hit(f"{path}.frames[].points", told, count=len(tally.lidar.frames))
+            yield Hit(f"{path}.frames[].points", reported, count=len(statistics.lidar.frames))
 
 
 def _boxes_empty(subject: Subject) -> Iterator[Hit]:
-    for path, tally in _tallies(subject).items():
-        if tally.boxes >= _LEAST_BOXES and tally.holding < _LEAST_HOLDING * tally.boxes:
-            told = (
-                f"{tally.holding} of {tally.boxes} cuboids within {_BOX_FAR_M:.0f} m of {path} hold a point of its "
+    for path, statistics in _tallies(subject).items():
+        if statistics.boxes >= _LEAST_BOXES and statistics.holding < _LEAST_HOLDING * statistics.boxes:
+            reported = (
+                f"{statistics.holding} of {statistics.boxes} cuboids within {_BOX_FAR_M:.0f} m of {path} hold a point "
+                f"of its "
                 f"frames; expected most"
             )
-            yield Hit("annotations", told)
+            yield Hit("annotations", reported)
 
 
 def _not_upright(subject: Subject) -> Iterator[Hit]:
     scene = subject.scene
     try:
-        places = places_of(scene, scene.cameras, choose_ego(scene, None))
+        locations = locations_of(scene, scene.cameras, choose_ego(scene, None))
     except SceneloomError:
         return
     for camera in scene.cameras:
-        source = places[camera.id].source
-        if source is None or len(camera.pictures) == 0:
+        source = locations[camera.id].source
+        if source is None or len(camera.images) == 0:
             continue
-        stamps_ns = camera.pictures.timestamps_ns
-        turns = source.at(stamps_ns[:: len(stamps_ns) // _MOST_PICTURES + 1]).quaternions_xyzw
-        turns = turns[np.isfinite(turns).all(axis=1)]
-        downs = rotate_vectors(turns, np.array([0.0, 1.0, 0.0]))[:, 2]
+        timestamps_ns = camera.images.timestamps_ns
+        rotations = source.at(timestamps_ns[:: len(timestamps_ns) // _MOST_IMAGES + 1]).quaternions_xyzw
+        rotations = rotations[np.isfinite(rotations).all(axis=1)]
+        downs = rotate_vectors(rotations, np.array([0.0, 1.0, 0.0]))[:, 2]
         if len(downs):
             off = float(np.degrees(np.arccos(np.clip(-np.median(downs), -1.0, 1.0))))
             if off > _ROLLED_DEG:
-                told = f"the lower side of its pictures is {off:.0f}° off what is down in the world"
-                yield Hit(subject.sensor_path(camera), told)
+                reported = f"the lower side of its images is {off:.0f}° off what is down in the world"
+                yield Hit(subject.sensor_path(camera), reported)
 
 
 RULES: tuple[Rule, ...] = (
@@ -228,7 +233,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "camera-not-upright",
         Severity.HINT,
-        "The lower side of pictures is what is down in the world, within 60°.",
+        "The lower side of images is what is down in the world, within 60°.",
         "See whether the axes are x right, y down, z forward, and whether the transform leads from the camera.",
         find=_not_upright,
     ),

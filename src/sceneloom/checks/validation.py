@@ -9,11 +9,11 @@ from typing import Any
 import msgspec
 
 from sceneloom.checks.catalogue import chosen_rules
-from sceneloom.checks.fixing import mended
+from sceneloom.checks.fixing import repaired
 from sceneloom.checks.opening import open_subject
 from sceneloom.checks.reading import FAULT_RULES
 from sceneloom.checks.recordings.faults import FAULT_RULES as FAULT_RULES_OF_RECORDINGS
-from sceneloom.checks.report import PLACES, ValidationReport, counts_of, findings_of, is_passed
+from sceneloom.checks.report import LOCATIONS, ValidationReport, counts_of, findings_of, is_passed
 from sceneloom.checks.rule import Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.checks.walk import Hits, find_all
@@ -22,15 +22,15 @@ from sceneloom.formats.faults import PlacedFault
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.table import check_scene_output, format_for_output, write_scene
 from sceneloom.scene.findings import Finding
-from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Progress
+from sceneloom.scene.warnings import DataWarning, WarningKind
 from sceneloom.stages import stage
 
 _MEANS_NOTHING = "what is at fault decides what the rest means"
 
 _UNWRITABLE = (DataError, CalibrationError, PoseError)
-"""What is wrong with a scene, not with the place that it is to be written to."""
+"""What is wrong with a scene, not with the location that it is to be written to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,14 +41,14 @@ class _Terms:
     strict: bool
     frames: bool
     rules: tuple[Rule, ...]
-    places: int | None
+    locations: int | None
     progress: Progress | None
 
     def hits(self, subject: Subject) -> Hits:
-        """Run the rules; of what could not be read at all, only those that say why."""
+        """Run the rules; of what could not be read at all, only those that state why."""
         if subject.faults and subject.holds_nothing:
-            told = {rule.id for rule in (*FAULT_RULES, *FAULT_RULES_OF_RECORDINGS)}
-            return find_all(subject, [rule for rule in self.rules if rule.id in told], frames=False)
+            reported = {rule.id for rule in (*FAULT_RULES, *FAULT_RULES_OF_RECORDINGS)}
+            return find_all(subject, [rule for rule in self.rules if rule.id in reported], frames=False)
         hits = find_all(subject, self.rules, frames=self.frames, progress=self.progress)
         if not subject.frame_numbers:
             return hits
@@ -62,7 +62,7 @@ class _Terms:
 
     def report(self, subject: Subject, hits: Hits) -> ValidationReport:
         """Put what was found into a report."""
-        findings = findings_of(hits, self.rules, places=self.places)
+        findings = findings_of(hits, self.rules, locations=self.locations)
         counts = counts_of(findings)
         return ValidationReport(
             source=subject.scene.source,
@@ -87,11 +87,11 @@ def validate(
     frames: bool = True,
     rules: Iterable[str] = (),
     ignore: Iterable[str] = (),
-    places: int | None = PLACES,
+    locations: int | None = LOCATIONS,
     progress: Progress | None = None,
     **reading: Any,
 ) -> ValidationReport:
-    """Check a scene, a recording or a rig by the rules of a profile, and mend what can be mended safely.
+    """Check a scene, a recording or a rig by the rules of a profile, and repair what can be repaired safely.
 
     Args:
         source: a file or folder, the URL of a scene file, or a scene that is open.
@@ -100,10 +100,10 @@ def validate(
         fix: where to write the scene with all safe fixes applied; the findings are then those of what was written.
         overwrite: whether `fix` may be replaced.
         strict: let warnings count, too.
-        frames: read every frame and picture; without, only what is known at opening is checked.
+        frames: read every frame and image; without, only what is known at opening is checked.
         rules: ids of the only rules to run; () for all.
         ignore: ids of rules that are not to be run.
-        places: so many places of one rule are told singly, the others counted; None for all.
+        locations: so many locations of one rule are listed singly, the others counted; None for all.
         progress: called with the number of frames done and of all.
         reading: reading options of the format, `start` and `stop` of a part among them; faulty parts are never an
             error here.
@@ -117,7 +117,12 @@ def validate(
         OutputError: `fix` exists, or cannot be written.
     """
     terms = _Terms(
-        profile, strict, frames, chosen_rules(profile or "sfs", only=rules, ignored=ignore), places, progress
+        profile,
+        strict,
+        frames,
+        chosen_rules(profile or "sfs", only=rules, ignored=ignore),
+        locations,
+        progress,
     )
     if fix is not None:
         check_scene_output(Path(fix), overwrite=overwrite)
@@ -131,11 +136,11 @@ def validate(
             return report
         if not _can_be_written(subject):
             return msgspec.structs.replace(report, unwritten=_MEANS_NOTHING)
-        scene, applied = mended(subject.scene, terms.rules, hits)
-        told = replace(scene, notices=(*scene.notices, *_remarks(subject.faults)))
+        scene, applied = repaired(subject.scene, terms.rules, hits)
+        reported = replace(scene, warnings=(*scene.warnings, *_notes(subject.faults)))
         try:
             with stage("writing"):
-                losses = _write(told, Path(fix), profile, overwrite=overwrite)
+                losses = _write(reported, Path(fix), profile, overwrite=overwrite)
         except _UNWRITABLE as error:
             return msgspec.structs.replace(report, unwritten=str(error))
     finally:
@@ -145,36 +150,36 @@ def validate(
 
 
 def _can_be_written(subject: Subject) -> bool:
-    """Whether the scene means what its file means: not if its clock, say, had to be guessed."""
+    """Whether the scene means what its file means: not if its clock, state, had to be guessed."""
     return not any(fault.vital for fault in subject.faults) and not (subject.faults and subject.holds_nothing)
 
 
-def _remarks(faults: Sequence[PlacedFault]) -> tuple[Notice, ...]:
-    """What the written file is to say about the faults of the one that it was made from: one remark for each kind."""
+def _notes(faults: Sequence[PlacedFault]) -> tuple[DataWarning, ...]:
+    """What the written file is to state about the faults of the one that it was made from: one note for each kind."""
     kinds: dict[tuple[str, bool], list[PlacedFault]] = {}
     for fault in faults:
-        kinds.setdefault((fault.code, fault.mended), []).append(fault)
+        kinds.setdefault((fault.code, fault.repaired), []).append(fault)
     return tuple(
-        Notice(
-            kind=NoticeKind.REPAIRED if is_mended else NoticeKind.SKIPPED,
-            code="mended" if is_mended else "at-fault",
-            place=alike[0].where,
-            message=f"{'mended' if is_mended else 'left out'} on validating: {alike[0].problem}",
+        DataWarning(
+            kind=WarningKind.REPAIRED if is_repaired else WarningKind.SKIPPED,
+            code="repaired" if is_repaired else "at-fault",
+            location=alike[0].where,
+            message=f"{'repaired' if is_repaired else 'left out'} on validating: {alike[0].problem}",
             count=sum(fault.count for fault in alike),
         )
-        for (_, is_mended), alike in kinds.items()
+        for (_, is_repaired), alike in kinds.items()
     )
 
 
 def _write(scene: Scene, path: Path, profile: str | None, *, overwrite: bool) -> LossReport:
-    options = {"recording": {"pictures": "lossless"}, "sfs": {} if profile is None else {"profile": profile}}
+    options = {"recording": {"images": "lossless"}, "sfs": {} if profile is None else {"profile": profile}}
     return write_scene(scene, path, overwrite=overwrite, **options.get(format_for_output(path).name, {}))
 
 
 def _after_fixing(
     before: ValidationReport, applied: frozenset[str], output: Path, terms: _Terms
 ) -> ValidationReport:
-    """Check what was written, and say what of the findings before is mended or was left out."""
+    """Check what was written, and state what of the findings before is repaired or was left out."""
     subject = open_subject(output)
     with subject.scene:
         after = terms.report(subject, terms.hits(subject))
@@ -190,7 +195,7 @@ def _after_fixing(
 
 
 def _gone(before: Sequence[Finding], after: Sequence[Finding]) -> list[Finding]:
-    """The findings that are not there any more; places move up where something before them was left out."""
+    """The findings that are not there any more; locations move up where something before them was left out."""
     still = Counter((finding.rule, finding.message) for finding in after)
     gone = []
     for finding in before:

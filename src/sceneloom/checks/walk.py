@@ -28,7 +28,7 @@ def find_all(
     Args:
         subject: the scene.
         rules: which.
-        frames: whether frames and pictures are read for the rules that look at them; each is read once.
+        frames: whether frames and images are read for the rules that look at them; each is read once.
         progress: called with the number of frames done and of all.
     """
     # the tables of a scene with many annotations are very many objects that form no cycles
@@ -51,7 +51,7 @@ def find_all(
 
 
 def _frames_in_hand(subject: Subject) -> Iterator[FrameInHand]:
-    """Read every frame and decode every picture once; one that cannot be read is handed out with its fault."""
+    """Read every frame and decode every image once; one that cannot be read is handed out with its fault."""
     for path, sensor in subject.sensors():
         for number in range(len(_frames_of(sensor))):
             try:
@@ -62,13 +62,13 @@ def _frames_in_hand(subject: Subject) -> Iterator[FrameInHand]:
 
 def _frames_of(sensor: Sensor) -> Sequence[Any]:
     if isinstance(sensor, CameraSensor):
-        return sensor.pictures
+        return sensor.images
     return sensor.frames if isinstance(sensor, LidarSensor | RadarSensor | DepthCameraSensor) else ()
 
 
 def _read(sensor: Sensor, number: int) -> Any:
     if isinstance(sensor, CameraSensor):
-        return sensor.pictures[number].loaded()
+        return sensor.images[number].loaded()
     if isinstance(sensor, DepthCameraSensor):
         return sensor.frames[number].loaded()
     return _frames_of(sensor)[number]

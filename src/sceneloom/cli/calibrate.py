@@ -12,21 +12,21 @@ from sceneloom.cli.calibrate_repair import asked_repair, repair_calibration, rep
 
 
 @click.command()
-@click.argument("path", type=options.place)
-@click.option("--check", is_flag=True, help="Say whether the calibration is right. The default.")
+@click.argument("path", type=options.location)
+@click.option("--check", is_flag=True, help="Report whether the calibration is right. The default.")
 @click.option(
     "--conventions",
     is_flag=True,
-    help="Say what the extrinsics of PATH mean, a drive or a file of numbers: direction, layout, order, unit, axes.",
+    help="Report what the extrinsics of PATH mean, a drive or a file of numbers: direction, layout, order, unit, axes.",
 )
 @click.option(
     "--drive",
-    type=options.place,
+    type=options.location,
     metavar="DRIVE",
     help="With --conventions of a file: the drive to judge it by.",
 )
 @repair_options
-@click.option("--camera", "camera_id", metavar="ID", help="The camera. [default: the first with pictures]")
+@click.option("--camera", "camera_id", metavar="ID", help="The camera. [default: the first with images]")
 @click.option("--lidar", "lidar_id", metavar="ID", help="The lidar. [default: the first with sweeps]")
 @click.option(
     "--most",
@@ -34,10 +34,14 @@ from sceneloom.cli.calibrate_repair import asked_repair, repair_calibration, rep
     default=20,
     show_default=True,
     metavar="N",
-    help="Look at N pictures at most, spread over the drive.",
+    help="Look at N images at most, spread over the drive.",
 )
 @click.option(
-    "--pictures", type=options.target, metavar="DIR", help="Draw points and edges over pictures into DIR."
+    "--visualize",
+    "images",
+    type=options.target,
+    metavar="DIR",
+    help="Draw points and edges over images into DIR.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 @box_options
@@ -55,7 +59,7 @@ def calibrate(
     camera_id: str | None,
     lidar_id: str | None,
     most: int,
-    pictures: Path | None,
+    images: Path | None,
     overwrite: bool,
     start: float | None,
     stop: float | None,
@@ -64,17 +68,18 @@ def calibrate(
     verbose: bool,
     **reading: Any,
 ) -> None:
-    """Check how a camera is said to lie to a lidar by what both show: rotation, shift, focal length, time.
+    """Check how a camera is stated to lie to a lidar by what both show: rotation, shift, focal length, time.
 
-    Exit 0 where the calibration is good, 3 where it is drifting, 4 where it is wrong, 5 where the drive cannot tell.
+    Exit 0 where the calibration is good, 3 where it is drifting, 4 where it is wrong, 5 where the drive cannot
+    determine.
 
     With --refine, --hand-eye, --lidar-to-lidar or --target repair it: exit 0 where it was, 3 where what is stated was
-    kept, 5 where the drive cannot tell.
+    kept, 5 where the drive cannot determine.
     """
     asked = asked_repair(reading)
     boxes = {name: reading.pop(name) for name in BOXES}
     if check + conventions + (asked is not None) > 1:
-        raise click.UsageError("--check, --conventions and a repair: say one of them")
+        raise click.UsageError("--check, --conventions and a repair: state one of them")
     if drive is not None and not conventions:
         raise click.UsageError("--drive DRIVE does nothing without --conventions")
     if conventions or asked is not None:
@@ -89,11 +94,11 @@ def calibrate(
     if asked is not None:
         code = repair_calibration(
             path, asked, camera_id=camera_id, lidar_id=lidar_id, most=most, start=start, stop=stop,
-            pictures=pictures, overwrite=overwrite, as_json=as_json, quiet=quiet, reading=reading,
+            images=images, overwrite=overwrite, as_json=as_json, quiet=quiet, reading=reading,
         )  # fmt: skip
         context.exit(code)
     code = check_health(
         path, camera_id=camera_id, lidar_id=lidar_id, most=most, start=start, stop=stop,
-        pictures=pictures, overwrite=overwrite, as_json=as_json, verbose=verbose, boxes=boxes, reading=reading,
+        images=images, overwrite=overwrite, as_json=as_json, verbose=verbose, boxes=boxes, reading=reading,
     )  # fmt: skip
     context.exit(code)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sceneloom.calibrate.health.check import CalibrationHealth
     from sceneloom.calibrate.health.verdicts import Item
 
-EXIT_CODES = MappingProxyType({"good": 0, "drifting": 3, "wrong": 4, "cannot tell": 5})
+EXIT_CODES = MappingProxyType({"good": 0, "drifting": 3, "wrong": 4, "cannot determine": 5})
 """What each verdict means to the shell."""
 
 
@@ -24,7 +24,7 @@ BOXES = ("boxes3d", "boxes2d", "det2d", "det3d", "sequences", "motion")
 
 
 _MOTION = click.option(
-    "--motion", is_flag=True, help="With --check: compare how camera and lidar turn, too; takes longer."
+    "--motion", is_flag=True, help="With --check: compare how camera and lidar rotate, too; takes longer."
 )
 
 
@@ -43,24 +43,24 @@ def check_health(
     most: int,
     start: float | None,
     stop: float | None,
-    pictures: Path | None,
+    images: Path | None,
     overwrite: bool,
     as_json: bool,
     verbose: bool,
     boxes: Mapping[str, Any],
     reading: Mapping[str, Any],
 ) -> int:
-    """Check a calibration, print what came out, draw pictures where these are asked for; give the exit code."""
+    """Check a calibration, print what came out, draw images where these are asked for; give the exit code."""
     from sceneloom.formats.kitti.tracking_folder import is_tracking_folder
     from sceneloom.formats.output import check_output
     from sceneloom.formats.table import open_scene
-    from sceneloom.pictures.calibration import save_calibration_pictures
+    from sceneloom.images.calibration import save_calibration_images
     from sceneloom.pipeline.checked_calibration import check_drive
 
     if not (boxes["boxes3d"] or boxes["boxes2d"]) and is_tracking_folder(Path(path)):
         useless = {
             "camera": camera_id, "lidar": lidar_id, "start": start is not None, "stop": stop is not None,
-            "pictures": pictures, "motion": boxes["motion"],
+            "images": images, "motion": boxes["motion"],
         }  # fmt: skip
         detection_options.refuse(
             useless, tuple(useless), "a folder of KITTI's sequences is judged by its boxes"
@@ -70,24 +70,24 @@ def check_health(
         dict(boxes), BOXES[2:4], f"{path} is no folder of KITTI's sequences, or has lists beside it"
     )
     reading = {**reading, "sequence": options.one_sequence(boxes["sequences"])}
-    if pictures is not None:
-        is_empty = pictures.is_dir() and not any(pictures.iterdir())
-        check_output(pictures, overwrite=overwrite or is_empty)
-    with open_scene(path, **options.said(**reading)) as scene:
+    if images is not None:
+        is_empty = images.is_dir() and not any(images.iterdir())
+        check_output(images, overwrite=overwrite or is_empty)
+    with open_scene(path, **options.stated(**reading)) as scene:
         found = check_drive(
             scene, known_id_or_none(scene, camera_id), known_id_or_none(scene, lidar_id), most=most, start=start,
             stop=stop, boxes_3d=boxes["boxes3d"], boxes_2d=boxes["boxes2d"],
             motion=boxes["motion"], lenient=reading["lenient"],
         )  # fmt: skip
-    if pictures is not None:
-        save_calibration_pictures(found.frames, found.health, pictures, overwrite=overwrite)
+    if images is not None:
+        save_calibration_images(found.frames, found.health, images, overwrite=overwrite)
     if as_json:
         print_json(found.health)
     else:
         _print_health(found.health, verbose=verbose)
         print_corrections(found.health.corrections)
-        if pictures is not None:
-            click.echo(f"pictures: {pictures}")
+        if images is not None:
+            click.echo(f"images: {images}")
     return EXIT_CODES[found.health.verdict]
 
 
@@ -111,20 +111,20 @@ def _check_folder(
     return EXIT_CODES[next(verdict for verdict in _WORST_FIRST if verdict in verdicts)]
 
 
-_WORST_FIRST = ("wrong", "drifting", "cannot tell", "good")
+_WORST_FIRST = ("wrong", "drifting", "cannot determine", "good")
 
 
 def _print_health(health: "CalibrationHealth", *, verbose: bool) -> None:
-    looked = several(health.frames, "picture")
+    looked = several(health.frames, "image")
     if health.views:
         looked += f" of {several(health.views, 'view')}"
     click.echo(f"{health.source}: {health.camera_id} to {health.lidar_id}: {health.verdict} ({looked})")
     reasons = {item.reason for item in health.items}
     if len(reasons) == 1 and reasons != {""}:
-        click.echo(f"nothing can be told: {reasons.pop()}")
+        click.echo(f"nothing can be reported: {reasons.pop()}")
     else:
-        told = [item for item in health.items if health.views or item.name.startswith("boxes")]
-        print_table([("part", "verdict", "to be changed by", "why"), *map(_row, told)])
+        reported = [item for item in health.items if health.views or item.name.startswith("boxes")]
+        print_table([("part", "verdict", "to be changed by", "why"), *map(_row, reported)])
     if not health.views:
         return
     stated, best = health.stated_distinctness, health.distinctness

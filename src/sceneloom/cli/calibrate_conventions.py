@@ -32,8 +32,8 @@ def check_conventions(
     from sceneloom.calibrate.conventions import check_drive, check_file
     from sceneloom.formats.table import open_scene
 
-    def opened(place: Path | str, judge: Callable[["Scene"], "ConventionsReport"]) -> "ConventionsReport":
-        with open_scene(place, **options.said(**reading)) as scene:
+    def opened(location: Path | str, judge: Callable[["Scene"], "ConventionsReport"]) -> "ConventionsReport":
+        with open_scene(location, **options.stated(**reading)) as scene:
             return judge(scene)
 
     with progress_bar("judging", quiet=quiet) as progress:
@@ -63,12 +63,12 @@ def check_conventions(
 def _is_drive(path: Path | str) -> bool:
     """Whether a path is one of the formats of drives; a file of numbers alone is none."""
     from sceneloom.errors import SceneloomError
-    from sceneloom.formats.table import format_and_place
+    from sceneloom.formats.table import format_and_location
 
     if Path(path).is_dir() or "://" in str(path):
         return True
     try:
-        format_and_place(path)
+        format_and_location(path)
     except SceneloomError:
         return False
     return True
@@ -77,19 +77,19 @@ def _is_drive(path: Path | str) -> bool:
 def _print(report: "ConventionsReport", *, judged_by_drive: bool) -> None:
     click.echo(f"{report.source}:")
     for found in report.extrinsics:
-        click.echo(f"{found.place}: {_verdict(found)}: {found.reason}")
+        click.echo(f"{found.location}: {_verdict(found)}: {found.reason}")
         print_table([(f"  {name}", " or ".join(values)) for name, values in found.possible.items()])
     for points in report.points:
-        possible = " or ".join(points.possible) or "the drive does not tell"
+        possible = " or ".join(points.possible) or "the drive does not report"
         click.echo(f"points of {points.lidar}: read in {points.stated} coordinates; possible: {possible}")
     for times in report.times:
         units = " or ".join(times.possible) or "no unit fits"
-        click.echo(f"stamps of {times.sensor} ({times.kind}), read as seconds: {units}")
+        click.echo(f"timestamps of {times.sensor} ({times.kind}), read as seconds: {units}")
     if report.extrinsics and not judged_by_drive:
-        click.echo("judged without a drive: --drive DRIVE lets its points and pictures tell more")
+        click.echo("judged without a drive: --drive DRIVE lets its points and images report more")
 
 
 def _verdict(found: "ExtrinsicFound") -> str:
     if found.as_read is not None:
         return "as read" if found.as_read else "NOT as read"
-    return "decided" if found.decided else "cannot tell"
+    return "decided" if found.decided else "cannot determine"

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sceneloom.pipeline.repairing.job import RepairReport
     from sceneloom.scene.scene import Scene
 
-EXIT_CODES = {"refined": 0, "kept": 3, "cannot tell": 5}
+EXIT_CODES = {"refined": 0, "kept": 3, "cannot determine": 5}
 """What each outcome means to the shell."""
 
 _FLAGS = ("refine", "hand_eye", "lidar_to_lidar", "target")
@@ -44,7 +44,7 @@ _OPTIONS = (
     click.option(
         "--form",
         type=click.Choice(["sfs", "table-3", "recording"]),
-        help="What to write, where the ending of the output does not say it.",
+        help="What to write, where the ending of the output does not state it.",
     ),
     click.option(
         "--parameters",
@@ -84,12 +84,12 @@ def asked_repair(given: dict[str, Any]) -> AskedRepair | None:
     values = {name: given.pop(name) for name in _VALUES}
     if len(modes) > 1:
         raise click.UsageError(
-            f"{' and '.join('--' + mode.replace('_', '-') for mode in modes)}: say one of them"
+            f"{' and '.join('--' + mode.replace('_', '-') for mode in modes)}: state one of them"
         )
     if not modes:
-        said = [name for name, value in values.items() if value is not None]
-        if said:
-            raise click.UsageError(f"--{said[0]}: needs --refine, --hand-eye, --lidar-to-lidar or --target")
+        stated = [name for name, value in values.items() if value is not None]
+        if stated:
+            raise click.UsageError(f"--{stated[0]}: needs --refine, --hand-eye, --lidar-to-lidar or --target")
         return None
     return AskedRepair(modes[0], board=asked["target"], **values)
 
@@ -103,26 +103,26 @@ def repair_calibration(
     most: int,
     start: float | None,
     stop: float | None,
-    pictures: Path | None,
+    images: Path | None,
     overwrite: bool,
     as_json: bool,
     quiet: bool,
     reading: dict[str, Any],
 ) -> int:
     """Repair, write, print, and give the exit code."""
-    if pictures is not None and asked.mode != "refine":
-        raise click.UsageError("--pictures: with --check and --refine only")
+    if images is not None and asked.mode != "refine":
+        raise click.UsageError("--visualize: with --check and --refine only")
     from sceneloom.formats.table import open_scene
     from sceneloom.scene.part import cut_scene
 
     with (
-        open_scene(path, **options.said(**reading)) as scene,
+        open_scene(path, **options.stated(**reading)) as scene,
         progress_bar("repairing", quiet=quiet) as progress,
     ):
         part = cut_scene(scene, start=start, stop=stop)
         report = _repaired(
             part, asked, known_id_or_none(part, camera_id), known_id_or_none(part, lidar_id), most,
-            pictures=pictures, overwrite=overwrite, progress=progress,
+            images=images, overwrite=overwrite, progress=progress,
         )  # fmt: skip
     if as_json:
         print_json(report)
@@ -138,7 +138,7 @@ def _repaired(
     lidar: "str | int | None",
     most: int,
     *,
-    pictures: Path | None,
+    images: Path | None,
     overwrite: bool,
     progress: Any,
 ) -> "RepairReport":
@@ -159,7 +159,7 @@ def _repaired(
         {} if asked.parameters is None else {"parameters": tuple(asked.parameters.split(","))}
     )
     return repairing.refine_drive(
-        scene, asked.output, camera=camera, lidar=lidar, most=most, pictures=pictures, **named, **common
+        scene, asked.output, camera=camera, lidar=lidar, most=most, images=images, **named, **common
     )
 
 
@@ -175,7 +175,7 @@ def _print_report(report: "RepairReport") -> None:
             ),
         ]
     )
-    for line in (*report.unobserved, *report.remarks):
+    for line in (*report.unobserved, *report.notes):
         click.echo(line)
     if report.output is not None:
         click.echo(f"written as {report.form}: {report.output}")

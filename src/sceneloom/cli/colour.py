@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.printing import print_json, print_lines, print_notices, print_table, progress_bar, several
+from sceneloom.cli.printing import print_json, print_lines, print_table, print_warnings, progress_bar, several
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
     from sceneloom.pipeline.colouring.report import ColourReport
@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 
 
 @click.command()
-@click.argument("path", type=options.place)
+@click.argument("path", type=options.location)
 @click.option("-o", "--output", type=options.target, help="The map: .las, .laz, .ply, .pcd or .sfs.")
 @click.option(
     "--voxel", type=options.positive, metavar="M", help="Keep one point per cube of M metres. [default: all]"
@@ -22,15 +22,15 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 @click.option(
     "--blend",
     type=click.Choice(["nearest", "best", "weighted"]),
-    help="The pixel nearest to a picture's middle; the colour trusted most, between pixels; or the mean of those that "
+    help="The pixel nearest to an image's middle; the colour trusted most, between pixels; or the mean of those that "
     "agree with it. [default: weighted]",
 )
-@click.option("--no-exposure", is_flag=True, help="Leave differences in exposure between pictures.")
+@click.option("--no-exposure", is_flag=True, help="Leave differences in exposure between images.")
 @click.option(
     "--remove-moving", is_flag=True, help="Leave out what other rays pass through, or moving boxes hold."
 )
-@click.option("--only-coloured", is_flag=True, help="Leave out points that no picture shows.")
-@click.option("--provenance", is_flag=True, help="Add camera, picture, pixel and weight of each point.")
+@click.option("--only-coloured", is_flag=True, help="Leave out points that no image shows.")
+@click.option("--provenance", is_flag=True, help="Add camera, image, pixel and weight of each point.")
 @click.option("--labels", type=options.source(), metavar="DIR", help="Label images to paint on.")
 @click.option(
     "--project-labels",
@@ -51,8 +51,10 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
     metavar="DIR",
     help="Folder for a cloud of each sweep, or an .sfs file of the drive.",
 )
-@click.option("--pictures", type=options.target, metavar="DIR", help="Folder for pictures to look at.")
-@options.way(further="`identity`: it stood still")
+@click.option(
+    "--visualize", "images", type=options.target, metavar="DIR", help="Folder for images to look at."
+)
+@options.trajectory(further="`identity`: it was stationary")
 @options.threads
 @options.part
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
@@ -64,7 +66,7 @@ def colour(
     project_labels: Path | None,
     label_radius_px: int | None,
     per_sweep: Path | None,
-    pictures: Path | None,
+    images: Path | None,
     no_exposure: bool,
     trajectory: str | None,
     heading: str | None,
@@ -86,13 +88,13 @@ def colour(
     names = ("voxel", "blend", "remove_moving", "only_coloured", "provenance", "labels", "threads")
     chosen = {name: further.pop(name) for name in names}
     settings = ColourSettings(
-        exposure=not no_exposure, **options.said(**chosen, label_radius_px=label_radius_px)
+        exposure=not no_exposure, **options.stated(**chosen, label_radius_px=label_radius_px)
     )
     outputs = ColourOutputs(
-        map=output, per_sweep=per_sweep, project_labels=project_labels, pictures=pictures, overwrite=overwrite
+        map=output, per_sweep=per_sweep, project_labels=project_labels, images=images, overwrite=overwrite
     )
     with (
-        open_scene(path, **options.said(**further)) as scene,
+        open_scene(path, **options.stated(**further)) as scene,
         progress_bar("colouring", quiet=quiet) as progress,
     ):
         report = colour_scene(
@@ -119,13 +121,13 @@ def _print(report: "ColourReport", outputs: "ColourOutputs", *, quiet: bool, ver
         f"{several(report.points, 'point')}, {report.coloured_percent:.1f} % coloured"
     )
     print_table(
-        [str(camera.camera), f"{camera.in_picture_percent:.1f} % of the points in its pictures"]
+        [str(camera.camera), f"{camera.in_image_percent:.1f} % of the points in its images"]
         for camera in report.cameras
     )
     _print_exposure(report)
     removed = {
         "in moving boxes": report.removed_in_boxes,
-        "by rays through their places": report.removed_by_rays,
+        "by rays through their locations": report.removed_by_rays,
     }
     for how, count in removed.items():
         if count:
@@ -136,18 +138,18 @@ def _print(report: "ColourReport", outputs: "ColourOutputs", *, quiet: bool, ver
         click.echo(f"{several(count, 'sweep')} left out: {reason}")
     if outputs.map is not None:
         click.echo(f"map: {outputs.map} ({several(report.written, 'point')})")
-    places = {
+    locations = {
         "sweeps": outputs.per_sweep,
         "label images": outputs.project_labels,
-        "pictures": outputs.pictures,
+        "images": outputs.images,
     }
-    for kind, place in places.items():
-        if place is not None:
+    for kind, location in locations.items():
+        if location is not None:
             files = report.files.get(kind)
-            click.echo(f"{kind}: {place}" + ("" if files is None else f" ({several(files, 'file')})"))
+            click.echo(f"{kind}: {location}" + ("" if files is None else f" ({several(files, 'file')})"))
     if not quiet:
         print_lines([f"skipped: {reason}" for reason in report.skipped], verbose=verbose)
-        print_notices(report.notices, verbose=verbose)
+        print_warnings(report.warnings, verbose=verbose)
 
 
 def _print_exposure(report: "ColourReport") -> None:
@@ -174,4 +176,4 @@ def _print_labels(report: "ColourReport") -> None:
             f"{several(labels.classes, 'label')} among them"
         )
     if labels.missing:
-        click.echo(f"labels: no label image of {several(labels.missing, 'picture')}")
+        click.echo(f"labels: no label image of {several(labels.missing, 'image')}")

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     "--only",
     multiple=True,
     metavar="ID",
-    help="Run this check (5.4-3), or those of a clause or table (5.4, T9); may be said again.",
+    help="Run this check (5.4-3), or those of a clause or table (5.4, T9); may be stated again.",
 )
 @click.option("--checks", "list_checks", is_flag=True, help="List the checks and stop.")
 @let_in
@@ -89,7 +89,7 @@ def _print_checks(checks: "tuple[Check, ...]", *, as_json: bool) -> None:
     rows = [
         {
             "id": check.id,
-            "place": check.place,
+            "location": check.location,
             "title": check.title,
             "basis": str(check.basis),
             "english": check.quote.english,
@@ -101,7 +101,7 @@ def _print_checks(checks: "tuple[Check, ...]", *, as_json: bool) -> None:
         print_json(rows)
         return
     for row in rows:
-        click.echo(f"{row['id']:8} {row['title']} ({row['basis']}: {row['place']})")
+        click.echo(f"{row['id']:8} {row['title']} ({row['basis']}: {row['location']})")
 
 
 def _print_examination(examination: "Examination", *, verbose: bool, report: Path | None) -> None:
@@ -118,7 +118,7 @@ def _print_examination(examination: "Examination", *, verbose: bool, report: Pat
 
 def _print_finding(finding: "Finding") -> None:
     check = finding.check
-    click.echo(f"  {check.id:7} {finding.verdict}  {check.title} ({check.place})")
+    click.echo(f"  {check.id:7} {finding.verdict}  {check.title} ({check.location})")
     if not finding.failures:
         return
     click.echo(f"          {check.quote.english}")

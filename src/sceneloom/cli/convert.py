@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.printing import SHOWN, print_json, print_notices, print_table, progress_bar, several
+from sceneloom.cli.printing import SHOWN, print_json, print_table, print_warnings, progress_bar, several
 
 if TYPE_CHECKING:
     from sceneloom.pipeline.converting.report import ConversionReport
@@ -17,13 +17,13 @@ _OWN = ("source", "target", "to", "trajectory", "strict", "loss", "overwrite", "
 
 
 @click.command()
-@click.argument("source", type=options.place)
+@click.argument("source", type=options.location)
 @click.argument("target", type=options.target)
 @options.writing_scenes
 @click.option(
-    "--pictures",
+    "--images",
     type=click.Choice(["copy", "lossless", "h264", "ffv1", "png"]),
-    help="How a recording's folder keeps pictures: `copy` a camera's own video packet by packet, and encode H.264 "
+    help="How a recording's folder keeps images: `copy` a camera's own video packet by packet, and encode H.264 "
     "where there is none (`lossless`: FFV1); `h264`: the own video only if it is that; `ffv1` (video) and "
     "`png` (files) lose nothing. "
     "[default: copy]",
@@ -32,7 +32,8 @@ _OWN = ("source", "target", "to", "trajectory", "strict", "loss", "overwrite", "
     "--trajectory",
     metavar="NAME",
     help="Which trajectory to write to a file of its own, `lidar`, `gnss`: computed, `fixes`: as received; of COLMAP, "
-    "nerfstudio, nuScenes and clouds in another frame: by which to place things in the world, `identity`: standing. "
+    "nerfstudio, nuScenes and clouds in another frame: by which to location things in the world, `identity`: "
+    "stationary. "
     "[default: the drive's first one, else `gnss`, else `lidar`, else `identity`]",
 )
 @click.option(
@@ -44,7 +45,7 @@ _OWN = ("source", "target", "to", "trajectory", "strict", "loss", "overwrite", "
 @click.option(
     "--strict",
     is_flag=True,
-    help="Refuse to lose anything; what is only said in another way, such as times in other units, passes.",
+    help="Refuse to lose anything; what is only stated in another way, such as times in other units, passes.",
 )
 @click.option(
     "--loss",
@@ -53,7 +54,7 @@ _OWN = ("source", "target", "to", "trajectory", "strict", "loss", "overwrite", "
     help="Write what becomes of every field to FILE: .json, .md or .txt.",
 )
 @click.option(
-    "--set",
+    "--output-option",
     "settings",
     multiple=True,
     metavar="NAME=VALUE",
@@ -84,7 +85,7 @@ def convert(
     overwrite: bool,
     profile: str | None,
     time_unit: str | None,
-    pictures: str | None,
+    images: str | None,
     trajectory: str | None,
     to: str | None,
     strict: bool,
@@ -107,18 +108,18 @@ def convert(
     from sceneloom.pipeline.converting.report import headline
     from sceneloom.stages import timed
 
-    chosen = options.said(
+    chosen = options.stated(
         profile=profile,
         time_unit=time_unit,
-        pictures=pictures,
+        images=images,
         channel=channel or None,
         optical=to_optical,
         origin_lla=origin_lla,
     )
-    further = options.settings("--set", settings)
+    further = options.settings("--output-option", settings)
     for name in sorted({*_OWN, *chosen} & further.keys()):
         raise click.UsageError(
-            f"--set {name} does not count here: what the verb itself takes has its own name"
+            f"--output-option {name} does not count here: what the verb itself takes has its own name"
         )
     with progress_bar("converting", quiet=quiet) as progress, timed() as stages:
         report = convert_scene(
@@ -131,7 +132,7 @@ def convert(
             overwrite=overwrite,
             **chosen,
             **further,
-            reading={name.removeprefix("from_"): value for name, value in options.said(**reading).items()},
+            reading={name.removeprefix("from_"): value for name, value in options.stated(**reading).items()},
             progress=progress,
         )
     if as_json:
@@ -139,18 +140,18 @@ def convert(
         return
     click.echo(headline(report))
     if not quiet:
-        print_notices(report.notices, verbose=verbose)
-        _print_fates(report, verbose=verbose)
+        print_warnings(report.warnings, verbose=verbose)
+        _print_supports(report, verbose=verbose)
 
 
-def _print_fates(report: "ConversionReport", *, verbose: bool) -> None:
+def _print_supports(report: "ConversionReport", *, verbose: bool) -> None:
     """Print what is not simply kept, grouped by what became of it; every field where that is asked for."""
-    from sceneloom.pipeline.converting.report import fate_groups, fate_rows, short_rows
+    from sceneloom.pipeline.converting.report import short_rows, support_groups, support_rows
 
-    for title, fields, worth_telling in fate_groups(report):
+    for title, fields, worth_telling in support_groups(report):
         click.echo(f"  {title}: {several(len(fields), 'field')}", err=True)
         if worth_telling or verbose:
-            rows = fate_rows(fields) if verbose else short_rows(fields)
+            rows = support_rows(fields) if verbose else short_rows(fields)
             print_table(rows if verbose else rows[:SHOWN], indent="    ", err=True)
             if len(rows) > SHOWN and not verbose:
-                click.echo(f"    … and {len(rows) - SHOWN} more: say --verbose", err=True)
+                click.echo(f"    … and {len(rows) - SHOWN} more: state --verbose", err=True)

@@ -17,7 +17,7 @@ from sceneloom.cli.printing import print_json, print_losses, progress_bar, sever
     default=Path("sceneloom-demo"),
     show_default=True,
     metavar="DIR",
-    help="Folder that gets the drive, the scene and the pictures.",
+    help="Folder that gets the drive, the scene and the images.",
 )
 @click.option("--seed", type=int, default=0, show_default=True, help="Another number is another street.")
 @click.option(
@@ -28,24 +28,24 @@ from sceneloom.cli.printing import print_json, print_losses, progress_bar, sever
     type=click.Choice(["h264", "png"]),
     default="h264",
     show_default=True,
-    help="How the drive's pictures are kept.",
+    help="How the drive's images are kept.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace an earlier demo.")
 @options.printing
 def demo(
     keep: Path, seed: int, frames: int, video: str, overwrite: bool, as_json: bool, quiet: bool, verbose: bool
 ) -> None:
-    """Make a small drive through a made-up street, fuse it, and show what came out."""
+    """Make a small drive through a synthetic street, fuse it, and show what came out."""
     from sceneloom.formats.output import check_output
 
     begun = time.perf_counter()
     recording = keep / "drive"
-    fused, depth, pictures = keep / "drive.sfs", keep / "depth", keep / "pictures"
+    fused, depth, images = keep / "drive.sfs", keep / "depth", keep / "images"
     keep.mkdir(parents=True, exist_ok=True)
-    for place in (recording, fused, depth, pictures):
-        check_output(place, overwrite=overwrite)
+    for location in (recording, fused, depth, images):
+        check_output(location, overwrite=overwrite)
     if not quiet:
-        click.echo(f"making a drive of {frames / 10:g} s through a made-up street …", err=True)
+        click.echo(f"making a drive of {frames / 10:g} s through a synthetic street …", err=True)
 
     from sceneloom.formats.table import (  # takes a minute where kernels are not compiled yet
         open_scene,
@@ -55,9 +55,9 @@ def demo(
     from sceneloom.pipeline.fusing.outputs import FusionOutputs
     from sceneloom.simulate.drive import demo_drive
 
-    outputs = FusionOutputs(scene=fused, depth=depth, pictures=pictures, overwrite=overwrite)
+    outputs = FusionOutputs(scene=fused, depth=depth, images=images, overwrite=overwrite)
     drive = demo_drive(seed=seed, frames=frames).scene
-    written = write_scene(drive, recording, overwrite=overwrite, pictures=video)
+    written = write_scene(drive, recording, overwrite=overwrite, images=video)
     with open_scene(recording) as scene, progress_bar("fusing", quiet=quiet) as progress:
         report = fuse(scene, outputs=outputs, progress=progress)
     if as_json:
@@ -69,12 +69,10 @@ def demo(
         print_losses(written, verbose=True)
     elif not quiet:
         # whoever begins has not asked yet what formats cannot hold
-        remarks = several(len([*report.notices, *report.losses, *written]), "remark")
-        click.echo(
-            f"{remarks} on what these files cannot hold of the drive: `--verbose` lists them", err=True
-        )
+        notes = several(len([*report.warnings, *report.losses, *written]), "note")
+        click.echo(f"{notes} on what these files cannot hold of the drive: `--verbose` lists them", err=True)
     click.echo(f"all in {time.perf_counter() - begun:.1f} s")
-    click.echo(f"look at {pictures / 'cloud_drive_perspective.png'} and what is beside it; then try")
+    click.echo(f"look at {images / 'cloud_drive_perspective.png'} and what is beside it; then try")
     click.echo(f"  sceneloom info {recording}")
     click.echo(f"  sceneloom info {keep / 'drive.sfs'}")
-    click.echo("  sceneloom fuse YOUR_DRIVE -o YOUR_DRIVE.sfs --pictures pictures")
+    click.echo("  sceneloom fuse YOUR_DRIVE -o YOUR_DRIVE.sfs --visualize images")

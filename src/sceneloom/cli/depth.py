@@ -10,8 +10,8 @@ from sceneloom.cli.identifiers import known_ids
 from sceneloom.cli.printing import (
     print_json,
     print_lines,
-    print_notices,
     print_table,
+    print_warnings,
     progress_bar,
     several,
 )
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("path", type=options.place)
+@click.argument("path", type=options.location)
 @click.option("-o", "--output", type=options.target, required=True, help="Folder for the depth images.")
 @click.option(
     "--method",
     type=click.Choice(["sparse", "fast", "quality"]),
     help="`sparse`: the measured points alone; `fast`: gaps between scan lines closed; `quality`: surfaces, with jumps "
-    "where the picture has edges. [default: quality]",
+    "where the image has edges. [default: quality]",
 )
 @click.option(
     "--form",
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 )
 @click.option("--camera", "cameras", multiple=True, metavar="ID", help="The only cameras. [default: all]")
 @click.option("--confidence", is_flag=True, help="Write the confidence beside PNG images: 8 bit, 255 for 1.")
-@click.option("--pictures", type=options.target, help="Folder for pictures to look at.")
-@options.way(further="`identity`: it stood still")
+@click.option("--visualize", "images", type=options.target, help="Folder for images to look at.")
+@options.trajectory(further="`identity`: it was stationary")
 @options.threads
 @options.part
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
@@ -50,7 +50,7 @@ def depth(
     form: str | None,
     cameras: tuple[str, ...],
     confidence: bool,
-    pictures: Path | None,
+    camera_images: Path | None,
     trajectory: str | None,
     heading: str | None,
     threads: int | None,
@@ -62,14 +62,14 @@ def depth(
     verbose: bool,
     **reading: Any,
 ) -> None:
-    """Write a depth image for each sweep and picture: z in metres, dense by choice, with a confidence."""
+    """Write a depth image for each sweep and image: z in metres, dense by choice, with a confidence."""
     from sceneloom.colouring.visibility import VisibilitySettings
     from sceneloom.formats.table import open_scene
     from sceneloom.fusion.configuration import FusionConfiguration
     from sceneloom.pipeline.depth_images import write_depth_images
 
     with (
-        open_scene(path, **options.said(**reading)) as scene,
+        open_scene(path, **options.stated(**reading)) as scene,
         progress_bar("completing", quiet=quiet) as progress,
     ):
         report = write_depth_images(
@@ -77,24 +77,26 @@ def depth(
             output,
             cameras=known_ids(scene, cameras),
             confidence=confidence,
-            pictures=pictures,
+            images=camera_images,
             trajectory=trajectory,
             heading=heading,
             start=start,
             stop=stop,
-            configuration=FusionConfiguration(visibility=VisibilitySettings(**options.said(threads=threads))),
+            configuration=FusionConfiguration(
+                visibility=VisibilitySettings(**options.stated(threads=threads))
+            ),
             lenient=reading["lenient"],
             overwrite=overwrite,
             progress=progress,
-            **options.said(method=method, form=form),
+            **options.stated(method=method, form=form),
         )
     if as_json:
         print_json(report)
     else:
-        _print_report(report, pictures, quiet=quiet, verbose=verbose)
+        _print_report(report, camera_images, quiet=quiet, verbose=verbose)
 
 
-def _print_report(report: "DepthReport", pictures: Path | None, *, quiet: bool, verbose: bool) -> None:
+def _print_report(report: "DepthReport", camera_images: Path | None, *, quiet: bool, verbose: bool) -> None:
     images = sum(camera.images for camera in report.cameras)
     click.echo(
         f"{several(images, 'depth image')} ({report.method}) of {several(report.sweeps, 'sweep')} "
@@ -109,12 +111,12 @@ def _print_report(report: "DepthReport", pictures: Path | None, *, quiet: bool, 
         ]
         for camera in report.cameras
     )
-    if pictures is not None:
-        click.echo(f"pictures: {pictures}")
+    if camera_images is not None:
+        click.echo(f"images: {camera_images}")
     for reason, count in report.unfused.items():
         click.echo(f"{several(count, 'sweep')} left out: {reason}")
     if report.beyond_range:
         click.echo(f"{report.beyond_range} pixels beyond 255.99 m were written as 0; --form npz keeps them")
     if not quiet:
         print_lines([f"skipped: {reason}" for reason in report.skipped], verbose=verbose)
-        print_notices(report.notices, verbose=verbose)
+        print_warnings(report.warnings, verbose=verbose)

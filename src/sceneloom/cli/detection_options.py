@@ -23,7 +23,7 @@ FILES = (
         multiple=True,
         type=options.source(),
         metavar="FILE",
-        help="Boxes found in pictures: JSON lines of table 8, KITTI's text; may be repeated.",
+        help="Boxes found in images: JSON lines of table 8, KITTI's text; may be repeated.",
     ),
     click.option("--lidar", metavar="ID", help="Whose boxes --boxes3d has, where there are several lidars."),
     click.option(
@@ -38,7 +38,7 @@ FILES = (
 
 FOLDERS = (
     click.option(
-        "--det2d", metavar="NAME", help="Which of several folders det2d_* holds the boxes of pictures."
+        "--det2d", metavar="NAME", help="Which of several folders det2d_* holds the boxes of images."
     ),
     click.option(
         "--det3d", metavar="NAME", help="Which of several folders det3d_* holds the boxes of sweeps."
@@ -50,7 +50,7 @@ FOLDERS = (
 """Choices in a folder laid out like KITTI's tracking benchmark."""
 
 NAMES = ("boxes3d", "boxes2d", "lidar", "cameras", "det2d", "det3d", "sequences", "detectors")
-"""The names of the arguments; the ego's way is an option of other verbs, too."""
+"""The names of the arguments; the ego trajectory is an option of other verbs, too."""
 
 
 DETECTORS = click.option(
@@ -77,10 +77,10 @@ def added(command: Any, options_of_detections: Sequence[Any]) -> Any:
 
 
 def refuse(given: dict[str, Any], names: Sequence[str], why: str) -> None:
-    """Refuse options that say nothing about such an input.
+    """Refuse options that state nothing about such an input.
 
     Raises:
-        click.UsageError: one was said.
+        click.UsageError: one was stated.
     """
     for name in names:
         if given.get(name):
@@ -109,6 +109,6 @@ def chosen(given: dict[str, Any]) -> "DetectionInput":
 
 
 def reading(given: dict[str, Any]) -> dict[str, Any]:
-    """The options of opening a drive that were said, without `lenient`."""
+    """The options of opening a drive that were stated, without `lenient`."""
     ours = (*NAMES, "trajectory", "heading", "lenient")
-    return options.said(**{name: value for name, value in given.items() if name not in ours})
+    return options.stated(**{name: value for name, value in given.items() if name not in ours})

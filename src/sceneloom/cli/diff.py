@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 
 MARKS = {"added": "+", "removed": "-", "changed": "~"}
 MOST = 10 * SHOWN
-"""Differences shown unless `--verbose` is said."""
+"""Differences shown unless `--verbose` is stated."""
 
 
 @click.command()
-@click.argument("first", type=options.place)
-@click.argument("second", type=options.place)
+@click.argument("first", type=options.location)
+@click.argument("second", type=options.location)
 @click.option(
     "--tolerance-m",
     type=options.not_negative,
@@ -31,26 +31,28 @@ MOST = 10 * SHOWN
     type=options.not_negative,
     default=0.0,
     metavar="DEG",
-    help="Turns up to this are none.",
+    help="Rotates up to this are none.",
 )
 @click.option(
     "--tolerance-ns",
     type=options.not_negative,
     default=0.0,
     metavar="NS",
-    help="Stamps up to this apart are equal.",
+    help="Timestamps up to this apart are equal.",
 )
 @click.option(
     "--tolerance-px",
     type=options.not_negative,
     default=0.0,
     metavar="PX",
-    help="The same of what is drawn into pictures.",
+    help="The same of what is drawn into images.",
 )
 @click.option(
-    "--other-stamps", is_flag=True, help="Paths may be told at other stamps, if they are the same ways."
+    "--other-timestamps",
+    is_flag=True,
+    help="Paths may be reported at other timestamps, if they are the same ways.",
 )
-@click.option("--pixels", is_flag=True, help="Decode pictures whose bytes differ, and compare their pixels.")
+@click.option("--pixels", is_flag=True, help="Decode images whose bytes differ, and compare their pixels.")
 @options.reading
 @options.printing
 def diff(
@@ -63,16 +65,16 @@ def diff(
     tolerance_deg: float,
     tolerance_ns: float,
     tolerance_px: float,
-    other_stamps: bool,
+    other_timestamps: bool,
     pixels: bool,
     **reading: Any,
 ) -> int:
-    """Tell what differs between two drives, field by field; exit 0 where nothing does, 1 where something does."""
+    """Report what differs between two drives, field by field; exit 0 where nothing does, 1 where something does."""
     from sceneloom.editing.differences.scenes import diff_scenes
     from sceneloom.formats.shared_options import open_scenes
 
     with (
-        open_scenes((first, second), options.said(**reading)) as (a, b),
+        open_scenes((first, second), options.stated(**reading)) as (a, b),
         progress_bar("comparing", quiet=quiet) as progress,
     ):
         found = diff_scenes(
@@ -82,7 +84,7 @@ def diff(
             tolerance_deg=tolerance_deg,
             tolerance_ns=tolerance_ns,
             tolerance_px=tolerance_px,
-            other_stamps=other_stamps,
+            other_timestamps=other_timestamps,
             pixels=pixels,
             progress=progress,
         )
@@ -100,7 +102,7 @@ def _print(found: "SceneDifferences", *, quiet: bool, verbose: bool) -> None:
     for difference in shown:
         click.echo(_line(difference))
     if len(shown) < len(found.differences):
-        click.echo(f"… and {len(found.differences) - len(shown)} more: say --verbose")
+        click.echo(f"… and {len(found.differences) - len(shown)} more: state --verbose")
     click.echo(several(len(found.differences), "difference") if found.differences else "equal")
     if not quiet:
         for what in found.not_compared:

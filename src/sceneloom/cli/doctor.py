@@ -17,7 +17,7 @@ _MARKS = {"good": "ok", "missing": "--", "broken": "BROKEN"}
 @click.command()
 @options.printing
 def doctor(as_json: bool, quiet: bool, verbose: bool) -> int:
-    """Say what this installation can do and what it lacks; exit 1 if something needed is broken."""
+    """Report what this installation can do and what it lacks; exit 1 if something needed is broken."""
     from sceneloom.pipeline.installation.report import examine_installation
 
     report = examine_installation()
@@ -36,5 +36,5 @@ def doctor(as_json: bool, quiet: bool, verbose: bool) -> int:
 
 
 def _row(finding: "Finding") -> tuple[str, str, str]:
-    said = finding.said if finding.remedy is None else f"{finding.said}: {finding.remedy}"
-    return _MARKS[finding.status], finding.name, said
+    stated = finding.stated if finding.remedy is None else f"{finding.stated}: {finding.remedy}"
+    return _MARKS[finding.status], finding.name, stated

@@ -11,16 +11,16 @@ from sceneloom.kernels.cache import reporting_compiling
 
 @contextmanager
 def telling_of_compiling() -> Iterator[None]:
-    """Say once on a terminal that kernels are compiled, if any are meanwhile."""
+    """Report once on a terminal that kernels are compiled, if any are meanwhile."""
     if not sys.stderr.isatty():
         yield
         return
     compiled: list[str] = []
 
-    def say(module: str) -> None:
+    def state(module: str) -> None:
         if not compiled:
             click.echo("compiling the inner loops for this machine; they are kept …", err=True)
         compiled.append(module)
 
-    with reporting_compiling(say):
+    with reporting_compiling(state):
         yield

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     "--template",
     type=click.Path(path_type=Path),
     metavar="rig.toml",
-    help="Write a manifest to fill in, for a folder of your own clouds and pictures; `-` prints it.",
+    help="Write a manifest to fill in, for a folder of your own clouds and images; `-` prints it.",
 )
 @click.option(
     "--from",
@@ -38,7 +38,7 @@ def formats(
     quiet: bool,
     verbose: bool,
 ) -> None:
-    """List the formats, say what one of them holds of a scene, or begin a `rig.toml` for your own data.
+    """List the formats, state what one of them holds of a scene, or begin a `rig.toml` for your own data.
 
     With NAME: what becomes of each field of a scene that is written in that format.
     """
@@ -51,7 +51,7 @@ def formats(
             f"{'--from' if folder else '--overwrite'} does nothing without --template rig.toml"
         )
     if name is not None:
-        _print_holdings(name, as_json=as_json)
+        _print_supported_fields(name, as_json=as_json)
         return
     from sceneloom.formats.listing import list_formats
 
@@ -74,20 +74,20 @@ def _row(form: "FormatListing") -> tuple[str, str, str, str]:
     return form.name, both, suffixes if form.writes else "", form.looks_like
 
 
-def _print_holdings(name: str, *, as_json: bool) -> None:
-    from sceneloom.formats.listing import list_holdings
-    from sceneloom.formats.loss import Fate
+def _print_supported_fields(name: str, *, as_json: bool) -> None:
+    from sceneloom.formats.listing import list_supported_fields
+    from sceneloom.formats.loss import Support
 
-    found = list_holdings(name)
+    found = list_supported_fields(name)
     if as_json:
         print_json(found)
         return
     if not found:
         click.echo(f"{name} is only read")
-    for fate in Fate:
-        rows = [(field, holding.how) for field, holding in found.items() if holding.fate == fate]
+    for support in Support:
+        rows = [(field, holding.how) for field, holding in found.items() if holding.support == support]
         if rows:
-            click.echo(f"{fate} ({len(rows)})")
+            click.echo(f"{support} ({len(rows)})")
             print_table(rows)
 
 

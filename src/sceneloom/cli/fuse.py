@@ -15,7 +15,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 
 
 @click.command()
-@click.argument("path", type=options.place)
+@click.argument("path", type=options.location)
 @click.option(
     "-o", "--output", type=options.target, help="The .sfs file to write; of detections, the .jsonl file."
 )
@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
     "--type",
     "fusion_type",
     type=click.Choice(["sensor", "detection"]),
-    help="Fuse clouds and pictures, or what detectors found in them. [default: sensor]",
+    help="Fuse clouds and images, or what detectors found in them. [default: sensor]",
 )
 @click.option(
     "--format",
@@ -32,22 +32,23 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
     help="Of detections: lines of JSON, or for KITTI's folders its text, without tracks. [default: jsonl]",
 )
 @detection_options.takes
-@options.way(further="`identity`: it stood still")
+@options.trajectory(further="`identity`: it was stationary")
 @click.option(
     "--algorithm",
     metavar="NAME|FILE.py:FUNCTION",
-    help="`projection`: colours of nearest pixels; `blending`: of all pictures, by weight; one that a package brings, "
+    help="`projection`: colours of nearest pixels; `blending`: of all images, by weight; one that a package brings, "
     "or a function of a Python file, which is executed. [default: projection]",
 )
 @click.option("--depth", type=options.target, help="Folder for depth images.")
 @click.option(
-    "--depth-form",
+    "--depth-format",
     type=click.Choice(["png", "npz"]),
     help="16-bit PNG (metres times 256) or NPZ (float32 metres). [default: png]",
 )
-@click.option("--pictures", type=options.target, help="Folder for pictures to look at.")
+@click.option("--visualize", "images", type=options.target, help="Folder for images to look at.")
 @click.option(
-    "--pictures-every",
+    "--visualize-every",
+    "images_every",
     type=click.IntRange(min=1),
     metavar="N",
     help="Draw every Nth sweep. [default: eight spread over the drive]",
@@ -71,20 +72,20 @@ def fuse(
     """
     if fusion_type == "detection":
         detection_options.refuse(given, _OF_SENSOR_DATA, "detections are fused into lines of JSON")
-        found = {name: given.pop(name) for name in (*detection_options.NAMES, *_WAY)}
+        found = {name: given.pop(name) for name in (*detection_options.NAMES, *_TRAJECTORY)}
         kept = {name: value for name, value in given.items() if name not in _OF_SENSOR_DATA}
         fuse_found(path, output, found, algorithm=algorithm, form=form, **kept)
         return
     own = [name for name in detection_options.NAMES if name != "sequences"]
-    detection_options.refuse({"format": form, **given}, ("format", *own), "say --type detection with it")
+    detection_options.refuse({"format": form, **given}, ("format", *own), "state --type detection with it")
     given["sequence"] = options.one_sequence(given["sequences"])
     kept = {name: value for name, value in given.items() if name not in detection_options.NAMES}
     _fuse_sensor_data(path, output, algorithm=algorithm, **kept)
 
 
-_WAY = ("trajectory", "heading")
+_TRAJECTORY = ("trajectory", "heading")
 _OF_SENSOR_DATA = (
-    *("depth", "depth_form", "pictures", "pictures_every", "threads"),
+    *("depth", "depth_format", "images", "images_every", "threads"),
     *("profile", "time_unit"),
 )
 """Options that only the fusion of sensor data has."""
@@ -98,9 +99,9 @@ def _fuse_sensor_data(
     heading: str | None,
     algorithm: str | None,
     depth: Path | None,
-    depth_form: str | None,
-    pictures: Path | None,
-    pictures_every: int | None,
+    depth_format: str | None,
+    images: Path | None,
+    images_every: int | None,
     threads: int | None,
     start: float | None,
     stop: float | None,
@@ -112,10 +113,10 @@ def _fuse_sensor_data(
     verbose: bool,
     **reading: Any,
 ) -> None:
-    if output is None and depth is None and pictures is None:
-        raise click.UsageError("nothing to write: say -o drive.sfs, --depth DIR or --pictures DIR")
-    _refuse_idle("--depth-form", depth_form, "--depth", depth)
-    _refuse_idle("--pictures-every", pictures_every, "--pictures", pictures)
+    if output is None and depth is None and images is None:
+        raise click.UsageError("nothing to write: state -o drive.sfs, --depth DIR or --visualize DIR")
+    _refuse_idle("--depth-format", depth_format, "--depth", depth)
+    _refuse_idle("--visualize-every", images_every, "--visualize", images)
     from sceneloom.formats.table import open_scene
     from sceneloom.pipeline.fusing.job import fuse as fuse_scene
     from sceneloom.pipeline.fusing.outputs import FusionOutputs
@@ -124,14 +125,14 @@ def _fuse_sensor_data(
     outputs = FusionOutputs(
         scene=output,
         depth=depth,
-        pictures=pictures,
-        pictures_every=pictures_every,
-        **options.said(depth_form=depth_form, profile=profile, time_unit=time_unit),
+        images=images,
+        images_every=images_every,
+        **options.stated(depth_format=depth_format, profile=profile, time_unit=time_unit),
         overwrite=overwrite,
     )
     with (
         timed() as stages,
-        open_scene(path, **options.said(**reading)) as scene,
+        open_scene(path, **options.stated(**reading)) as scene,
         progress_bar("fusing", quiet=quiet) as progress,
     ):
         report = fuse_scene(
@@ -155,8 +156,8 @@ def _configuration(algorithm: str | None, threads: int | None) -> "FusionConfigu
     from sceneloom.colouring.visibility import VisibilitySettings
     from sceneloom.fusion.configuration import FusionConfiguration
 
-    visibility = VisibilitySettings(**options.said(threads=threads))
-    return FusionConfiguration(visibility=visibility, **options.said(fusion_algorithm=algorithm))
+    visibility = VisibilitySettings(**options.stated(threads=threads))
+    return FusionConfiguration(visibility=visibility, **options.stated(fusion_algorithm=algorithm))
 
 
 def _refuse_idle(option: str, value: object, needed: str, folder: Path | None) -> None:

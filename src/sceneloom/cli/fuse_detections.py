@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import detection_options, options
-from sceneloom.cli.printing import print_json, print_notices, print_table, progress_bar, several
+from sceneloom.cli.printing import print_json, print_table, print_warnings, progress_bar, several
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
     from sceneloom.pipeline.detections.report import DetectionFusionReport
@@ -35,16 +35,16 @@ def fuse_found(
     """
     if output is None:
         raise click.UsageError(
-            "nothing to write: say -o objects.jsonl, or -o FOLDER for a folder of KITTI's sequences"
+            "nothing to write: state -o objects.jsonl, or -o FOLDER for a folder of KITTI's sequences"
         )
     from sceneloom.detections.settings import ProjectionSettings
     from sceneloom.fusion.configuration import FusionConfiguration
     from sceneloom.pipeline.found_objects import fuse_detections
 
     how: dict[str, Any] = {
-        "configuration": FusionConfiguration(**options.said(detection_algorithm=algorithm)),
+        "configuration": FusionConfiguration(**options.stated(detection_algorithm=algorithm)),
         "overwrite": overwrite,
-        **options.said(form=form),
+        **options.stated(form=form),
         "settings": None if given["detectors"] is None else ProjectionSettings(detectors=given["detectors"]),
     }
     with progress_bar("fusing", quiet=quiet) as progress:
@@ -69,11 +69,11 @@ def _print(report: "DetectionFusionReport", *, quiet: bool, verbose: bool) -> No
             one.name,
             several(one.pairs, "pair"),
             several(one.objects, "object"),
-            f"{one.both} of both, {one.sweeps_only} of sweeps alone, {one.pictures_only} of pictures alone",
-            f"{several(one.unpaired, 'sweep')} without a picture" if one.unpaired else "",
+            f"{one.both} of both, {one.sweeps_only} of sweeps alone, {one.images_only} of images alone",
+            f"{several(one.unpaired, 'sweep')} without an image" if one.unpaired else "",
         ]
         for one in report.drives
     )
     click.echo(f"fused {several(len(report.drives), 'drive')} in {report.seconds:.1f} s: {report.output}")
     if not quiet:
-        print_notices(report.notices, verbose=verbose)
+        print_warnings(report.warnings, verbose=verbose)

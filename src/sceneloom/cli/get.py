@@ -28,7 +28,7 @@ _TYPES = {"sensor": 0, "detection": 1}
     "-o",
     "--output",
     type=options.target,
-    help="Of detections a file of JSON lines; of sensor data a folder for depth images, pictures and points, or a "
+    help="Of detections a file of JSON lines; of sensor data a folder for depth images, images and points, or a "
     "scene file (.sfs) for the coloured points. [default: a line each on standard output]",
 )
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")

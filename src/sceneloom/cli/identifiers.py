@@ -8,17 +8,17 @@ if TYPE_CHECKING:
     from sceneloom.scene.types import Identifier
 
 
-def known_id(scene: "Scene", said: str) -> "Identifier":
+def known_id(scene: "Scene", stated: str) -> "Identifier":
     """The id of a sensor as the scene has it; the text itself where no sensor has such an id."""
     ids = [sensor.id for sensor in scene.sensors]
-    return next((found for found in ids if said not in ids and str(found) == said), said)
+    return next((found for found in ids if stated not in ids and str(found) == stated), stated)
 
 
-def known_id_or_none(scene: "Scene", said: str | None) -> "Identifier | None":
-    """The id of a sensor as the scene has it; None where none was said."""
-    return None if said is None else known_id(scene, said)
+def known_id_or_none(scene: "Scene", stated: str | None) -> "Identifier | None":
+    """The id of a sensor as the scene has it; None where none was stated."""
+    return None if stated is None else known_id(scene, stated)
 
 
-def known_ids(scene: "Scene", said: Iterable[str]) -> "tuple[Identifier, ...] | None":
-    """The ids of sensors as the scene has them; None where none was said."""
-    return tuple(known_id(scene, one) for one in said) or None
+def known_ids(scene: "Scene", stated: Iterable[str]) -> "tuple[Identifier, ...] | None":
+    """The ids of sensors as the scene has them; None where none was stated."""
+    return tuple(known_id(scene, one) for one in stated) or None

@@ -9,31 +9,32 @@ from msgspec import structs
 
 from sceneloom.cli import options
 from sceneloom.cli.mountings import mounting_text
-from sceneloom.cli.printing import amount, print_json, print_notices, print_table, seconds, several
+from sceneloom.cli.printing import amount, print_json, print_table, print_warnings, seconds, several
 from sceneloom.scene.ego import ego_axes
 from sceneloom.scene.summary import SceneSummary, SensorSummary
 from sceneloom.scene.types import SensorType
 
 if TYPE_CHECKING:
-    from sceneloom.scene.notices import Notice
     from sceneloom.scene.scene import Scene
+    from sceneloom.scene.warnings import DataWarning
 
 
 @click.command()
-@click.argument("path", type=options.place)
+@click.argument("path", type=options.location)
 @click.option(
-    "--pictures",
+    "--visualize",
+    "images",
     type=options.target,
     metavar="DIR",
-    help="Draw the annotations into a folder: in the photographs, from above, over time, and each type by itself.",
+    help="Draw the annotations into a folder: in the images, from above, over time, and each type by itself.",
 )
 @click.option("--at", type=float, metavar="S", help="When to draw them. [default: the middle of the scene]")
-@click.option("--overwrite", is_flag=True, help="Replace pictures that exist.")
+@click.option("--overwrite", is_flag=True, help="Replace images that exist.")
 @options.reading
 @options.printing
 def info(
     path: Path | str,
-    pictures: Path | None,
+    images: Path | None,
     at: float | None,
     overwrite: bool,
     as_json: bool,
@@ -41,43 +42,43 @@ def info(
     verbose: bool,
     **reading: Any,
 ) -> None:
-    """Say what is in a recording or a scene: sensors, rates, duration, poses, gaps, what was assumed."""
-    if at is not None and pictures is None:
-        raise click.UsageError("--at says when to draw: say --pictures DIR, too")
+    """Report what is in a recording or a scene: sensors, rates, duration, poses, gaps, what was assumed."""
+    if at is not None and images is None:
+        raise click.UsageError("--at says when to draw: state --visualize DIR, too")
     from sceneloom.formats.size import size_on_disk
     from sceneloom.formats.table import open_scene
     from sceneloom.scene.summary import summarise
 
-    with open_scene(path, **options.said(**reading)) as scene:
+    with open_scene(path, **options.stated(**reading)) as scene:
         # a drive may be named by a file in it
         whole = Path(scene.source) if isinstance(path, Path) and Path(scene.source).exists() else path
         summary = summarise(scene, size_bytes=size_on_disk(whole))
         axes = ego_axes(scene)
         mountings = [mounting_text(sensor, axes) for sensor in scene.sensors]
-        drawn, undrawn = ([], ()) if pictures is None else _draw(scene, pictures, at, overwrite=overwrite)
-        summary = structs.replace(summary, notices=(*summary.notices, *undrawn))
+        drawn, undrawn = ([], ()) if images is None else _draw(scene, images, at, overwrite=overwrite)
+        summary = structs.replace(summary, warnings=(*summary.warnings, *undrawn))
     if as_json:
         print_json(
-            summary if pictures is None else {**structs.asdict(summary), "pictures": list(map(str, drawn))}
+            summary if images is None else {**structs.asdict(summary), "images": list(map(str, drawn))}
         )
         return
     _print_summary(summary, mountings)
     if drawn:
-        click.echo(f"{several(len(drawn), 'picture')}: {pictures}")
+        click.echo(f"{several(len(drawn), 'image')}: {images}")
     if not quiet:
-        print_notices(summary.notices, verbose=verbose)
+        print_warnings(summary.warnings, verbose=verbose)
 
 
 def _draw(
     scene: "Scene", folder: Path, at: float | None, *, overwrite: bool
-) -> "tuple[list[Path], tuple[Notice, ...]]":
+) -> "tuple[list[Path], tuple[DataWarning, ...]]":
     """Draw the annotations; gives the files, and what is in none of them."""
-    from sceneloom.pictures.annotations.saving import save_annotation_pictures
-    from sceneloom.pictures.canvas import counting_left_out
+    from sceneloom.images.annotations.saving import save_annotation_images
+    from sceneloom.images.canvas import counting_left_out
 
     with counting_left_out() as left:
-        drawn = save_annotation_pictures(scene, folder, at=at, overwrite=overwrite)
-    return drawn, left.notices
+        drawn = save_annotation_images(scene, folder, at=at, overwrite=overwrite)
+    return drawn, left.warnings
 
 
 def _print_summary(summary: SceneSummary, mountings: Sequence[str | None]) -> None:
@@ -90,13 +91,13 @@ def _print_summary(summary: SceneSummary, mountings: Sequence[str | None]) -> No
     click.echo(_trajectories_title(summary))
     print_table(
         (
-            way.name,
-            several(way.poses, "pose"),
-            f"{way.seconds:.3f} s",
-            f"{way.metres:.1f} m",
-            "" if way.oriented else "positions only",
+            trajectory.name,
+            several(trajectory.poses, "pose"),
+            f"{trajectory.seconds:.3f} s",
+            f"{trajectory.metres:.1f} m",
+            "" if trajectory.oriented else "positions only",
         )
-        for way in summary.trajectories
+        for trajectory in summary.trajectories
     )
     for kind, count in summary.annotations.items():
         click.echo(f"annotations: {count} {kind}")
@@ -114,17 +115,17 @@ def _trajectories_title(summary: SceneSummary) -> str:
     return "no trajectory" + ("; one can be found from the lidar (`--trajectory lidar`)" if placeable else "")
 
 
-def _lens_range(sensor: SensorSummary) -> str | None:
-    """How the lenses of single images differ; None where all images have the same."""
+def _camera_model_range(sensor: SensorSummary) -> str | None:
+    """How the camera models of single images differ; None where all images have the same."""
     found = sensor.intrinsics
-    if found is None or found.lenses < 2:
+    if found is None or found.camera_models < 2:
         return None
     ranges = {"fx": found.fx, "fy": found.fy, "cx": found.cx, "cy": found.cy}
     differing = [
         f"{name} {least:.6g} to {most:.6g}" for name, (least, most) in ranges.items() if least != most
     ]
     px = f": {' '.join(differing)} px" if differing else ""
-    return f"{found.lenses} lenses among {several(sensor.count, 'image')}{px}"
+    return f"{found.camera_models} camera models among {several(sensor.count, 'image')}{px}"
 
 
 def _sensor_row(sensor: SensorSummary, mounting: str | None) -> list[str]:
@@ -133,8 +134,8 @@ def _sensor_row(sensor: SensorSummary, mounting: str | None) -> list[str]:
     span = "" if sensor.start is None else f"{sensor.start:.3f} to {sensor.stop:.3f} s"
     gaps = f"{several(sensor.gap_count, 'gap')}, first at {sensor.gaps[0].start:.3f} s" if sensor.gaps else ""
     details = [
-        sensor.lens,
-        _lens_range(sensor),
+        sensor.camera_model,
+        _camera_model_range(sensor),
         sensor.video,
         None
         if sensor.first_frame_points is None

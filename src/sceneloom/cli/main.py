@@ -19,29 +19,29 @@ from sceneloom.version import __version__
 VERBS = MappingProxyType(
     {
         "demo": "Make a small drive, fuse it, show what came out.",
-        "info": "Say what is in a recording or a scene.",
+        "info": "Report what is in a recording or a scene.",
         "fuse": "Fuse lidar and cameras of a drive into one scene.",
         "track": "Follow objects through a drive by what detectors found in it.",
         "colour": "Colour the points of a drive from all its cameras: one map, or sweep by sweep.",
         "depth": "Write depth images, sparse or dense, with a confidence.",
         "view": "Look at a drive in Rerun's viewer, or save the view to a file.",
         "convert": "Write a recording or a scene in another format.",
-        "validate": "Check a drive or a scene by rules, and mend what can be mended safely.",
+        "validate": "Check a drive or a scene by rules, and repair what can be repaired safely.",
         "salvage": "Take out of a damaged scene file what is whole.",
         "report": "Make a page about a drive that can be sent.",
         "batch": "Do one verb for many drives: in parallel, with a record, resumable.",
         "catalog": "Put many drives into tables, and find drives and moments in them.",
-        "diff": "Tell what differs between two drives.",
+        "diff": "Report what differs between two drives.",
         "edit": "Change one thing of a drive: crop, merge, deskew, …",
-        "eval": "Say how good an estimate is: a trajectory, tracks or detections, against a reference.",
-        "sync": "Tell whether the clocks of a drive's streams are in step, and correct them.",
-        "calibrate": "Say whether camera and lidar lie to one another as the calibration says, and repair it.",
+        "eval": "Report how good an estimate is: a trajectory, tracks or detections, against a reference.",
+        "sync": "Report whether the clocks of a drive's streams are in step, and correct them.",
+        "calibrate": "Report whether camera and lidar lie to one another as the calibration says, and repair it.",
         "serve": "Serve the fusion interface of DB34/T 4101-2022 over gRPC.",
         "send": "Send a drive, or a log, to a fusion service.",
         "get": "Fetch results from a fusion service.",
         "conformance": "Check a fusion service against DB34/T 4101-2022.",
         "formats": "List the formats that can be read and written.",
-        "doctor": "Say what this installation can do and what it lacks.",
+        "doctor": "Report what this installation can do and what it lacks.",
         "completion": "Print what a shell needs to complete verbs and options.",
     }
 )
@@ -118,14 +118,14 @@ def _run(arguments: list[str] | None) -> int:
         error.show()
         return error.exit_code
     except tuple(kind for kind, _ in EXIT_CODES) as error:
-        click.echo(f"sceneloom: {_told(error)}", err=True)
+        click.echo(f"sceneloom: {_reported(error)}", err=True)
         for step in filter(None, getattr(error, "__notes__", ())):
             click.echo(f"next: {step}", err=True)
         return next(code for kind, code in EXIT_CODES if isinstance(error, kind))
     return result if isinstance(result, int) else 0
 
 
-def _told(error: BaseException) -> str:
+def _reported(error: BaseException) -> str:
     """The error in one line, that of the operating system in the form of ours: file, then problem."""
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"

@@ -20,7 +20,7 @@ _STANDARD = EgoAxes(np.eye(3), known=True)
 
 
 def mounting_text(sensor: Sensor, axes: EgoAxes = _STANDARD) -> str | None:
-    """Say where a sensor is in the ego's frame, and how it is turned against the vehicle.
+    """Report where a sensor is in the ego's frame, and how it is rotated against the vehicle.
 
     Args:
         axes: where the vehicle's forward and upward directions are in the ego's frame.
@@ -33,19 +33,19 @@ def mounting_text(sensor: Sensor, axes: EgoAxes = _STANDARD) -> str | None:
         return None
     rotation = axes.body_from_ego @ mount.matrix[:3, :3]
     x, y, z = mount.translation + 0.0
-    turn = (
-        _camera_turn(rotation)
+    delta_rotation = (
+        _camera_rotation(rotation)
         if isinstance(sensor, CameraSensor | DepthCameraSensor)
-        else _body_turn(rotation)
+        else _body_rotation(rotation)
     )
-    place = "" if not np.abs(mount.translation).max() else f" at ({x:.2f}, {y:.2f}, {z:.2f}) m"
-    if turn and not axes.known:
-        turn += " if the ego's x axis is ahead"
-    return ", ".join(filter(None, [f"mounted on the ego{place}", turn]))
+    location = "" if not np.abs(mount.translation).max() else f" at ({x:.2f}, {y:.2f}, {z:.2f}) m"
+    if delta_rotation and not axes.known:
+        delta_rotation += " if the ego's x axis is ahead"
+    return ", ".join(filter(None, [f"mounted on the ego{location}", delta_rotation]))
 
 
-def _camera_turn(ego_from_camera: Float64Array) -> str:
-    """Name the optical axis (z), and the way that the picture's upper edge (-y) points."""
+def _camera_rotation(ego_from_camera: Float64Array) -> str:
+    """Name the optical axis (z), and the trajectory that the image's upper edge (-y) points."""
     forward, up = ego_from_camera[:, 2], -ego_from_camera[:, 1]
     if abs(forward[2]) > _STEEP:
         return f"looks {'up' if forward[2] > 0 else 'down'}"
@@ -54,8 +54,8 @@ def _camera_turn(ego_from_camera: Float64Array) -> str:
     return f"looks {_sector(forward)}" + ("" if up[2] > 0 else ", upside down")
 
 
-def _body_turn(ego_from_sensor: Float64Array) -> str:
-    """Name the way that the x axis points where it is not ahead, and a z axis that is not upright."""
+def _body_rotation(ego_from_sensor: Float64Array) -> str:
+    """Name the trajectory that the x axis points where it is not ahead, and a z axis that is not upright."""
     forward, upright = ego_from_sensor[:, 0], ego_from_sensor[2, 2]
     if upright < -_TILTED:
         return "upside down"
@@ -67,5 +67,5 @@ def _body_turn(ego_from_sensor: Float64Array) -> str:
 
 def _sector(direction: Float64Array) -> str:
     """The eighth of a circle around the ego that a direction is in."""
-    turn = np.arctan2(direction[1], direction[0])
-    return _SECTORS[round(float(turn) / (np.pi / 4)) % len(_SECTORS)]
+    delta_rotation = np.arctan2(direction[1], direction[0])
+    return _SECTORS[round(float(delta_rotation) / (np.pi / 4)) % len(_SECTORS)]

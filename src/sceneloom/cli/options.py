@@ -22,7 +22,7 @@ def _stacked(*options: Callable[[Any], Any]) -> Callable[[Command], Command]:
     return lambda command: reduce(lambda inner, option: option(inner), reversed(options), command)
 
 
-def place(text: str) -> "Path | str":
+def location(text: str) -> "Path | str":
     """Take an argument as a path, or as the URL of a scene file, whose double slashes a path would lose."""
     from sceneloom.formats.urls import path_or_url
 
@@ -95,45 +95,45 @@ def target(text: str) -> Path:
         return draft_of(text)
     if text == "-":
         raise click.BadParameter(
-            "'-'; nothing is written to standard output: say the name of a file or folder"
+            "'-'; nothing is written to standard output: state the name of a file or folder"
         )
     return Path(text)
 
 
 def lists(words: str) -> Callable[[Any], Any]:
-    """Lists of drives in files (`sceneloom.batch.inputs`); `words` say what counts of their lines."""
+    """Lists of drives in files (`sceneloom.batch.inputs`); `words` state what counts of their lines."""
     return click.option(
         "--list",
         "lists",
         type=source(exists=True, dir_okay=False),
         multiple=True,
         metavar="FILE",
-        help=f"Drives by lines: {words}; may be said again.",
+        help=f"Drives by lines: {words}; may be stated again.",
     )
 
 
 def one_sequence(given: Sequence[str]) -> str | None:
-    """The sequence of a data set that is opened as one drive, where it was said.
+    """The sequence of a data set that is opened as one drive, where it was stated.
 
     Raises:
         click.UsageError: several were.
     """
     if len(given) > 1:
         raise click.UsageError(
-            f"--sequence {' --sequence '.join(given)}: one drive is opened at a time; say one"
+            f"--sequence {' --sequence '.join(given)}: one drive is opened at a time; state one"
         )
     return given[0] if given else None
 
 
 reading = _stacked(
     click.option(
-        "--read-as",
+        "--input-format",
         "format",
         metavar="NAME",
         help="The drive's format, where its content does not decide: a name out of `sceneloom formats`.",
     ),
     click.option(
-        "--read-with",
+        "--input-option",
         READ_WITH,
         multiple=True,
         metavar="NAME=VALUE",
@@ -143,22 +143,23 @@ reading = _stacked(
     click.option(
         "--points-frame",
         type=click.Choice(["world", "ego", "sensor"]),
-        help="The frame of lidar points in a scene file that does not say it. [default: that of its coordinates]",
+        help="The frame of lidar points in a scene file that does not state it. [default: that of its coordinates]",
     ),
     click.option(
         "--euler-unit",
         type=click.Choice(["degrees", "radians"]),
-        help="Unit of the boxes' angles in a scene file that does not say it. [default: degrees]",
+        help="Unit of the boxes' angles in a scene file that does not state it. [default: degrees]",
     ),
     click.option(
         "--euler-order",
         metavar="ORDER",
-        help="Order of the boxes' rotations in a scene file that does not say it. [default: xyz]",
+        help="Order of the boxes' rotations in a scene file that does not state it. [default: xyz]",
     ),
     click.option(
         "--tangential",
         type=click.Choice(["opencv", "brown"]),
-        help="What p1 and p2 of `brown_conrady` lenses mean in a scene file that does not say it: `brown` exchanges "
+        help="What p1 and p2 of `brown_conrady` camera models mean in a scene file that does not state it: `brown` "
+        "exchanges "
         "them. [default: opencv]",
     ),
     click.option(
@@ -170,7 +171,7 @@ reading = _stacked(
     click.option(
         "--assume-model",
         is_flag=True,
-        help="Compute with lenses whose formulas nothing confirms: `ftheta`, `fisheye_radial_custom`.",
+        help="Compute with camera models whose formulas nothing confirms: `ftheta`, `fisheye_radial_custom`.",
     ),
     click.option(
         "--altitude",
@@ -187,7 +188,7 @@ reading = _stacked(
         "--camera-shift",
         type=click.Choice(["ignore", "apply", "subtract"]),
         help="What becomes of a recording's `imuToCameraShiftSeconds`: `apply` adds it to the times of the camera's "
-        "pictures, `subtract` takes it off. [default: ignore]",
+        "images, `subtract` takes it off. [default: ignore]",
     ),
     click.option(
         "--sequence",
@@ -214,17 +215,18 @@ READING = frozenset(option.name for option in _READING_OPTIONS) - {READ_WITH}
 """The names of these, but for what each format has of its own."""
 
 
-def way(*, further: str = "") -> Callable[[Command], Command]:
-    """On every verb that moves something along the ego's way: which one it is; `further` names one more choice."""
+def trajectory(*, further: str = "") -> Callable[[Command], Command]:
+    """On every verb that moves something along the ego trajectory: which one it is; `further` names one more choice."""
     return _stacked(
         click.option(
             "--trajectory",
             metavar="NAME",
-            help="The ego's way; `gnss`: found from satellite fixes, with IMU and sweeps; `lidar`: from the sweeps"
+            help="The ego trajectory; `gnss`: found from satellite fixes, with IMU and sweeps; `lidar`: from the sweeps"
             f"{further and '; '}{further}. [default: the drive's first, else `gnss`, else `lidar`]",
         ),
         click.option(
-            "--heading",
+            "--orientation-from",
+            "heading",
             type=click.Choice(["motion"]),
             help="Derive orientations where the trajectory has positions only.",
         ),
@@ -233,7 +235,7 @@ def way(*, further: str = "") -> Callable[[Command], Command]:
 
 part = _stacked(
     click.option(
-        "--start", type=not_negative, metavar="S", help="Begin S seconds after the first time stamp."
+        "--start", type=not_negative, metavar="S", help="Begin S seconds after the first timestamp."
     ),
     click.option("--stop", type=not_negative, metavar="S", help="End before S seconds after it."),
 )
@@ -253,7 +255,7 @@ _PREFIXES = {"opening": ("from_", "est_", "ref_", ""), "writing": ("to_", "")}
 
 
 def _naming_flags(command: Callable[..., Any], *arguments: Any, **values: Any) -> Any:
-    """Call a verb, and name options that a format does not take as the user said them."""
+    """Call a verb, and name options that a format does not take as the user stated them."""
     try:
         return command(*arguments, **values)
     except UnknownOptionError as error:
@@ -261,9 +263,9 @@ def _naming_flags(command: Callable[..., Any], *arguments: Any, **values: Any) -
         if option is None:
             raise
         taken = ", ".join(filter(None, known)) or "no option of this verb"
-        told = OptionError(f"{option} does not count here: {error.doing} takes {taken}")
-        told.remember(error.notices)
-        raise told from error
+        reported = OptionError(f"{option} does not count here: {error.doing} takes {taken}")
+        reported.remember(error.warnings)
+        raise reported from error
 
 
 def _flag(name: str, doing: str) -> str | None:
@@ -284,18 +286,18 @@ def _uploading(command: Callable[..., Any], *arguments: Any, **values: Any) -> A
         return _naming_flags(command, *arguments, **values)
 
 
-def _telling_notices(command: Command) -> Command:
-    """Print what a lenient reading left out also where a verb ends in an error, and say what to do next."""
+def _telling_warnings(command: Command) -> Command:
+    """Print what a lenient reading left out also where a verb ends in an error, and state what to do next."""
 
     @wraps(command)
     def run(*arguments: Any, **values: Any) -> Any:
         try:
             return _uploading(command, *arguments, **values)
         except SceneloomError as error:
-            if error.notices and values.get("lenient") and not values["quiet"]:
-                from sceneloom.cli.printing import print_notices
+            if error.warnings and values.get("lenient") and not values["quiet"]:
+                from sceneloom.cli.printing import print_warnings
 
-                print_notices(error.notices, verbose=values["verbose"])
+                print_warnings(error.warnings, verbose=values["verbose"])
             if not values["quiet"]:
                 error.add_note(next_step(error, values) or "")
             raise
@@ -305,14 +307,14 @@ def _telling_notices(command: Command) -> Command:
 
 
 _NOT_BROKEN = ("no such file", "no lidar in it")
-"""What problems of drives say that no rule finds and nothing mends."""
+"""What problems of drives state that no rule finds and nothing repairs."""
 
 _DRIVES = ("path", "source", "drive")
 """What verbs call the argument that is a drive."""
 
 
 def next_step(error: SceneloomError, values: Mapping[str, Any]) -> str | None:
-    """What a person could do about an error, where the message does not say it already.
+    """What a person could do about an error, where the message does not state it already.
 
     Args:
         error: what a verb ended with.
@@ -322,14 +324,14 @@ def next_step(error: SceneloomError, values: Mapping[str, Any]) -> str | None:
         return None
     if isinstance(error, UnknownFormatError):
         return (
-            "`sceneloom formats` lists what can be read, and how it is recognised; of clouds and pictures of your own, "
+            "`sceneloom formats` lists what can be read, and how it is recognised; of clouds and images of your own, "
             "`sceneloom formats --template FOLDER/rig.toml --from FOLDER` begins a manifest"
         )
     if type(error) is not DataError or "lenient" not in values:
         return None
     drive = next((values[name] for name in _DRIVES if isinstance(values.get(name), Path)), None)
     whole = _salvage(drive, error)
-    if any(told in error.problem for told in ("`--", "`sceneloom ", "\n")):
+    if any(reported in error.problem for reported in ("`--", "`sceneloom ", "\n")):
         return whole  # it names an option or a verb, or lists all that is wrong
     if drive is None or not str(error.file).startswith(str(drive)):
         return None
@@ -354,13 +356,13 @@ def _salvage(drive: Path | None, error: DataError) -> str | None:
 
 
 def _as_read(values: Mapping[str, Any]) -> Iterator[str]:
-    """The words by which a person said how the drive is read."""
+    """The words by which a person stated how the drive is read."""
     sequences = values.get("sequences", ())
-    told = {"sequence": sequences[0], **values} if len(sequences) == 1 else values
+    reported = {"sequence": sequences[0], **values} if len(sequences) == 1 else values
     for option in _READING_OPTIONS:
-        said = told.get(str(option.name))
-        if said and option.name != "lenient":
-            for value in said if isinstance(said, tuple) else (said,):
+        stated = reported.get(str(option.name))
+        if stated and option.name != "lenient":
+            for value in stated if isinstance(stated, tuple) else (stated,):
                 yield from (
                     option.opts[:1]
                     if isinstance(option, click.Option) and option.is_flag
@@ -370,9 +372,9 @@ def _as_read(values: Mapping[str, Any]) -> Iterator[str]:
 
 printing = _stacked(
     click.option("--json", "as_json", is_flag=True, help="Print the result as JSON."),
-    click.option("-q", "--quiet", is_flag=True, help="No progress, no notices."),
-    click.option("-v", "--verbose", is_flag=True, help="Every notice and loss, not only the first ones."),
-    _telling_notices,
+    click.option("-q", "--quiet", is_flag=True, help="No progress, no warnings."),
+    click.option("-v", "--verbose", is_flag=True, help="Every warning and loss, not only the first ones."),
+    _telling_warnings,
 )
 """On every verb that has a result."""
 
@@ -412,7 +414,7 @@ def trajectories(side: str, path: str) -> Callable[[Command], Command]:
             f"{side}_rate_hz",
             type=positive,
             metavar="HZ",
-            help="Poses per second in place of times.",
+            help="Poses per second instead of times.",
         ),
         click.option(
             f"--{side}-unit",
@@ -422,7 +424,7 @@ def trajectories(side: str, path: str) -> Callable[[Command], Command]:
         click.option(
             f"--{side}-optical",
             is_flag=True,
-            help=f"{path} tells a camera's poses: turn z forward, y down to x forward, z up.",
+            help=f"{path} reports a camera's poses: rotate z forward, y down to x forward, z up.",
         ),
     )
 
@@ -443,16 +445,18 @@ def settings(flag: str, pairs: Iterable[str]) -> dict[str, str]:
 
 
 _OF_ALL_FORMATS = {"path", "format", "start", "stop", "storage_options"}
-"""What is said of any drive that is opened, and not as an option of its format."""
+"""What is stated for any drive that is opened, and not as an option of its format."""
 
 
-def said(**values: Any) -> dict[str, Any]:
-    """The options that the user said; the others are left to the library's defaults."""
+def stated(**values: Any) -> dict[str, Any]:
+    """The options that the user stated; the others are left to the library's defaults."""
     from sceneloom.formats.option_values import as_flag
 
-    further = settings("--read-with", values.pop(READ_WITH, ()))
+    further = settings("--input-option", values.pop(READ_WITH, ()))
     for name in sorted(_OF_ALL_FORMATS & further.keys()):
-        raise OptionError(f"--read-with {name}: no format has this option; expected one that its page lists")
+        raise OptionError(
+            f"--input-option {name}: no format has this option; expected one that its page lists"
+        )
     # what is also a flag of its own is true or false there, too
     switched = {
         name: as_flag(name, value) for name, value in further.items() if isinstance(values.get(name), bool)

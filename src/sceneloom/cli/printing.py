@@ -1,4 +1,4 @@
-"""Results for people on standard output, progress and notices on standard error."""
+"""Results for people on standard output, progress and warnings on standard error."""
 
 import json
 import sys
@@ -11,10 +11,10 @@ import msgspec
 
 if TYPE_CHECKING:  # a verb that reads no drive starts quickly without them
     from sceneloom.formats.loss import LossReport
-    from sceneloom.scene.notices import Notice
+    from sceneloom.scene.warnings import DataWarning
 
 SHOWN = 5
-"""Notices and losses shown unless `--verbose` is said."""
+"""Warnings and losses shown unless `--verbose` is stated."""
 
 
 def print_json(result: Any, *, stages: Mapping[str, float] | None = None) -> None:
@@ -29,22 +29,22 @@ def print_json(result: Any, *, stages: Mapping[str, float] | None = None) -> Non
     click.echo(text)
 
 
-def print_notices(notices: "Sequence[Notice]", *, verbose: bool) -> None:
+def print_warnings(warnings: "Sequence[DataWarning]", *, verbose: bool) -> None:
     """Print what was assumed, repaired or left out; what was made of corrections first."""
-    notices = sorted(notices, key=lambda notice: not notice.code.startswith("correction-"))
+    warnings = sorted(warnings, key=lambda warning: not warning.code.startswith("correction-"))
     print_lines(
         [
-            ": ".join(filter(None, (notice.kind, notice.place, notice.message)))
-            + (f" ({notice.count} times)" if notice.count > 1 else "")
-            for notice in notices
+            ": ".join(filter(None, (warning.kind, warning.location, warning.message)))
+            + (f" ({warning.count} times)" if warning.count > 1 else "")
+            for warning in warnings
         ],
         verbose=verbose,
     )
 
 
-def print_corrections(notices: "Sequence[Notice]") -> None:
-    """Print only what was made of a drive's corrections, for verbs whose results hold the other notices."""
-    print_notices([notice for notice in notices if notice.code.startswith("correction-")], verbose=True)
+def print_corrections(warnings: "Sequence[DataWarning]") -> None:
+    """Print only what was made of a drive's corrections, for verbs whose results hold the other warnings."""
+    print_warnings([warning for warning in warnings if warning.code.startswith("correction-")], verbose=True)
 
 
 _HAPPENED = {
@@ -57,10 +57,10 @@ _HAPPENED = {
 
 
 def print_losses(losses: "LossReport", *, verbose: bool) -> None:
-    """Print what the target format has no place for: lost, or kept where only we look for it."""
+    """Print what the target format has no field for: lost, or kept where only we look for it."""
     print_lines(
         [
-            f"{'kept aside' if loss.kept else _HAPPENED[loss.fate]}: {loss.field}: {loss.what}"
+            f"{'kept aside' if loss.kept else _HAPPENED[loss.support]}: {loss.field}: {loss.what}"
             + (f" ({loss.count} times)" if loss.count > 1 else "")
             + (f"; it is in {loss.kept}" if loss.kept else "")
             for loss in losses
@@ -70,16 +70,16 @@ def print_losses(losses: "LossReport", *, verbose: bool) -> None:
 
 
 def print_lines(lines: Sequence[str], *, verbose: bool) -> None:
-    """Print remarks, only the first ones unless `verbose`."""
+    """Print notes, only the first ones unless `verbose`."""
     shown = lines if verbose else lines[:SHOWN]
     for line in shown:
         click.echo(line, err=True)
     if len(lines) > len(shown):
-        click.echo(f"… and {len(lines) - len(shown)} more: say --verbose", err=True)
+        click.echo(f"… and {len(lines) - len(shown)} more: state --verbose", err=True)
 
 
 def print_table(rows: Iterable[Sequence[str]], *, indent: str = "  ", err: bool = False) -> None:
-    """Print rows in columns; `err`: as a remark, not as a result."""
+    """Print rows in columns; `err`: as a note, not as a result."""
     table = [list(row) for row in rows]
     if not table:
         return

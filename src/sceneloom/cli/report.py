@@ -13,17 +13,17 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("path", type=options.place)
+@click.argument("path", type=options.location)
 @click.option(
     "-o",
     "--output",
     type=options.target,
     metavar="FILE",
-    help="The page, one file that ends in .html. [default: report.html, unless --json or --numbers is said]",
+    help="The page, one file that ends in .html. [default: report.html, unless --json or --numbers is stated]",
 )
 @click.option("--numbers", type=options.target, metavar="FILE", help="All its numbers as JSON, too.")
 @click.option("--title", metavar="TEXT", help="Of the page. [default: the drive's name]")
-@options.way()
+@options.trajectory()
 @click.option(
     "--truth",
     type=options.source(),
@@ -34,22 +34,22 @@ if TYPE_CHECKING:
     "--compare",
     type=click.Choice(["lidar", "gnss"]),
     multiple=True,
-    help="Find the ego's way from this, too, and hold it against the drive's own; may be said again.",
+    help="Find the ego trajectory from this, too, and hold it against the drive's own; may be stated again.",
 )
 @click.option(
     "--losses",
     type=options.source(),
     metavar="FILE",
-    help="What writing the drive lost, as JSON of `sceneloom convert`, to be told with it.",
+    help="What writing the drive lost, as JSON of `sceneloom convert`, to be reported with it.",
 )
 @click.option("--quick", is_flag=True, help="Look at a few frames only; no check of the calibration.")
 @click.option(
-    "--pictures",
+    "--images",
     type=click.IntRange(min=0),
     default=24,
     show_default=True,
     metavar="N",
-    help="Pictures that the page may hold.",
+    help="Images that the page may hold.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 @options.part
@@ -66,7 +66,7 @@ def report(
     compare: tuple[str, ...],
     losses: Path | None,
     quick: bool,
-    pictures: int,
+    images: int,
     overwrite: bool,
     as_json: bool,
     quiet: bool,
@@ -90,7 +90,7 @@ def report(
         compare=compare,
         losses=losses,
         quick=quick,
-        pictures=pictures,
+        images=images,
         title=title,
     )
     with progress_bar("looking", quiet=quiet) as progress, timed() as stages:
@@ -101,13 +101,13 @@ def report(
             settings=settings,
             overwrite=overwrite,
             progress=progress,
-            **options.said(**reading),
+            **options.stated(**reading),
         )
     if as_json:
         print_json(found, stages=stages)
         return
     if not quiet:
-        print_corrections(found.notices)
+        print_corrections(found.warnings)
     _print_verdict(found, verbose=verbose)
     for name, written in (("page", page), ("numbers", numbers)):
         if written is not None:

@@ -9,14 +9,14 @@ from sceneloom.cli.printing import amount, print_json, print_lines, print_table,
 
 
 @click.command()
-@click.argument("path", type=options.place)
+@click.argument("path", type=options.location)
 @click.option("-o", "--output", type=options.target, required=True, help="The .sfs file to write.")
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 @options.printing
 def salvage(
     path: Path | str, output: Path, overwrite: bool, as_json: bool, quiet: bool, verbose: bool
 ) -> None:
-    """Take out of a scene file that was cut off or damaged what is whole, and say what is not."""
+    """Take out of a scene file that was cut off or damaged what is whole, and state what is not."""
     from sceneloom.formats.sfs.salvaging import salvage as salvage_file
 
     report = salvage_file(path, output, overwrite=overwrite)
@@ -34,5 +34,5 @@ def salvage(
         return
     click.echo(f"lost: {several(len(report.lost), 'part')}, {amount(report.lost_bytes)}")
     if not quiet:
-        lines = [f"lost: {part.place}: {part.problem} ({amount(part.bytes)})" for part in report.lost]
+        lines = [f"lost: {part.location}: {part.problem} ({amount(part.bytes)})" for part in report.lost]
         print_lines(lines, verbose=verbose)

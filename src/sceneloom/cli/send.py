@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.printing import print_json, print_notices, progress_bar
+from sceneloom.cli.printing import print_json, print_warnings, progress_bar
 from sceneloom.cli.service_options import calling, connected, host_and_port
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ _CALLING = ("session", "token_file", "ca", "client_cert", "client_key")
 
 
 @click.command()
-@click.argument("path", type=options.place)
+@click.argument("path", type=options.location)
 @click.argument("address", type=host_and_port, metavar="HOST:PORT")
 @click.option(
     "--rate",
@@ -26,7 +26,7 @@ _CALLING = ("session", "token_file", "ca", "client_cert", "client_key")
     metavar="N",
     help="1: as fast as it was, 2: twice as fast, 0: as fast as the service takes it.",
 )
-@options.way(further="`identity`: it stood still")
+@options.trajectory(further="`identity`: it was stationary")
 @options.part
 @calling
 @options.reading
@@ -51,14 +51,14 @@ def send(
     calls = {name: further.pop(name) for name in _CALLING}
     with connected(address, **calls) as open_client, progress_bar("sending", quiet=quiet) as progress:
         if isinstance(path, Path) and is_log(path):
-            said = options.said(trajectory=trajectory, heading=heading, start=start, stop=stop)
-            report = _send_log(path, open_client, rate, calls["session"], said)
+            stated = options.stated(trajectory=trajectory, heading=heading, start=start, stop=stop)
+            report = _send_log(path, open_client, rate, calls["session"], stated)
         else:
             from sceneloom.formats.table import open_scene
             from sceneloom.scene.part import cut_scene
             from sceneloom.service.sending import send_scene
 
-            with open_scene(path, **options.said(lenient=lenient, **further)) as scene:
+            with open_scene(path, **options.stated(lenient=lenient, **further)) as scene:
                 report = send_scene(
                     cut_scene(scene, start=start, stop=stop),
                     open_client(""),
@@ -73,12 +73,14 @@ def send(
     else:
         _print_report(report, address)
         if not quiet:
-            print_notices(report.notices, verbose=verbose)
+            print_warnings(report.warnings, verbose=verbose)
 
 
-def _send_log(path: Path, open_client: Any, rate: float, session: str, said: dict[str, Any]) -> "SendReport":
-    if said:
-        raise click.UsageError(f"--{next(iter(said))} says nothing of a log, which is sent as it is")
+def _send_log(
+    path: Path, open_client: Any, rate: float, session: str, stated: dict[str, Any]
+) -> "SendReport":
+    if stated:
+        raise click.UsageError(f"--{next(iter(stated))} says nothing of a log, which is sent as it is")
     from sceneloom.service.sending_logs import send_log
 
     return send_log(path, lambda name: open_client(session or name.replace("#", "-")), rate=rate)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.options import positive, said
+from sceneloom.cli.options import positive, stated
 from sceneloom.cli.printing import print_json
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def serve(
     quiet: bool,
     verbose: bool,
 ) -> None:
-    """Serve the fusion interface of DB34/T 4101-2022 over gRPC, until it is told to end.
+    """Serve the fusion interface of DB34/T 4101-2022 over gRPC, until it is reported to end.
 
     The first start on a machine compiles for minutes, and logs what; the port is closed until then.
     """
@@ -84,7 +84,9 @@ def serve(
         from sceneloom.service.security import Security, read_token
         from sceneloom.service.server import ServerSettings
 
-        limits, configure = configured(config, **said(most_sessions=max_sessions, idle_minutes=idle_minutes))
+        limits, configure = configured(
+            config, **stated(most_sessions=max_sessions, idle_minutes=idle_minutes)
+        )
         security = Security(
             tls_certificate=tls_cert,
             tls_key=tls_key,
@@ -114,8 +116,8 @@ def serve(
 
 def _leave(hanging: tuple[str, ...]) -> NoReturn:
     """End the process at once: threads that hang would keep it for ever."""
-    told = f"left with the fusion of {', '.join(hanging)} hanging; what waited there is lost"
-    click.echo(f"Error: {told}", err=True)
+    reported = f"left with the fusion of {', '.join(hanging)} hanging; what waited there is lost"
+    click.echo(f"Error: {reported}", err=True)
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(1)

@@ -9,8 +9,8 @@ from sceneloom.cli import options
 from sceneloom.cli.printing import (
     print_json,
     print_losses,
-    print_notices,
     print_table,
+    print_warnings,
     progress_bar,
     several,
 )
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("path", type=options.place)
+@click.argument("path", type=options.location)
 @click.option(
     "--reference", metavar="STREAM", help="The stream whose clock is right. [default: the IMU, else …]"
 )
@@ -64,7 +64,7 @@ def sync(
     verbose: bool,
     **reading: Any,
 ) -> None:
-    """Tell whether the clocks of a drive's streams are in step, and put right those that are not.
+    """Report whether the clocks of a drive's streams are in step, and put right those that are not.
 
     Streams are IMUs, trajectories, lidars, cameras and satellite receivers. Their motion is compared: what the one
     stream shows later than the other is the offset of their clocks, what it loses over the drive the skew.
@@ -74,7 +74,7 @@ def sync(
     from sceneloom.scene.part import cut_scene
 
     with (
-        open_scene(path, **options.said(**reading)) as scene,
+        open_scene(path, **options.stated(**reading)) as scene,
         progress_bar("looking", quiet=quiet) as progress,
     ):
         report = sync_scene(
@@ -86,7 +86,7 @@ def sync(
             lever_sigma=lever,
             progress=progress,
             overwrite=overwrite,
-            **({} if output is None else options.said(profile=profile, time_unit=time_unit)),
+            **({} if output is None else options.stated(profile=profile, time_unit=time_unit)),
         )
     if as_json:
         print_json(report)
@@ -97,7 +97,7 @@ def sync(
 def _print_report(report: "SyncReport", *, quiet: bool, verbose: bool) -> None:
     if not report.comparisons:
         click.echo(
-            f"{report.source}: nothing to compare: two streams that tell of the ego's motion are needed"
+            f"{report.source}: nothing to compare: two streams that report the ego's motion are needed"
         )
         return
     click.echo(f"{report.source}: {several(len(report.off), 'stream')} off, against {report.reference}")
@@ -107,11 +107,13 @@ def _print_report(report: "SyncReport", *, quiet: bool, verbose: bool) -> None:
     if report.output is not None:
         for correction in report.applied:
             skew = f", skew {correction.skew_ppm:+.1f} ppm" if correction.skew_ppm else ""
-            by_way = f" (through {correction.through})" if correction.through else ""
-            click.echo(f"corrected: {correction.stream}: {-correction.offset_ns / 1e6:+.3f} ms{skew}{by_way}")
+            by_trajectory = f" (through {correction.through})" if correction.through else ""
+            click.echo(
+                f"corrected: {correction.stream}: {-correction.offset_ns / 1e6:+.3f} ms{skew}{by_trajectory}"
+            )
         click.echo(f"written: {report.output}" + ("" if report.applied else ", as it was"))
     if not quiet:
-        print_notices(report.notices, verbose=verbose)
+        print_warnings(report.warnings, verbose=verbose)
         print_losses(report.losses, verbose=verbose)
 
 

@@ -6,14 +6,21 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import detection_options, options
-from sceneloom.cli.printing import print_json, print_losses, print_notices, print_table, progress_bar, several
+from sceneloom.cli.printing import (
+    print_json,
+    print_losses,
+    print_table,
+    print_warnings,
+    progress_bar,
+    several,
+)
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
     from sceneloom.pipeline.tracking.report import TrackReport
 
 
 @click.command()
-@click.argument("path", type=options.place)
+@click.argument("path", type=options.location)
 @click.option("-o", "--output", type=options.target, required=True, help="The file or folder to write.")
 @click.option(
     "--format",
@@ -25,20 +32,21 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 @click.option(
     "--box2d",
     type=click.Choice(["image", "projected"]),
-    help="Boxes in pictures: by those found there, or outlines of the boxes in space. [default: image]",
+    help="Boxes in images: by those found there, or outlines of the boxes in space. [default: image]",
 )
 @detection_options.takes
-@options.way(further="`identity`: it stood still")
+@options.trajectory(further="`identity`: it was stationary")
 @click.option(
     "--algorithm",
     metavar="NAME|FILE.py:FUNCTION",
     help="Algorithm of detection fusion, or a function of a Python file. [default: projection]",
 )
 @click.option(
-    "--pictures",
+    "--visualize",
+    "images",
     type=options.target,
     metavar="DIR",
-    help="Draw a dozen moments: over photographs and from above.",
+    help="Draw a dozen moments: over images and from above.",
 )
 @options.part
 @options.rewriting
@@ -50,7 +58,7 @@ def track(
     box2d: str | None,
     detectors: str | None,
     algorithm: str | None,
-    pictures: Path | None,
+    images: Path | None,
     overwrite: bool,
     profile: str | None,
     time_unit: str | None,
@@ -59,7 +67,7 @@ def track(
     verbose: bool,
     **given: Any,
 ) -> None:
-    """Follow objects through a drive by what detectors found in its sweeps and pictures.
+    """Follow objects through a drive by what detectors found in its sweeps and images.
 
     PATH is a folder laid out like KITTI's tracking benchmark, a drive with --boxes2d and --boxes3d, or what `sceneloom
     fuse --type detection` wrote.
@@ -67,19 +75,19 @@ def track(
     from sceneloom.detections.settings import ProjectionSettings
     from sceneloom.pipeline.found_objects import track_objects
     from sceneloom.pipeline.tracking.job import TrackingSettings
-    from sceneloom.tracking.settings import PictureBox
+    from sceneloom.tracking.settings import ImageBox
 
     how: dict[str, Any] = {
         "form": form,
-        "pictures": pictures,
+        "images": images,
         "settings": TrackingSettings(
             offline=offline,
             fusion=None if detectors is None else ProjectionSettings(detectors=detectors),
-            **options.said(algorithm=algorithm),
+            **options.stated(algorithm=algorithm),
         ),
         "overwrite": overwrite,
-        "scene_options": options.said(profile=profile, time_unit=time_unit),
-        **({} if box2d is None else {"box2d": PictureBox(box2d)}),
+        "scene_options": options.stated(profile=profile, time_unit=time_unit),
+        **({} if box2d is None else {"box2d": ImageBox(box2d)}),
     }
     with progress_bar("tracking", quiet=quiet) as progress:
         report = track_objects(
@@ -114,5 +122,5 @@ def print_tracking(report: "TrackReport", *, quiet: bool, verbose: bool) -> None
         f"({report.ms_per_frame:.2f} ms of the processor a frame for fusing and tracking): {report.output}"
     )
     if not quiet:
-        print_notices(report.notices, verbose=verbose)
+        print_warnings(report.warnings, verbose=verbose)
         print_losses(report.losses, verbose=verbose)

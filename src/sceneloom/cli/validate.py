@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("path", type=options.place, required=False)
+@click.argument("path", type=options.location, required=False)
 @click.option(
     "--profile",
     type=click.Choice(["sfs", "scale"]),
     help="`scale`: also what Scale's own library refuses. Default: sfs, of a recording its lines and files.",
 )
 @click.option("--strict", is_flag=True, help="Warnings count as errors do.")
-@click.option("--quick", is_flag=True, help="Read no frames and pictures.")
+@click.option("--quick", is_flag=True, help="Read no frames and images.")
 @click.option(
     "--fix",
     type=options.target,
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     help="Write the scene to OUT with all safe fixes applied.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace OUT if it exists.")
-@click.option("--rule", "rules", multiple=True, metavar="ID", help="Run this rule only; may be said again.")
-@click.option("--ignore", multiple=True, metavar="ID", help="Leave this rule out; may be said again.")
+@click.option("--rule", "rules", multiple=True, metavar="ID", help="Run this rule only; may be stated again.")
+@click.option("--ignore", multiple=True, metavar="ID", help="Leave this rule out; may be stated again.")
 @click.option("--rules", "list_rules", is_flag=True, help="List the rules and stop.")
 @options.part
 @options.reading
@@ -57,10 +57,10 @@ def validate(
     verbose: bool,
     **reading: Any,
 ) -> None:
-    """Check a scene, recording or rig, and say what is wrong, where, and what to do; exit 1 where it does not pass.
+    """Check a scene, recording or rig, and state what is wrong, where, and what to do; exit 1 where it does not pass.
 
-    Every finding names the rule, its place in the file, the value and what was expected. `--fix OUT` writes what
-    can be mended safely, checks that, and tells what is left. Where it is open which image a line means, it says
+    Every finding names the rule, its location in the file, the value and what was expected. `--fix OUT` writes what
+    can be repaired safely, checks that, and reports what is left. Where it is open which image a line means, it says
     which way it took; `--image-index` takes another.
     """
     if list_rules:
@@ -68,7 +68,7 @@ def validate(
         return
     if path is None:
         raise click.UsageError("Missing argument 'PATH'.", context)
-    from sceneloom.checks.report import PLACES
+    from sceneloom.checks.report import LOCATIONS
     from sceneloom.checks.validation import validate as validate_scene
     from sceneloom.stages import timed
 
@@ -82,9 +82,9 @@ def validate(
             frames=not quick,
             rules=rules,
             ignore=ignore,
-            places=None if as_json or verbose else PLACES,
+            locations=None if as_json or verbose else LOCATIONS,
             progress=progress,
-            **options.said(**reading),
+            **options.stated(**reading),
         )
     if as_json:
         print_json(report, stages=stages)
@@ -110,11 +110,11 @@ def _print_report(report: "ValidationReport", *, asked_to_fix: bool, quiet: bool
     found = ", ".join(several(count, severity) for severity, count in report.counts.items() if count)
     verdict = "passed" if report.passed else "not passed"
     read = "" if report.frames_read else "; frames were not read"
-    # what was written is told by what it was checked against: a recording, or a scene file
+    # what was written is known by what it was checked against: a recording, or a scene file
     against = [report.format] if report.output is None else []
     against += ["recording" if report.profile == "recording" else f"profile {report.profile}"]
-    told = ", ".join(dict.fromkeys(against))
-    click.echo(f"{report.output or report.source}: {told}: {verdict}, {found or 'nothing found'}{read}")
+    reported = ", ".join(dict.fromkeys(against))
+    click.echo(f"{report.output or report.source}: {reported}: {verdict}, {found or 'nothing found'}{read}")
     _print_findings([f for f in report.findings if not (quiet and f.severity == "hint")])
     if report.output is not None:
         _print_changes("fixed", report.fixed)
@@ -131,7 +131,7 @@ def _print_findings(findings: "Sequence[Finding]") -> None:
         click.echo(f"{severity}s")
         for rule, group in groupby(of_severity, key=lambda finding: finding.rule):
             listed = list(group)
-            fixable = ", --fix mends it" if listed[0].fixable else ""
+            fixable = ", --fix repairs it" if listed[0].fixable else ""
             click.echo(f"  {rule}: {several(sum(f.count for f in listed), 'time')}{fixable}")
             for finding in listed:
                 click.echo(f"    {_line(finding)}")
@@ -151,8 +151,8 @@ def _print_losses(losses: "Sequence[Loss]") -> None:
         if group:
             click.echo(title)
         for loss in group:
-            place = f"; it is in {loss.kept}" if kept else ""
-            click.echo(f"  {loss.field}: {loss.what}{_times(loss.count)}{place}")
+            location = f"; it is in {loss.kept}" if kept else ""
+            click.echo(f"  {loss.field}: {loss.what}{_times(loss.count)}{location}")
 
 
 def _times(count: int) -> str:

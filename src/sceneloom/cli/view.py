@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.printing import amount, print_json, print_notices, progress_bar, several
+from sceneloom.cli.printing import amount, print_json, print_warnings, progress_bar, several
 
 if TYPE_CHECKING:  # the viewer takes long to import, and `--help` needs none of it
     from sceneloom.view.report import DriveShown, ViewReport
@@ -18,7 +18,7 @@ _FOLDER = options.source(exists=True, file_okay=False)
 
 
 @click.command()
-@click.argument("paths", nargs=-1, metavar="PATH...", type=options.place)
+@click.argument("paths", nargs=-1, metavar="PATH...", type=options.location)
 @options.lists('a path, or {"path": …, "start": …, "stop": …}, as `sceneloom catalog query --as list` writes')
 @click.option(
     "--save", type=options.target, metavar="F.rrd", help="Save the view to a file that `rerun F.rrd` opens."
@@ -31,7 +31,7 @@ _FOLDER = options.source(exists=True, file_okay=False)
     help="What gives points their colours. [default: their own, else intensity, else height]",
 )
 @click.option(
-    "--start", type=options.not_negative, metavar="S", help="Begin S seconds after the first time stamp."
+    "--start", type=options.not_negative, metavar="S", help="Begin S seconds after the first timestamp."
 )
 @click.option(
     "--stop", "--end", "stop", type=options.positive, metavar="S", help="End before S seconds after it."
@@ -40,12 +40,12 @@ _FOLDER = options.source(exists=True, file_okay=False)
     "--every",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Every Nth sweep, picture, … of each sensor. [default: 1]",
+    help="Every Nth sweep, image, … of each sensor. [default: 1]",
 )
 @click.option(
     "--sensor", "--sensors", "sensors", metavar="ID,…", help="The only sensors to show. [default: all]"
 )
-@options.way(further="`identity`: it stood still")
+@options.trajectory(further="`identity`: it was stationary")
 @click.option(
     "--as-measured", is_flag=True, help="Leave points where they were measured while the sensor moved."
 )
@@ -80,13 +80,13 @@ def view(
     settings, sources = _settings(given), [*paths, *_listed(lists, quiet=quiet)]
     if save is not None and web:
         raise click.UsageError(
-            "--save and --web: the one keeps the view, the other shows it; say one of them"
+            "--save and --web: the one keeps the view, the other shows it; state one of them"
         )
     with progress_bar("showing" if save is None else "saving", quiet=quiet) as progress:
         if save is not None:
             report = save_view(sources, save, settings=settings, overwrite=overwrite, progress=progress)
         else:
-            report = show_view(sources, settings=settings, web=web, ready=_tell_where, progress=progress)
+            report = show_view(sources, settings=settings, web=web, ready=_report_where, progress=progress)
     if as_json:
         print_json(report)
     else:
@@ -104,7 +104,7 @@ def _listed(lists: tuple[Path, ...], *, quiet: bool) -> "list[DrivePart]":
 
     return [
         DrivePart(
-            options.place(drive.place),
+            options.location(drive.location),
             **{name: value for name, value in drive.options.items() if name in PART},
             reading={
                 name.removeprefix(READING): value
@@ -132,18 +132,18 @@ def _settings(given: dict[str, Any]) -> Any:
         "map_tiles",
     )
     colour_by, sensors = given["colour_by"], given["sensors"]
-    shown = options.said(**{name: given[name] for name in own})
+    shown = options.stated(**{name: given[name] for name in own})
     further = {"colour_by", "sensors", "no_findings", *own}
     return ViewSettings(
         **shown,
         colour_by=None if colour_by is None else ColourBy(colour_by),
         sensors=None if sensors is None else tuple(filter(None, map(str.strip, sensors.split(",")))),
         findings=not given["no_findings"],
-        reading=options.said(**{name: value for name, value in given.items() if name not in further}),
+        reading=options.stated(**{name: value for name, value in given.items() if name not in further}),
     )
 
 
-def _tell_where(viewer: "Viewer") -> None:
+def _report_where(viewer: "Viewer") -> None:
     if viewer.address is not None:
         click.echo(f"{viewer.address}\nopen this in a browser on this machine; Ctrl-C ends it", err=True)
 
@@ -159,7 +159,7 @@ def print_view(report: "ViewReport", *, quiet: bool, verbose: bool) -> None:
         )
     if not quiet:
         for drive in report.drives:
-            print_notices(drive.notices, verbose=verbose)
+            print_warnings(drive.warnings, verbose=verbose)
 
 
 def _counted(drive: "DriveShown") -> str:

@@ -1,4 +1,4 @@
-"""Sensor-data fusion: which points a picture shows, their colours, and the picture's depths."""
+"""Sensor-data fusion: which points an image shows, their colours, and the image's depths."""
 
 from typing import TYPE_CHECKING
 
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from sceneloom.colouring.blending import BlendedPoints, blend_colours
     from sceneloom.colouring.colours import NO_CAMERA, colour_points
     from sceneloom.colouring.exposure import ExposureGains, ExposureLinks
-    from sceneloom.colouring.lidar_way import LidarWay
+    from sceneloom.colouring.lidar_trajectory import LidarTrajectory
     from sceneloom.colouring.normals import estimate_normals
     from sceneloom.colouring.provenance import PointSources
-    from sceneloom.colouring.results import FusedFrame, FusedView, PointSight
+    from sceneloom.colouring.results import FusedFrame, FusedView, PointVisibility
     from sceneloom.colouring.views import view_points
     from sceneloom.colouring.visibility import VisibilitySettings, find_visible
     from sceneloom.colouring.weights import BlendSettings
-    from sceneloom.visibility.rolling_shutter import ShutterWay
+    from sceneloom.visibility.rolling_shutter import ShutterDirection
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
@@ -37,10 +37,10 @@ else:
             "FusedFrame": "sceneloom.colouring.results:FusedFrame",
             "FusedView": "sceneloom.colouring.results:FusedView",
             "FusionAlgorithm": "sceneloom.colouring.algorithms:FusionAlgorithm",
-            "LidarWay": "sceneloom.colouring.lidar_way:LidarWay",
-            "PointSight": "sceneloom.colouring.results:PointSight",
+            "LidarTrajectory": "sceneloom.colouring.lidar_trajectory:LidarTrajectory",
+            "PointVisibility": "sceneloom.colouring.results:PointVisibility",
             "PointSources": "sceneloom.colouring.provenance:PointSources",
-            "ShutterWay": "sceneloom.visibility.rolling_shutter:ShutterWay",
+            "ShutterDirection": "sceneloom.visibility.rolling_shutter:ShutterDirection",
             "ViewRequest": "sceneloom.colouring.algorithms:ViewRequest",
             "VisibilitySettings": "sceneloom.colouring.visibility:VisibilitySettings",
             "blend_colours": "sceneloom.colouring.blending:blend_colours",
@@ -63,10 +63,10 @@ __all__ = [
     "FusedFrame",
     "FusedView",
     "FusionAlgorithm",
-    "LidarWay",
-    "PointSight",
+    "LidarTrajectory",
     "PointSources",
-    "ShutterWay",
+    "PointVisibility",
+    "ShutterDirection",
     "ViewRequest",
     "VisibilitySettings",
     "blend_colours",

@@ -1,4 +1,4 @@
-"""Colours of a cloud out of all pictures that show it, by weight, between the pixels, with their provenance."""
+"""Colours of a cloud out of all images that show it, by weight, between the pixels, with their provenance."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,10 +11,10 @@ from sceneloom.colouring.provenance import PointSources
 from sceneloom.colouring.results import FusedView
 from sceneloom.colouring.weights import BlendSettings, view_weights
 from sceneloom.errors import OptionError
-from sceneloom.kernels.picture_samples import sample_between_pixels
+from sceneloom.kernels.image_samples import sample_between_pixels
 
 Gains = Mapping[int, Float64Array]
-"""(3,) factors of red, green and blue for the picture of each camera, by the camera's index; 1 for those left out."""
+"""(3,) factors of red, green and blue for the image of each camera, by the camera's index; 1 for those left out."""
 
 NO_GAINS: Gains = {}
 
@@ -24,8 +24,8 @@ class BlendedPoints:
     """Colours of a cloud.
 
     Attributes:
-        colors: (N, 3) uint8; 255, 255, 255 for a point that no picture shows.
-        sources: the picture that counts most for each point.
+        colors: (N, 3) uint8; 255, 255, 255 for a point that no image shows.
+        sources: the image that counts most for each point.
     """
 
     colors: UInt8Array
@@ -34,7 +34,7 @@ class BlendedPoints:
 
 @dataclass(slots=True)
 class _Samples:
-    """What one picture gives to the points it shows."""
+    """What one image gives to the points it shows."""
 
     ids: Int64Array
     weights: Float32Array
@@ -65,16 +65,16 @@ def blend_colours(
     timestamps_ns: Int64Array | None = None,
     gains: Gains = NO_GAINS,
 ) -> BlendedPoints:
-    """Give each point the best, or the weighted mean, of the colours that pictures give it between their pixels.
+    """Give each point the best, or the weighted mean, of the colours that images give it between their pixels.
 
     Args:
         points_world: (N, 3) float64 [m].
-        views: the cloud in each picture.
+        views: the cloud in each image.
         camera_indices: of the camera of each view, 0 to 254.
         settings: mode and weights; None for the usual ones.
         normals_world: (N, 3) float32 unit vectors, 0 where not known; None: the camera's axis stands for all of them.
-        timestamps_ns: (N,) int64 [ns], when each point was measured; None: with the pictures.
-        gains: what the colours of each camera's picture are multiplied by.
+        timestamps_ns: (N,) int64 [ns], when each point was measured; None: with the images.
+        gains: what the colours of each camera's image are multiplied by.
 
     Raises:
         ArrayError: the arrays do not fit together.
@@ -116,7 +116,7 @@ def _check_indices(views: Sequence[FusedView], camera_indices: Sequence[int]) ->
 
 
 def _sampled(view: FusedView, weights: Float32Array, gain: Float64Array | None) -> _Samples:
-    """Colours between the pixels of the points that a picture shows."""
+    """Colours between the pixels of the points that an image shows."""
     rows = np.flatnonzero(weights > 0)
     pixels = np.ascontiguousarray(view.pixels[rows])
     colors = np.empty((len(rows), 3), np.float32)
@@ -134,7 +134,7 @@ def _take_better(samples: _Samples, view: FusedView, index: int, total: _Sum) ->
     total.best[ids] = samples.colors[better]
     sources.weights[ids] = samples.weights[better]
     sources.camera_index[ids] = index
-    sources.pictures_ns[ids] = view.timestamp_ns
+    sources.images_ns[ids] = view.timestamp_ns
     sources.pixels[ids] = samples.pixels[better]
 
 

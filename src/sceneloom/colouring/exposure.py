@@ -1,14 +1,14 @@
-"""How differently cameras are exposed, from surfaces that two pictures show, and what evens it out.
+"""How differently cameras are exposed, from surfaces that two images show, and what evens it out.
 
-Two pictures that show the same plain piece of a surface give it two colours; their ratio is that of the exposures,
-whatever the surface's own colour is. Pictures are linked in this way within a sweep (two cameras at once) and across
-sweeps (the same place some sweeps later, by the same camera or by another, which links cameras that never look at one
-thing at once). The median ratio of a link leaves out what moves, shines or is matched wrongly. All links together give
-each picture three factors, one for each channel, by robust least squares with a gentle pull towards the picture before.
-Levels near black and white are not used, since they are cut off.
+Two images that show the same plain piece of a surface give it two colours; their ratio is that of the exposures,
+whatever the surface's own colour is. Images are linked in this way within a sweep (two cameras at once) and across
+sweeps (the same location some sweeps later, by the same camera or by another, which links cameras that never look at
+one thing at once). The median ratio of a link leaves out what moves, shines or is matched wrongly. All links together
+give each image three factors, one for each channel, by robust least squares with a gentle pull towards the image
+before. Levels near black and white are not used, since they are cut off.
 
 Only ratios can be seen. What stays free is settled for each group of linked cameras: the mean logarithm of its factors,
-weighted by the points that tell them, is 0, so that the brightness as a whole stays. A camera that nothing links to
+weighted by the points that report them, is 0, so that the brightness as a whole stays. A camera that nothing links to
 another keeps its mean brightness; it is named as alone.
 """
 
@@ -34,23 +34,23 @@ _MOST_PAIRS = 400
 _NOISE = 0.01
 """Of a link's median ratio, at least: light that depends on where it is seen from."""
 _DRIFT = 0.5
-"""How far exposures wander, as a factor's logarithm, in a second; the pull towards the picture before."""
+"""How far exposures wander, as a factor's logarithm, in a second; the pull towards the image before."""
 _UNCHANGED = 3.0
-"""The weak pull towards no change, as a factor's logarithm; it settles what no link tells."""
+"""The weak pull towards no change, as a factor's logarithm; it settles what no link reports."""
 _ROUNDS, _ROBUST = 6, 3.0
 _MOST_SEAM_PAIRS = 500
 """Of each pair of cameras in each sweep, so many pairs of colours are kept to judge the outcome by."""
 
 Node = tuple[int, int]
-"""A picture: index of the camera, and time [ns]."""
+"""An image: index of the camera, and time [ns]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExposureLink:
-    """What two pictures show both.
+    """What two images show both.
 
     Attributes:
-        nodes: the two pictures.
+        nodes: the two images.
         log_ratio: (3,) float64, median logarithm of the second one's colours over the first one's.
         spread: how far single ratios are from it, as a standard deviation.
         pairs: how many.
@@ -67,7 +67,7 @@ class ExposureGains:
     """What evens out the exposures.
 
     Attributes:
-        timestamps_ns: of each camera's pictures that tell something, by index: (K,) int64, ascending.
+        timestamps_ns: of each camera's images that report something, by index: (K,) int64, ascending.
         log_gains: by the camera's index: (K, 3) float64, logarithm of the factors.
         alone: cameras that nothing links to another, by index.
         seam_before, seam_after: median difference of the colours [levels] of points that two cameras show at once,
@@ -83,7 +83,7 @@ class ExposureGains:
     seam_pairs: int = 0
 
     def at(self, camera_index: int, timestamp_ns: int) -> Float64Array | None:
-        """The (3,) factors for a picture, between those of its neighbours; None for a camera without links."""
+        """The (3,) factors for an image, between those of its neighbours; None for a camera without links."""
         times = self.timestamps_ns.get(camera_index)
         if times is None or len(times) == 0:
             return None
@@ -94,7 +94,7 @@ class ExposureGains:
         return gains
 
     def for_views(self, views: Sequence[FusedView], camera_indices: Sequence[int]) -> dict[int, Float64Array]:
-        """The factors of the pictures of one sweep, by the camera's index."""
+        """The factors of the images of one sweep, by the camera's index."""
         found = {
             index: self.at(index, view.timestamp_ns)
             for view, index in zip(views, camera_indices, strict=True)
@@ -104,7 +104,7 @@ class ExposureGains:
 
 @dataclass(slots=True)
 class ExposureLinks:
-    """Gathers what pictures show both, sweep after sweep; memory depends on a few sweeps and the number of links."""
+    """Gathers what images show both, sweep after sweep; memory depends on a few sweeps and the number of links."""
 
     links: list[ExposureLink] = field(default_factory=list)
     _recent: deque[dict[Node, SurfaceSamples]] = field(default_factory=lambda: deque(maxlen=LAGS[-1]))
@@ -114,7 +114,7 @@ class ExposureLinks:
     def add(
         self, points_world: Float64Array, views: Sequence[FusedView], camera_indices: Sequence[int]
     ) -> None:
-        """Take a sweep: its (N, 3) float64 points [m], and the pictures that show it."""
+        """Take a sweep: its (N, 3) float64 points [m], and the images that show it."""
         now = {
             (index, view.timestamp_ns): take_samples(points_world, view)
             for view, index in zip(views, camera_indices, strict=True)
@@ -174,7 +174,7 @@ class ExposureLinks:
         return self._judged(gains, (*alone, *unlinked))
 
     def _judged(self, gains: ExposureGains, alone: Sequence[int]) -> ExposureGains:
-        """Say how much two cameras differ at the same points before and after."""
+        """Report how much two cameras differ at the same points before and after."""
         before, after = [np.zeros(0)], [np.zeros(0)]
         for first, second, a, b in self._seams:
             gain_a, gain_b = gains.at(*first), gains.at(*second)
@@ -225,7 +225,7 @@ def _solved(nodes: Sequence[Node], links: Sequence[ExposureLink]) -> Float64Arra
 
 
 def _pulls(nodes: Sequence[Node]) -> Float64Array:
-    """Normal equations of the pulls towards no change and towards the picture before."""
+    """Normal equations of the pulls towards no change and towards the image before."""
     normal: Float64Array = np.eye(len(nodes)) / _UNCHANGED**2
     for k, ((camera, time_ns), (following, later_ns)) in enumerate(itertools.pairwise(nodes)):
         if camera == following:

@@ -1,4 +1,4 @@
-"""Plain pieces of surfaces in pictures, by the place where they are, for comparing the exposures of pictures."""
+"""Plain chunks of surfaces in images, by the location where they are, for comparing the exposures of images."""
 
 from dataclasses import dataclass
 
@@ -7,13 +7,13 @@ import numpy as np
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array
 from sceneloom.colouring.results import FusedView
 from sceneloom.colouring.weights import near_outlines
-from sceneloom.kernels.picture_samples import measure_contrasts, sample_between_pixels
+from sceneloom.kernels.image_samples import measure_contrasts, sample_between_pixels
 
 CUBE = 0.15
-"""Side of the cubes by which places are found again in other sweeps [m]."""
+"""Side of the cubes by which locations are found again in other sweeps [m]."""
 
 _DARKEST, _LIGHTEST = 16.0, 240.0
-"""Levels beyond these are cut off, or nearly, in this picture or its neighbours."""
+"""Levels beyond these are cut off, or nearly, in this image or its neighbours."""
 _PLAIN = 14.0
 """Where a channel changes by more than so many levels around a point, which pixel is its own counts too much."""
 _MOST_SAMPLES = 8000
@@ -24,7 +24,7 @@ _HALF_KEY = 1 << 20
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceSamples:
-    """Pieces of surfaces in one picture.
+    """Chunks of surfaces in one image.
 
     Attributes:
         ids: (K,) int64, rows of the cloud, ascending.
@@ -38,11 +38,11 @@ class SurfaceSamples:
 
 
 def take_samples(points_world: Float64Array, view: FusedView) -> SurfaceSamples:
-    """Take the points of a picture that tell its exposure: visible, on plain ground, neither dark nor light, no edge.
+    """Take the points of an image that report its exposure: visible, on plain ground, neither dark nor light, no edge.
 
     Args:
         points_world: (N, 3) float64 [m].
-        view: the points in the picture.
+        view: the points in the image.
     """
     rows = np.flatnonzero(_usable(view))
     pixels = np.ascontiguousarray(view.pixels[rows])
@@ -56,7 +56,7 @@ def take_samples(points_world: Float64Array, view: FusedView) -> SurfaceSamples:
     rows, colors = rows[inside], colors[inside]
     every = -(-len(rows) // _MOST_SAMPLES) if len(rows) else 1
     ids = view.point_ids[rows]
-    # the same points are left out of every picture, so that pairs stay whole
+    # the same points are left out of every image, so that pairs stay whole
     kept = ids % every == 0
     ids = ids[kept]
     return SurfaceSamples(ids, cube_numbers(points_world[ids]), colors[kept])

@@ -1,7 +1,7 @@
-"""Labels of pictures onto the points that they show, and of points into pictures, with one and the same visibility.
+"""Labels of images onto the points that they show, and of points into images, with one and the same visibility.
 
-A label is never mixed: a point takes that of its nearest pixel, several pictures vote, and of equally many votes those
-count more whose pictures show the point better. In a picture, the nearest visible point of a pixel counts.
+A label is never mixed: a point takes that of its nearest pixel, several images vote, and of equally many votes those
+count more whose images show the point better. In an image, the nearest visible point of a pixel counts.
 """
 
 from collections.abc import Sequence
@@ -27,14 +27,14 @@ def paint_labels(
     settings: BlendSettings | None = None,
     timestamps_ns: Int64Array | None = None,
 ) -> UInt16Array:
-    """Give each point the label that most of the pictures which show it have at its nearest pixel.
+    """Give each point the label that most of the images which show it have at its nearest pixel.
 
     Args:
         points_world: (N, 3) float64 [m].
-        views: the cloud in each picture.
-        label_images: (H, W) uint16 for each view, of the size of its picture; None where there is none.
+        views: the cloud in each image.
+        label_images: (H, W) uint16 for each view, of the size of its image; None where there is none.
         settings: the weights that decide between equally many votes; None for the usual ones.
-        timestamps_ns: (N,) int64 [ns], when each point was measured; None: with the pictures.
+        timestamps_ns: (N,) int64 [ns], when each point was measured; None: with the images.
 
     Returns:
         (N,) uint16, `NO_LABEL` for points that no label image shows. A class of that number means the same.
@@ -48,10 +48,10 @@ def paint_labels(
             f"{len(label_images)} label images for {len(views)} views; expected one each, or None"
         )
     points, chosen = np.ascontiguousarray(points_world), settings or BlendSettings()
-    told = [pair for pair in zip(views, label_images, strict=True) if pair[1] is not None]
-    votes = np.full((len(told), count), NO_LABEL, np.uint16)
-    trust = np.zeros((len(told), count), np.float32)
-    for k, (view, image) in enumerate(told):
+    reported = [pair for pair in zip(views, label_images, strict=True) if pair[1] is not None]
+    votes = np.full((len(reported), count), NO_LABEL, np.uint16)
+    trust = np.zeros((len(reported), count), np.float32)
+    for k, (view, image) in enumerate(reported):
         check_array("label_image", image, (view.camera.height, view.camera.width), np.uint16)
         weights = view_weights(points, view, chosen, timestamps_ns=timestamps_ns)
         take_labels(view.point_ids, view.pixels, weights, np.ascontiguousarray(image), votes[k], trust[k])
@@ -62,7 +62,7 @@ def paint_labels(
 
 @dataclass(slots=True, eq=False)
 class LabelCanvas:
-    """A picture into which the labels of clouds are drawn, one cloud after another.
+    """An image into which the labels of clouds are drawn, one cloud after another.
 
     Attributes:
         labels: (H, W) uint16, 0 where no labelled point is.
@@ -80,7 +80,7 @@ class LabelCanvas:
 
     @classmethod
     def blank(cls, width: int, height: int, *, radius_px: int = 0) -> "LabelCanvas":
-        """A canvas for a picture of that size.
+        """A canvas for an image of that size.
 
         Raises:
             OptionError: the radius is out of bounds.

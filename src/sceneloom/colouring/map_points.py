@@ -15,13 +15,13 @@ POINT = np.dtype(
         ("intensity", "f4"),
         ("time_ns", "i8"),
         ("camera", "u1"),
-        ("picture", "i4"),
+        ("image", "i4"),
         ("pixel", "f4", 2),
         ("label", "u2"),
     ]
 )
 """One point: world position [m], colour (0 to 255), how far that is trusted (0 for none), brightness, time [ns], camera
-and number of the picture that counts most (255 and -1 for none), where it falls in it [px], label (65535 for none)."""
+and number of the image that counts most (255 and -1 for none), where it falls in it [px], label (65535 for none)."""
 
 CELL = np.dtype(
     [
@@ -93,9 +93,9 @@ def _agrees(cells: AnyArray, colors: AnyArray, agreement: float) -> BoolArray:
 
 def votes_of(points: AnyArray, cubes: Int64Array) -> AnyArray:
     """Count the labels of points (N,) in each cube, ascending by cube and label."""
-    said = points["label"] != NO_LABEL
-    votes = np.zeros(int(said.sum()), VOTE)
-    votes["cube"], votes["label"], votes["count"] = cubes[said], points["label"][said], 1
+    stated = points["label"] != NO_LABEL
+    votes = np.zeros(int(stated.sum()), VOTE)
+    votes["cube"], votes["label"], votes["count"] = cubes[stated], points["label"][stated], 1
     return added_votes([votes])
 
 
@@ -113,7 +113,7 @@ def added_votes(parts: Iterable[AnyArray]) -> AnyArray:
 
 
 def points_of_cells(cells: AnyArray, votes: AnyArray, *, mean: bool) -> AnyArray:
-    """One point for each cell: at the mean place, with the mean or the best colour and the label with most votes."""
+    """One point for each cell: at the mean location, with the mean or the best colour and the label with most votes."""
     points: Any = cells["best"].copy()
     points["position"] = cells["position"] / cells["count"][:, None]
     points["intensity"] = cells["intensity"] / cells["count"]

@@ -1,9 +1,10 @@
-"""Which points lie on what moved: rays of other sweeps pass through their places.
+"""Which points lie on what moved: rays of other sweeps pass through their locations.
 
 A point is voted free by another sweep whose rays pass it closely, all of them on to something clearly farther, and met
-by one that measures something at its place. What stood still is met again and again; what moved has left its place, or
-had not come there yet, when the others looked. A sweep is held against some before and some after it, so that little
-has to be kept. What moves later than the last of these stays: a parked car that leaves a minute after is not found.
+by one that measures something at its location. What was stationary is met again and again; what moved has left its
+location, or had not come there yet, when the others looked. A sweep is held against some before and some after it, so
+that little has to be kept. What moves later than the last of these stays: a parked car that leaves a minute after is
+not found.
 
 Votes of single points are noisy at outlines and where scan lines are far apart; neighbours decide with them.
 """
@@ -16,7 +17,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, UInt8Array, check_array
-from sceneloom.colouring.lidar_way import LidarWay
+from sceneloom.colouring.lidar_trajectory import LidarTrajectory
 from sceneloom.kernels.free_space import fill_directions, vote_free_space
 from sceneloom.kernels.voxels import number_cubes
 
@@ -56,23 +57,23 @@ class SeenSweep:
 
     Attributes:
         points_world: (N, 3) float32 [m].
-        way: of the lidar during it.
+        trajectory: of the lidar during it.
         nearest: (rows, columns) int32, the nearest point in each cell of directions.
     """
 
     points_world: Float32Array
-    way: LidarWay
+    trajectory: LidarTrajectory
     nearest: AnyArray
 
     @classmethod
-    def of(cls, points_world: Float32Array, way: LidarWay) -> "SeenSweep":
+    def of(cls, points_world: Float32Array, trajectory: LidarTrajectory) -> "SeenSweep":
         """Sort a sweep (N, 3) float32 [m] by directions."""
-        check_array("points_world", points_world, (len(way.fractions), 3), np.float32)
+        check_array("points_world", points_world, (len(trajectory.fractions), 3), np.float32)
         columns = round(360 / _CELL_DEG)
         nearest = np.empty((columns // 2, columns), np.int32)
         points = np.ascontiguousarray(points_world)
-        fill_directions(points, way.fractions, np.ascontiguousarray(way.ends_world), nearest)
-        return cls(points, way, nearest)
+        fill_directions(points, trajectory.fractions, np.ascontiguousarray(trajectory.ends_world), nearest)
+        return cls(points, trajectory, nearest)
 
 
 @dataclass(slots=True, eq=False)
@@ -100,20 +101,20 @@ class MovingPoints(Generic[Load]):
     _due: int = 0
 
     def add(
-        self, load: Load, points_world: Float32Array, way: LidarWay | None
+        self, load: Load, points_world: Float32Array, trajectory: LidarTrajectory | None
     ) -> Iterator[tuple[Load, BoolArray]]:
         """Take a sweep of one lidar; give on those that are judged now.
 
         Args:
             load: what belongs to the sweep and is given on with it.
             points_world: (N, 3) float32 [m].
-            way: from where it was measured; None where that is not known: then nothing of it is taken as moving.
+            trajectory: from where it was measured; None where that is not known: then nothing of it is taken as moving.
 
         Yields:
             What was given with a sweep, and which of its points move, (N,) bool.
         """
         count = check_array("points_world", points_world, (None, 3), np.float32)
-        sweep = None if way is None else SeenSweep.of(points_world, way)
+        sweep = None if trajectory is None else SeenSweep.of(points_world, trajectory)
         now = _Waiting(load, sweep, np.zeros(count, np.uint8), np.zeros(count, np.uint8))
         self._window.append(now)
         for lag in self.lags:
@@ -151,8 +152,8 @@ def _vote(points: _Waiting[Load], others: _Waiting[Load]) -> None:
     vote_free_space(
         points.sweep.points_world,
         other.points_world,
-        other.way.fractions,
-        np.ascontiguousarray(other.way.ends_world),
+        other.trajectory.fractions,
+        np.ascontiguousarray(other.trajectory.ends_world),
         other.nearest,
         _NUMBERS,
         points.free,
@@ -161,7 +162,7 @@ def _vote(points: _Waiting[Load], others: _Waiting[Load]) -> None:
 
 
 def judge_votes(points_world: Float32Array, free: UInt8Array, met: UInt8Array) -> BoolArray:
-    """Say which points move, by their own votes and those of their neighbours.
+    """Report which points move, by their own votes and those of their neighbours.
 
     Args:
         points_world: (N, 3) float32 [m].

@@ -13,7 +13,7 @@ from sceneloom.scene.at import CuboidPoses, cuboid_poses
 from sceneloom.scene.scene import Scene
 
 MOVES = 1.0
-"""A box moves if its centre comes so far from its first place [m]; annotators' hands are steadier than that."""
+"""A box moves if its centre comes so far from its first location [m]; annotators' hands are steadier than that."""
 _ROOM = 0.15
 """Boxes are taken larger by this on all sides but below [m]: they are drawn around most points, not around all."""
 _GROUND = 0.08
@@ -34,7 +34,7 @@ class MovingBoxes:
 
     @classmethod
     def of(cls, scene: Scene) -> "MovingBoxes":
-        """Choose the cuboids that leave their first place."""
+        """Choose the cuboids that leave their first location."""
         cuboids = (each for each in scene.annotations if isinstance(each, CuboidAnnotation))
         return cls(tuple(each for each in cuboids if _moves(each)), CuboidAngles.of(scene))
 

@@ -1,4 +1,4 @@
-"""Which way surfaces face, as far as the points of one sweep tell cheaply: one plane for each cube of space."""
+"""Which way surfaces face, as far as the points of one sweep report cheaply: one plane for each cube of space."""
 
 import numpy as np
 

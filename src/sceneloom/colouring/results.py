@@ -1,4 +1,4 @@
-"""What sensor-data fusion gives: for each lidar frame its coloured world points, for each picture its depths."""
+"""What sensor-data fusion gives: for each lidar frame its coloured world points, for each image its depths."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -24,30 +24,30 @@ from sceneloom.scene.point_times import SOUND, TimesFound
 from sceneloom.scene.types import NO_FIELDS, Identifier
 
 
-class PointSight(IntEnum):
-    """How a picture stands to a point."""
+class PointVisibility(IntEnum):
+    """How an image stands to a point."""
 
     VISIBLE = 0
     """It shows the point."""
     HIDDEN = 1
     """The point would fall into it, but something nearer is in the way."""
     OUTSIDE = 2
-    """The point lies in front of the lens, beyond the edges of the picture."""
+    """The point lies in front of the camera model, beyond the edges of the image."""
     BEHIND = 3
-    """The lens has no pixel for the point: behind the camera, beyond the model's domain, or not finite."""
+    """The camera model has no pixel for the point: behind the camera, beyond the model's domain, or not finite."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FusedView:
-    """The points of one lidar frame in one picture.
+    """The points of one lidar frame in one image.
 
     Attributes:
         camera_id: the camera.
-        camera: its lens.
-        timestamp_ns: the picture's time [ns].
+        camera: its camera model.
+        timestamp_ns: the image's time [ns].
         world_from_camera: where the camera was at that time.
-        rgb: (H, W, 3) uint8, the picture.
-        point_ids: (M,) int64, which points of the frame fall into the picture, ascending.
+        rgb: (H, W, 3) uint8, the image.
+        point_ids: (M,) int64, which points of the frame fall into the image, ascending.
         pixels: (M, 2) float32 [px], where (u, v), (0, 0) is the centre of the top-left pixel.
         pixel_numbers: (M,) int32, the nearest pixel, counted row by row: `row * W + column`.
         depths: (M,) float32 [m], z in the camera frame.
@@ -56,7 +56,7 @@ class FusedView:
         points_world: (N, 3) float64 [m], the whole cloud, as the algorithm got it.
         rolled: whether each point was projected from where the camera was when its own line was taken, and `depths`
             are from there.
-        unsettled: points of which no line was found that sees them, though they may be in the picture.
+        unsettled: points of which no line was found that sees them, though they may be in the image.
     """
 
     camera_id: Identifier
@@ -85,15 +85,18 @@ class FusedView:
         check_array("view.points_world", self.points_world, (None, 3), np.float64)
 
     @property
-    def sights(self) -> UInt8Array:
-        """How the picture stands to each point of the cloud, (N,) uint8 of `PointSight`; worked out when asked for."""
-        sights = np.full(len(self.points_world), PointSight.BEHIND, np.uint8)
+    def observations(self) -> UInt8Array:
+        """How the image stands to each point of the cloud, (N,) uint8 of `PointVisibility`.
+
+        Worked out when asked for.
+        """
+        observations = np.full(len(self.points_world), PointVisibility.BEHIND, np.uint8)
         finite = np.flatnonzero(np.isfinite(self.points_world).all(axis=1))
         in_camera = self.world_from_camera.inverse().apply(self.points_world[finite])
         somewhere = np.isfinite(project_unbounded(self.camera, in_camera)).all(axis=1)
-        sights[finite[somewhere]] = PointSight.OUTSIDE
-        sights[self.point_ids] = np.where(self.visible, PointSight.VISIBLE, PointSight.HIDDEN)
-        return sights
+        observations[finite[somewhere]] = PointVisibility.OUTSIDE
+        observations[self.point_ids] = np.where(self.visible, PointVisibility.VISIBLE, PointVisibility.HIDDEN)
+        return observations
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,16 +110,17 @@ class FusedFrame:
         reference_ns: the time by which it was paired [ns].
         points: world frame (float32, relative to the scene's origin), deskewed, with colours and camera_index;
             in the frame of the source where `unfused` says why.
-        views: one per picture that it was paired with.
-        unpaired: cameras without a picture near enough in time.
-        unposed: cameras whose picture lies beyond the reach of the trajectory.
+        views: one per image that it was paired with.
+        unpaired: cameras without an image near enough in time.
+        unposed: cameras whose image lies beyond the reach of the trajectory.
         extrapolated: whether poses beyond the trajectory's ends were used.
         unfused: why the frame could not be fused, or None.
         times: what the times of its points were; where they could not be taken as they are, `points` has them as they
             were read, or none.
         extras: further fields of the frame, by name.
-        standing: whether it was fused as if the ego had not moved, because its way did not reach or was not to count.
-        picture_extras: further fields of the pictures that it was paired with, by camera.
+        stationary: whether it was fused as if the ego had not moved, because its trajectory did not reach or was not to
+            count.
+        image_extras: further fields of the images that it was paired with, by camera.
     """
 
     lidar_id: Identifier
@@ -131,5 +135,5 @@ class FusedFrame:
     unfused: str | None = None
     times: TimesFound = SOUND
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
-    standing: bool = False
-    picture_extras: Mapping[Identifier, Mapping[str, Any]] = field(default_factory=dict)
+    stationary: bool = False
+    image_extras: Mapping[Identifier, Mapping[str, Any]] = field(default_factory=dict)

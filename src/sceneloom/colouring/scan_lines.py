@@ -7,9 +7,9 @@ from math import cos, degrees, isnan, log, pi, radians, sin
 import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array
-from sceneloom.kernels.crew import ALONE, Crew
 from sceneloom.kernels.direction_grid import measure_extent
 from sceneloom.kernels.spacing import find_neighbours, find_slopes, measure_along_axes
+from sceneloom.kernels.thread_pool import ALONE, ThreadPool
 
 _CELL = radians(0.1)
 _REACH_CELLS = 25
@@ -104,7 +104,7 @@ def look_around(
     *,
     extent: Float32Array | None = None,
     samples: int = _SAMPLES,
-    crew: Crew = ALONE,
+    thread_pool: ThreadPool = ALONE,
 ) -> Neighbours:
     """Find the neighbours of some points, evenly drawn from a cloud.
 
@@ -113,12 +113,14 @@ def look_around(
         inverse_ranges: (M,) float32 [1/m]; 0 for a point that takes no part.
         extent: (4,) of the cloud, where it is known what `measure_extent` gives.
         samples: how many points; of fewer each one.
-        crew: the threads that share the cloud.
+        thread_pool: the threads that share the cloud.
     """
     if extent is None:
-        extent = measure_extent(directions, inverse_ranges, crew=crew)
+        extent = measure_extent(directions, inverse_ranges, thread_pool=thread_pool)
     distances, ids = np.empty((samples, _SECTORS)), np.empty((samples, _SECTORS), np.int64)
-    find_neighbours(directions, inverse_ranges, extent, _CELL, *_disc(), distances, ids, crew=crew)
+    find_neighbours(
+        directions, inverse_ranges, extent, _CELL, *_disc(), distances, ids, thread_pool=thread_pool
+    )
     drawn = min(samples, len(inverse_ranges))
     points = np.arange(drawn) * len(inverse_ranges) // max(drawn, 1)
     return Neighbours(points, ids[:drawn], distances[:drawn])
@@ -178,13 +180,16 @@ def measure_surface_distance(
 
 
 def find_lines(spacings: Float64Array) -> ScanLines | None:
-    """Tell the lines from spacings along the four axes: of the two upright pairs of axes, the one that differs more."""
+    """Report the lines from spacings along the four axes: of the two upright pairs of axes.
+
+    The one that differs more.
+    """
     along_axes = spacings.tolist()
     ratios = {pair: abs(log(along_axes[pair] / along_axes[pair + 2])) for pair in range(2)}
-    told = [pair for pair, ratio in ratios.items() if not isnan(ratio)]
-    if not told:
+    reported = [pair for pair, ratio in ratios.items() if not isnan(ratio)]
+    if not reported:
         return None
-    pair = max(told, key=ratios.__getitem__)
+    pair = max(reported, key=ratios.__getitem__)
     axis = pair if along_axes[pair] > along_axes[pair + 2] else pair + 2
     return ScanLines(along_axes[axis], along_axes[(axis + 2) % 4], axis * pi / 4)
 

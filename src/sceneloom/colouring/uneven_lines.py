@@ -45,7 +45,7 @@ class Part:
 
 
 def are_uneven(neighbours: Neighbours) -> bool:
-    """Say whether the lines around some points lie so differently that one reach does not fit all."""
+    """Report whether the lines around some points lie so differently that one reach does not fit all."""
     spacings = _around(neighbours)
     spacings.sort()
     known = spacings[: int(spacings.searchsorted(np.inf))]
@@ -60,7 +60,7 @@ def split_by_spacing(directions: Float32Array, inverse_ranges: Float32Array, lin
     Args:
         directions: (2, M) float32 [rad], where the lidar saw the points, in the equal-area map.
         inverse_ranges: (M,) float32 [1/m]; 0 for a point that takes no part.
-        lines: of the cloud as a whole, in case that too few points tell how its sparse lines lie.
+        lines: of the cloud as a whole, in case that too few points report how its sparse lines lie.
 
     Returns:
         Parts in which spacings are alike within a factor of two; less than a hundredth of the points makes no part.
@@ -83,11 +83,11 @@ def split_by_spacing(directions: Float32Array, inverse_ranges: Float32Array, lin
 
 def _percentile(ordered: Float64Array, share: float) -> float:
     """Give the value below which so many per cent lie, linearly between two."""
-    place = share / 100 * (len(ordered) - 1)
-    below = int(place)
+    location = share / 100 * (len(ordered) - 1)
+    below = int(location)
     above = min(below + 1, len(ordered) - 1)
     least, most = float(ordered[below]), float(ordered[above])
-    return least + (place - below) * (most - least)
+    return least + (location - below) * (most - least)
 
 
 def _median(values: Float64Array, counts: Int64Array) -> float:
@@ -99,7 +99,7 @@ def _median(values: Float64Array, counts: Int64Array) -> float:
 
 
 def _sparse_lines(neighbours: Neighbours, spacings: Float64Array, lines: ScanLines) -> ScanLines:
-    """Tell how lines lie from where they are far apart: dense ones look much the same across and along."""
+    """Report how lines lie from where they are far apart: dense ones look much the same across and along."""
     known = spacings[np.isfinite(spacings)]
     sparse = spacings > _SPARSER_THAN * (np.median(known) if len(known) else np.inf)
     if np.count_nonzero(sparse) < _FEWEST:
@@ -125,7 +125,7 @@ def _filled(steps: Int64Array, counts: Int64Array) -> list[int]:
 
 
 def _around(neighbours: Neighbours) -> Float64Array:
-    """Give the spacing of the lines around each point [rad], whichever way they lie; NaN where few are in reach.
+    """Give the spacing of the lines around each point [rad], whichever trajectory they lie; NaN where few are in reach.
 
     Of eight sectors two look along the line, the others to the next lines: the upper quartile is across.
     """
@@ -135,7 +135,7 @@ def _around(neighbours: Neighbours) -> Float64Array:
 
 
 def _tiles(directions: Float32Array, angle: float) -> tuple[Int64Array, int]:
-    """Number the tiles, long along the lines, that points lie in, (M,), and say how many lie side by side."""
+    """Number the tiles, long along the lines, that points lie in, (M,), and state how many lie side by side."""
     c, s = cos(angle), sin(angle)
     across = np.floor((c * directions[0] + s * directions[1]) / _TILE_ACROSS).astype(np.int64)
     along = np.floor((c * directions[1] - s * directions[0]) / _TILE_ALONG).astype(np.int64)
@@ -146,8 +146,8 @@ def _tiles(directions: Float32Array, angle: float) -> tuple[Int64Array, int]:
 def _spread(spacings: Float64Array, tiles: Int64Array, rows: int, columns: int) -> Float64Array:
     """Give each tile the median spacing of the samples in it; without, that of the nearest row of tiles."""
     field = np.full((rows, columns), np.nan)
-    told, medians = _medians(tiles, np.where(np.isnan(spacings), SPARSEST, spacings))
-    field.ravel()[told] = medians
+    reported, medians = _medians(tiles, np.where(np.isnan(spacings), SPARSEST, spacings))
+    field.ravel()[reported] = medians
     known = np.flatnonzero(np.isfinite(field).any(axis=1))
     if len(known) == 0:
         return np.full(field.size, SPARSEST)

@@ -1,4 +1,4 @@
-"""The points of one cloud in one picture: where they fall, which of them are seen, and the depth image they make."""
+"""The points of one cloud in one image: where they fall, which of them are seen, and the depth image they make."""
 
 from dataclasses import dataclass
 
@@ -13,17 +13,17 @@ from sceneloom.arrays import (
     check_array,
 )
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import lens_vector, projection_kernel
-from sceneloom.cameras.points_in_picture import PointsInPicture
-from sceneloom.colouring.lidar_way import LidarWay
+from sceneloom.cameras.models import intrinsics_vector, projection_kernel
+from sceneloom.cameras.points_in_image import PointsInImage
+from sceneloom.colouring.lidar_trajectory import LidarTrajectory
 from sceneloom.colouring.results import FusedView
 from sceneloom.colouring.visibility import Looks, VisibilitySettings, find_visible
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.kernels.crew import Crew
 from sceneloom.kernels.depth_images import draw_depths, mark_nearest
 from sceneloom.kernels.pixel_numbers import pixel_numbers
+from sceneloom.kernels.thread_pool import ThreadPool
 from sceneloom.scene.types import Identifier
-from sceneloom.visibility.rolling_shutter import ShutterWay, project_by_lines
+from sceneloom.visibility.rolling_shutter import ShutterDirection, project_by_lines
 
 
 def view_points(
@@ -35,20 +35,20 @@ def view_points(
     camera_id: Identifier,
     timestamp_ns: int,
     visibility: VisibilitySettings | None = None,
-    way: LidarWay | None = None,
-    shutter: ShutterWay | None = None,
+    trajectory: LidarTrajectory | None = None,
+    shutter: ShutterDirection | None = None,
 ) -> FusedView:
-    """Project a cloud into a picture, tell what is hidden, and draw the depth image of what is seen.
+    """Project a cloud into an image, report what is hidden, and draw the depth image of what is seen.
 
     Args:
-        points_world: (N, 3) float64 [m]; points that are not finite are in no picture.
-        camera: the lens of the picture.
+        points_world: (N, 3) float64 [m]; points that are not finite are in no image.
+        camera: the camera model of the image.
         world_from_camera: where the camera was.
-        rgb: (H, W, 3) uint8, of the lens's size.
+        rgb: (H, W, 3) uint8, of the camera model's size.
         camera_id: the camera.
-        timestamp_ns: the picture's time [ns].
+        timestamp_ns: the image's time [ns].
         visibility: what counts as hidden; None for the usual settings.
-        way: from where the lidar measured the points; None where that is not known.
+        trajectory: from where the lidar measured the points; None where that is not known.
         shutter: where the camera was while the lines were taken; None where they were taken at once.
 
     Raises:
@@ -58,18 +58,23 @@ def view_points(
     check_array("points_world", points_world, (None, 3), np.float64)
     settings = VisibilitySettings() if visibility is None else visibility
     points = np.ascontiguousarray(points_world)
-    crew = Crew.of(settings.threads, len(points))
-    seen = _see(points, camera, world_from_camera, shutter, crew)
+    thread_pool = ThreadPool.of(settings.threads, len(points))
+    seen = _see(points, camera, world_from_camera, shutter, thread_pool)
     point_ids, depths = seen.point_ids, seen.depths
     visible = (
         find_visible(
-            seen.cloud, seen.rows, seen.camera_from_cloud, settings, way=seen.known(way), looks=seen.looks
+            seen.cloud,
+            seen.rows,
+            seen.camera_from_cloud,
+            settings,
+            trajectory=seen.known(trajectory),
+            looks=seen.looks,
         )
         if settings.enabled
         else np.ones(len(point_ids), np.bool_)
     )
-    depth_image = _empty_image(camera, crew)
-    draw_depths(seen.pixel_numbers, depths, visible, depth_image, crew=crew)
+    depth_image = _empty_image(camera, thread_pool)
+    draw_depths(seen.pixel_numbers, depths, visible, depth_image, thread_pool=thread_pool)
     if not settings.enabled:
         mark_nearest(seen.pixel_numbers, depths, depth_image, visible)
     return FusedView(
@@ -90,23 +95,23 @@ def view_points(
     )
 
 
-def _empty_image(camera: Camera, crew: Crew) -> Float32Array:
-    """Give an image of zeros, to which all threads of a crew put a hand."""
-    if crew.size == 1:
+def _empty_image(camera: Camera, thread_pool: ThreadPool) -> Float32Array:
+    """Give an image of zeros, to which all threads of a thread pool put a hand."""
+    if thread_pool.size == 1:
         return np.zeros((camera.height, camera.width), np.float32)
     image = np.empty((camera.height, camera.width), np.float32)
-    crew.share(camera.height, lambda _, top, bottom: image[top:bottom].fill(0.0))
+    thread_pool.share(camera.height, lambda _, top, bottom: image[top:bottom].fill(0.0))
     return image
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """The points in a picture, and how the camera saw them.
+    """The points in an image, and how the camera saw them.
 
     Attributes:
         point_ids, pixels, pixel_numbers, depths: as in `FusedView`.
         cloud: (C, 3) float64 [m], a frame in which the camera has one pose.
-        rows: (M,) int64, the points of the picture in `cloud`.
+        rows: (M,) int64, the points of the image in `cloud`.
         camera_from_cloud: (4, 4) float64.
         looks: as of `find_visible`.
         world_from_cloud: None where `cloud` is the whole cloud in the world.
@@ -124,24 +129,24 @@ class _Seen:
     world_from_cloud: RigidTransform | None = None
     unsettled: int = 0
 
-    def known(self, way: LidarWay | None) -> LidarWay | None:
-        """The way of the lidar as `cloud` needs it."""
-        if way is None or self.world_from_cloud is None:
-            return way
-        ends = self.world_from_cloud.inverse().apply(way.ends_world)
-        return LidarWay(ends, way.fractions[self.point_ids])
+    def known(self, trajectory: LidarTrajectory | None) -> LidarTrajectory | None:
+        """The trajectory of the lidar as `cloud` needs it."""
+        if trajectory is None or self.world_from_cloud is None:
+            return trajectory
+        ends = self.world_from_cloud.inverse().apply(trajectory.ends_world)
+        return LidarTrajectory(ends, trajectory.fractions[self.point_ids])
 
 
 def _see(
     points_world: Float64Array,
     camera: Camera,
     world_from_camera: RigidTransform,
-    shutter: ShutterWay | None,
-    crew: Crew,
+    shutter: ShutterDirection | None,
+    thread_pool: ThreadPool,
 ) -> _Seen:
     if shutter is None:
         camera_from_world = world_from_camera.inverse_matrix
-        own, looks = _project(points_world, camera, camera_from_world, crew)
+        own, looks = _project(points_world, camera, camera_from_world, thread_pool)
         return _Seen(*own, points_world, own[0], camera_from_world, looks)
     rolled = project_by_lines(points_world, camera, world_from_camera, shutter)
     return _Seen(
@@ -162,21 +167,21 @@ _Own = tuple[Int64Array, Float32Array, Int32Array, Float32Array]
 
 
 def _project(
-    points_world: Float64Array, camera: Camera, camera_from_world: Float64Array, crew: Crew
+    points_world: Float64Array, camera: Camera, camera_from_world: Float64Array, thread_pool: ThreadPool
 ) -> tuple[_Own, Looks]:
-    """Give ids, pixels, their numbers and depths of the points in the picture, and where the camera sees them."""
+    """Give ids, pixels, their numbers and depths of the points in the image, and where the camera sees them."""
     count, directions = len(points_world), np.empty((2, len(points_world)), np.float32)
-    room = PointsInPicture.room(count)._replace(rightward=directions[0], downward=directions[1])
-    kernel, lens = projection_kernel(camera.model), lens_vector(camera)
+    room = PointsInImage.room(count)._replace(rightward=directions[0], downward=directions[1])
+    kernel, camera_model = projection_kernel(camera.model), intrinsics_vector(camera)
     found: list[tuple[int, int]] = []
 
     def project(_: int, a: int, b: int) -> None:
         part = room.part(a, b)
         found.append(
-            (a, kernel(points_world[a:b], camera_from_world, lens, camera.width, camera.height, part))
+            (a, kernel(points_world[a:b], camera_from_world, camera_model, camera.width, camera.height, part))
         )
 
-    crew.share(count, project)
+    thread_pool.share(count, project)
     kept = 0
     for start, size in sorted(found):
         if start > 0:

@@ -1,7 +1,7 @@
 """Which points of a sparse cloud a camera can see.
 
 A z-buffer over the pixels removes almost nothing: points lie several pixels apart, so between two scan lines on a car
-the street behind it shows through. What must be told is a gap between the samples of one surface from a gap between
+the street behind it shows through. What must be reported is a gap between the samples of one surface from a gap between
 two surfaces. The rule here rests on two facts.
 
 **Inverse range is tame on a surface.** A plane at distance d from the camera, seen in the unit direction u, lies at
@@ -13,28 +13,28 @@ grazing the view. So a point Q can only hide a point P, α away, if
 where m is what Q must be nearer (in metres and as a share of the range, for noise and calibration). No surface whose
 plane is at least `surface_distance` away from the camera hides itself: not the road seen at grazing angle, not the wall
 along it. The larger this distance may be, the more is found between scan lines that are far apart; the steepest changes
-from point to point in the cloud itself tell how near its surfaces pass the camera, which mostly is its height.
+from point to point in the cloud itself report how near its surfaces pass the camera, which mostly is its height.
 
 **Hidden points lie within silhouettes.** P is hidden if one such Q is so near in direction that no other sample of
 Q's surface can be expected between them, or if two of them lie in opposite quadrants around P within a window. Q on
 one side only, and farther away, is a neighbour beyond a silhouette: P is the background beside it and stays. How near
 is near depends on the lidar: an ellipse of 0.95 spacings across the scan lines and 1.3 along them (between the last
-line on a roof and the next, which misses it, nothing tells where the roof ends; the point that is coloured wrongly is
+line on a roof and the next, which misses it, nothing reports where the roof ends; the point that is coloured wrongly is
 the worse loss), less 0.08 degrees, within which no calibration says on which side of an outline a point lies. The
-window reaches a little over one spacing of the scan lines. Since lidars differ, and mountings turn and tilt them, the
+window reaches a little over one spacing of the scan lines. Since lidars differ, and mountings rotate and tilt them, the
 spacings and their axes are measured in the cloud, as the camera sees it. Where lines lie close together in one part of
 a lidar's view and far apart in another, each point hides with the reach of its own part (`uneven_lines`).
 
 **The lidar saw P.** So no edge of Q's surface reached P as the lidar saw the two: between them the edge may be
-anywhere. From the lidar to the camera Q shifts against P by the difference of their inverse ranges times the eye's way
-across the line of sight. Only if P has come as near to Q as 0.85 of what they were apart, or gone behind it, can the
-edge cover it now; where lidar and camera look at a kerb or a ditch from nearly the same place, the road behind it
-stays. This is asked of one Q alone, where it is known from where the lidar measured; without that, surfaces must be
-taken to pass the camera at half a metre, since uneven ground would hide itself otherwise.
+anywhere. From the lidar to the camera Q shifts against P by the difference of their inverse ranges times the eye's
+trajectory across the line of sight. Only if P has come as near to Q as 0.85 of what they were apart, or gone behind it,
+can the edge cover it now; where lidar and camera look at a kerb or a ditch from nearly the same location, the road
+behind it stays. This is asked of one Q alone, where it is known from where the lidar measured; without that, surfaces
+must be taken to pass the camera at half a metre, since uneven ground would hide itself otherwise.
 
 Directions are compared in Lambert's equal-area map around the optical axis, in which distances are nearly angles. The
-rule therefore holds for every lens and resolution alike. To be fast, only the nearest point in each cell of a grid over
-that map can hide others; cells are 0.16 degrees wide, or a sixth of the reach.
+rule therefore holds for every camera model and resolution alike. To be fast, only the nearest point in each cell of a
+grid over that map can hide others; cells are 0.16 degrees wide, or a sixth of the reach.
 
 On simulated streets, 2 px from outlines and more, where it is known from where the lidar measured: of the hidden points
 whose concealing surface the lidar could see, lidars of 64 lines let at most 0.5 % pass, of 128 lines 1.2 %, of uneven
@@ -49,7 +49,7 @@ from math import isfinite, radians
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, check_array
-from sceneloom.colouring.lidar_way import LidarWay
+from sceneloom.colouring.lidar_trajectory import LidarTrajectory
 from sceneloom.colouring.scan_lines import (
     CELLS_PER_REACH,
     USUAL_SURFACE_DISTANCE,
@@ -62,10 +62,10 @@ from sceneloom.colouring.scan_lines import (
 )
 from sceneloom.colouring.uneven_lines import Part, are_uneven, split_by_spacing
 from sceneloom.errors import OptionError
-from sceneloom.kernels.crew import ALONE, Crew
 from sceneloom.kernels.direction_grid import measure_extent
 from sceneloom.kernels.directions import map_directions
 from sceneloom.kernels.occlusion import mark_unhidden
+from sceneloom.kernels.thread_pool import ALONE, ThreadPool
 
 Looks = tuple[Float32Array, Float32Array]
 """Where a camera sees M points: directions (2, M) in the equal-area map [rad], inverse ranges (M,) [1/m]."""
@@ -74,7 +74,7 @@ _CELL_DEG = 0.16
 _NEARING = 0.85
 _STRAIGHTNESS = 0.5
 _MOST_THREADS = 256
-_NO_WAY = (np.zeros((0, 3)), np.zeros(0, np.float32))
+_NO_TRAJECTORY = (np.zeros((0, 3)), np.zeros(0, np.float32))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,38 +129,40 @@ def find_visible(
     camera_from_world: Float64Array,
     settings: VisibilitySettings,
     *,
-    way: LidarWay | None = None,
+    trajectory: LidarTrajectory | None = None,
     looks: Looks | None = None,
 ) -> BoolArray:
-    """Tell which of some points the camera sees, as far as these points themselves can say.
+    """Report which of some points the camera sees, as far as these points themselves can state.
 
     Args:
         points_world: (N, 3) float64 [m], contiguous.
-        point_ids: (M,) int64, those that fall into the picture; only they hide one another.
+        point_ids: (M,) int64, those that fall into the image; only they hide one another.
         camera_from_world: (3, 4) or (4, 4) float64, contiguous.
         settings: the rule's numbers; `enabled` is not looked at.
-        way: from where the lidar measured the N points; None where that is not known.
+        trajectory: from where the lidar measured the N points; None where that is not known.
         looks: what `map_directions` gives for the M points, where it is known already.
 
     Returns:
         (M,) bool.
 
     Raises:
-        ArrayError: `way` is that of another number of points.
+        ArrayError: `trajectory` is that of another number of points.
     """
-    if way is not None:
-        check_array("way.fractions", way.fractions, (len(points_world),), np.float32)
-    crew = Crew.of(settings.threads, len(point_ids))
+    if trajectory is not None:
+        check_array("trajectory.fractions", trajectory.fractions, (len(points_world),), np.float32)
+    thread_pool = ThreadPool.of(settings.threads, len(point_ids))
     directions, inverse_ranges = (
-        _look(points_world, point_ids, camera_from_world, crew) if looks is None else looks
+        _look(points_world, point_ids, camera_from_world, thread_pool) if looks is None else looks
     )
     visible = np.zeros(len(point_ids), np.bool_)
     eyes, fractions = (
-        _NO_WAY if way is None else (_in_camera(way.ends_world, camera_from_world), way.fractions)
+        _NO_TRAJECTORY
+        if trajectory is None
+        else (_in_camera(trajectory.ends_world, camera_from_world), trajectory.fractions)
     )
     from_lidar = _FromLidar(points_world, point_ids, camera_from_world, eyes, fractions)
-    extent = measure_extent(directions, inverse_ranges, crew=crew)
-    passes, surface_distance = _measure(directions, inverse_ranges, extent, settings, from_lidar, crew)
+    extent = measure_extent(directions, inverse_ranges, thread_pool=thread_pool)
+    passes, surface_distance = _measure(directions, inverse_ranges, extent, settings, from_lidar, thread_pool)
     for number, (reach, hiding) in enumerate(passes):
         seen = np.empty(len(point_ids), np.bool_)
         mark_unhidden(
@@ -179,20 +181,25 @@ def find_visible(
             fractions,
             _NEARING,
             seen,
-            crew=crew,
+            thread_pool=thread_pool,
         )
         visible = seen if number == 0 else visible & seen
     return visible
 
 
 def _look(
-    points_world: Float64Array, point_ids: Int64Array, camera_from_world: Float64Array, crew: Crew
+    points_world: Float64Array,
+    point_ids: Int64Array,
+    camera_from_world: Float64Array,
+    thread_pool: ThreadPool,
 ) -> Looks:
     directions, inverse_ranges = (
         np.empty((2, len(point_ids)), np.float32),
         np.empty(len(point_ids), np.float32),
     )
-    map_directions(points_world, point_ids, camera_from_world, directions, inverse_ranges, crew=crew)
+    map_directions(
+        points_world, point_ids, camera_from_world, directions, inverse_ranges, thread_pool=thread_pool
+    )
     return directions, inverse_ranges
 
 
@@ -230,7 +237,7 @@ def _measure(
     extent: Float32Array,
     settings: VisibilitySettings,
     from_lidar: _FromLidar,
-    crew: Crew,
+    thread_pool: ThreadPool,
 ) -> tuple[list[tuple[Reach, Float32Array]], float]:
     """Take the settings' reach and surface distance, or measure in the cloud what they leave open.
 
@@ -243,7 +250,7 @@ def _measure(
         distance = USUAL_SURFACE_DISTANCE
     if window is not None and near is not None and distance is not None:
         return [(Reach(radians(window), radians(near), radians(near)), inverse_ranges)], distance
-    neighbours = look_around(directions, inverse_ranges, extent=extent, crew=crew)
+    neighbours = look_around(directions, inverse_ranges, extent=extent, thread_pool=thread_pool)
     if distance is None:
         margins = _STRAIGHTNESS * settings.margin, _STRAIGHTNESS * settings.margin_share
         distance = measure_surface_distance(neighbours, directions, inverse_ranges, *margins)
@@ -265,7 +272,7 @@ def _pass(
 
 
 def _with(measured: Reach, window_deg: float | None, near_deg: float | None) -> Reach:
-    """Take what is given in place of what was measured."""
+    """Take what is given instead of what was measured."""
     if near_deg is not None:
         measured = Reach(measured.window, radians(near_deg), radians(near_deg))
     return measured if window_deg is None else replace(measured, window=radians(window_deg))

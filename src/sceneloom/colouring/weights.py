@@ -1,4 +1,4 @@
-"""How far the colours that a picture gives to points are to be trusted."""
+"""How far the colours that an image gives to points are to be trusted."""
 
 from dataclasses import dataclass
 from math import isfinite, radians
@@ -8,10 +8,10 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from sceneloom.colouring.results import FusedView
 from sceneloom.errors import OptionError
-from sceneloom.kernels.picture_samples import mark_outlines, weigh_samples
+from sceneloom.kernels.image_samples import mark_outlines, weigh_samples
 
 _OUTLINE_CELL_DEG = 0.25
-"""Points beside an outline: their gap in the picture is a few scan lines at most."""
+"""Points beside an outline: their gap in the image is a few scan lines at most."""
 _SURFACE_DISTANCE = 1.2
 """Surfaces pass the camera at this distance or more [m], nearly all: roads at the height of the camera."""
 _REACH_CELLS = 2.0
@@ -19,17 +19,18 @@ _REACH_CELLS = 2.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BlendSettings:
-    """How the colours of several pictures become one.
+    """How the colours of several images become one.
 
-    A colour is off by what its point falls beside its true place: by noise of the lidar, which does not depend on the
+    A colour is off by what its point falls beside its true location: by noise of the lidar, which does not depend on
+        the
     distance, and by angles of mountings, which do. Both are equal at `even_distance`: 3 cm and a tenth of a degree meet
-    at 17 m. With time they are off by what moves meanwhile, the ego's way included.
+    at 17 m. With time they are off by what moves meanwhile, the ego trajectory included.
 
     Attributes:
         mode: "best", the colour with the greatest weight, or "weighted", the mean of all that agree with it.
         even_distance: where a weight is half of what it is nearby [m].
-        even_seconds: time between point and picture at which it is half [s].
-        border_share: how wide the border of a picture is in which weights fall, as a share of its shorter side.
+        even_seconds: time between point and image at which it is half [s].
+        border_share: how wide the border of an image is in which weights fall, as a share of its shorter side.
         border_least: what is left of a weight at the very border.
         least_cosine: what is left of a weight where a surface is seen along itself.
         outline_factor: what is left of a weight beside the outline of something nearer or farther, where a pixel's
@@ -75,14 +76,14 @@ def view_weights(
     normals_world: Float32Array | None = None,
     timestamps_ns: Int64Array | None = None,
 ) -> Float32Array:
-    """Say how far the colours of the points in a picture are to be trusted.
+    """Report how far the colours of the points in an image are to be trusted.
 
     Args:
         points_world: (N, 3) float64 [m], contiguous.
-        view: the points in the picture.
+        view: the points in the image.
         settings: the numbers of the weights.
         normals_world: (N, 3) float32 unit vectors, 0 where not known; None: of no point.
-        timestamps_ns: (N,) int64 [ns], when each point was measured; None: with the picture.
+        timestamps_ns: (N,) int64 [ns], when each point was measured; None: with the image.
 
     Returns:
         (M,) float32, one for each of `view.point_ids`; 0 for points that are not visible.
@@ -117,7 +118,7 @@ def view_weights(
 
 
 def near_outlines(view: FusedView) -> BoolArray:
-    """Which points of a picture lie beside an outline of something nearer or farther, (M,) bool."""
+    """Which points of an image lie beside an outline of something nearer or farther, (M,) bool."""
     found = np.empty(len(view.point_ids), np.bool_)
     focal_px = max(min(view.camera.fx, view.camera.fy), 1.0)
     cell_px = max(radians(_OUTLINE_CELL_DEG) * focal_px, 2.0)

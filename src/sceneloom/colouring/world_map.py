@@ -168,8 +168,8 @@ class WorldMap:
 
 
 def empty_points(count: int) -> AnyArray:
-    """Points (N,) of dtype `POINT` at 0 that nothing is said of."""
+    """Points (N,) of dtype `POINT` at 0 that nothing is stated for."""
     points = np.zeros(count, POINT)
-    points["color"], points["camera"], points["picture"], points["label"] = 255, 255, -1, 65535
+    points["color"], points["camera"], points["image"], points["label"] = 255, 255, -1, 65535
     points["pixel"] = np.nan
     return points

@@ -23,16 +23,16 @@ def complete_depth(
     *,
     method: str = "quality",
 ) -> DenseDepth:
-    """Give a depth to every pixel near measured points, and say how far each can be trusted.
+    """Give a depth to every pixel near measured points, and state how far each can be trusted.
 
     Points must be free of what the camera does not see: of a view the hidden ones are left out. What has no points near
     it, as the sky, stays empty.
 
     Args:
-        source: a sweep in a picture, whose points count at their exact places; or (H, W) float32 [m], the depths of
+        source: a sweep in an image, whose points count at their exact locations; or (H, W) float32 [m], the depths of
             some pixels, 0 for none.
-        camera: the lens of the picture; a view has its own.
-        rgb: (H, W, 3) uint8, the picture, by which `quality` places jumps; None: that of the view, or none.
+        camera: the camera model of the image; a view has its own.
+        rgb: (H, W, 3) uint8, the image, by which `quality` locations jumps; None: that of the view, or none.
         method: a name out of `METHODS`.
 
     Raises:
@@ -43,14 +43,14 @@ def complete_depth(
     if method not in METHODS:
         raise OptionError(f"method {method!r}; expected one of {', '.join(METHODS)}")
     if isinstance(source, FusedView):
-        lens, samples = source.camera, Samples.of_view(source)
-        picture: UInt8Array | None = source.rgb if rgb is None else rgb
+        camera_model, samples = source.camera, Samples.of_view(source)
+        image: UInt8Array | None = source.rgb if rgb is None else rgb
     elif camera is None:
-        raise ArrayError("camera: missing; a depth image needs the lens that it was taken with")
+        raise ArrayError("camera: missing; a depth image needs the camera model that it was taken with")
     else:
-        lens, samples, picture = camera, Samples.of_image(source, camera), rgb
-    check_array("rgb", picture, (lens.height, lens.width, 3), np.uint8, optional=True)
-    filled = METHODS[method](samples, picture, pixels_per_radian(lens))
+        camera_model, samples, image = camera, Samples.of_image(source, camera), rgb
+    check_array("rgb", image, (camera_model.height, camera_model.width, 3), np.uint8, optional=True)
+    filled = METHODS[method](samples, image, pixels_per_radian(camera_model))
     return DenseDepth(filled.depths, grade(method, filled))
 
 
@@ -60,7 +60,7 @@ def _fill_fast(samples: Samples, _: UInt8Array | None, per_radian: float) -> Fil
 
 
 Method = Callable[[Samples, UInt8Array | None, float], Filled]
-"""Fills a picture: samples, the picture or None, pixels per radian."""
+"""Fills an image: samples, the image or None, pixels per radian."""
 
 METHODS: Mapping[str, Method] = MappingProxyType({"fast": _fill_fast, "quality": cover_surfaces})
 """Name of each method and what runs it."""

@@ -1,4 +1,4 @@
-"""`fast`: the gaps between scan lines closed along columns, or along rows where that is the shorter way.
+"""`fast`: the gaps between scan lines closed along columns, or along rows where that is the shorter arc.
 
 Morphology closes a gap by widening what is known and drawing the rim back; here the two rims are joined by what lies
 between them: evenly in inverse depth on one surface, evenly in depth across a jump, where that errs least. Samples are
@@ -25,7 +25,7 @@ _WIDENED_PER_STEP = 0.6
 
 _USUAL_STEP_SHARE = 0.4
 _THIN = 2.0
-"""Up to so many rows apart samples are of one scan line, which is on its way from row to row [px]."""
+"""Up to so many rows apart samples are of one scan line, which is on its trajectory from row to row [px]."""
 
 _LONGEST, _REACH = 3.0, 1.0
 """The longest gap that is closed, and how far the last scan line reaches, in spacings of the lines."""
@@ -39,7 +39,7 @@ class Filled:
         depths: (H, W) float32 [m], 0 for none.
         trusts: (H, W) float32, 1 on one surface, 0 across a jump.
         spreads: (H, W) float32 [m], how far apart the depths are that a pixel lies between.
-        gaps: (H, W) float32 [px], how far apart they are in the picture.
+        gaps: (H, W) float32 [px], how far apart they are in the image.
         spacing: between scan lines [px]; 0 where there are no two.
     """
 
@@ -58,8 +58,8 @@ def close_gaps(samples: Samples, per_radian: float) -> Filled:
         per_radian: pixels per radian.
     """
     sparse = samples.image
-    places = np.flatnonzero(sparse)
-    rows, columns = np.divmod(places, sparse.shape[1])
+    locations = np.flatnonzero(sparse)
+    rows, columns = np.divmod(locations, sparse.shape[1])
     widened, above, distances = (np.empty_like(sparse) for _ in range(3))
     widen_samples(sparse, _widening(rows, columns), widened)
     look_up(widened, above, distances)

@@ -12,7 +12,7 @@ class DenseDepth:
     """A depth for every pixel near measured points.
 
     Attributes:
-        depths: (H, W) float32 [m], z in the camera frame, 0 for none, in the picture's own grid.
+        depths: (H, W) float32 [m], z in the camera frame, 0 for none, in the image's own grid.
         confidence: (H, W) float32, 0 to 1: how probable it is that the depth is less than 0.5 m, or less than 5 % where
             that is more, from the true one; 0 where there is none.
     """

@@ -1,4 +1,4 @@
-"""The measured points of a picture, whatever they come from, and how they lie."""
+"""The measured points of an image, whatever they come from, and how they lie."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ from sceneloom.errors import ArrayError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """The measured points that a picture shows.
+    """The measured points that an image shows.
 
     Attributes:
         image: (H, W) float32 [m], the nearest of each pixel, 0 for none.
@@ -27,7 +27,7 @@ class Samples:
 
     @classmethod
     def of_view(cls, view: FusedView) -> "Samples":
-        """The visible points of a view, at their places between the pixels."""
+        """The visible points of a view, at their locations between the pixels."""
         kept = view.visible & (view.depths > 0) & np.isfinite(view.depths)
         return cls(view.depth_image, view.pixels[kept], view.depths[kept])
 
@@ -36,7 +36,7 @@ class Samples:
         """The pixels of a sparse depth image.
 
         Raises:
-            ArrayError: it is of another size than the camera's pictures, or holds NaN, infinity or a negative depth.
+            ArrayError: it is of another size than the camera's images, or holds NaN, infinity or a negative depth.
         """
         check_array("sparse", sparse, (camera.height, camera.width), np.float32)
         wrong = np.argwhere(~((sparse >= 0) & (sparse < np.inf)))
@@ -46,13 +46,13 @@ class Samples:
                 f"sparse[{row}, {column}]: {sparse[row, column]}; expected metres, 0 where there is no depth"
             )
         image = np.ascontiguousarray(sparse)
-        places = np.flatnonzero(image)
-        rows, columns = np.divmod(places, camera.width)
-        return cls(image, np.stack([columns, rows], axis=1).astype(np.float32), image.ravel()[places])
+        locations = np.flatnonzero(image)
+        rows, columns = np.divmod(locations, camera.width)
+        return cls(image, np.stack([columns, rows], axis=1).astype(np.float32), image.ravel()[locations])
 
 
 def pixels_per_radian(camera: Camera) -> float:
-    """How many pixels a radian takes in the middle of the picture, of any lens.
+    """How many pixels a radian takes in the middle of the image, of any camera model.
 
     Raises:
         CalibrationError: the camera's model is unknown or has other coefficients.

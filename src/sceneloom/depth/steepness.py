@@ -1,11 +1,11 @@
-"""How much depth changes along one surface, so that a jump can be told from a slope.
+"""How much depth changes along one surface, so that a jump can be distinguished from a slope.
 
 With x, y the direction of a pixel (x/z, y/z of the points in it), a plane n·p = d has 1/z = n·(x, y, 1) / d. So the
-inverse depth changes evenly over the picture, by at most 1/d for each radian, however far away and however grazing the
+inverse depth changes evenly over the image, by at most 1/d for each radian, however far away and however grazing the
 plane is seen: a road 1.65 m below the camera has the slope 0.6 1/m everywhere. Steeper is only what passes the camera
 nearer than that, or a jump from one thing to another.
 
-How near surfaces pass the camera is measured: most of a street's picture is ground and walls, so 0.7 of the picture is
+How near surfaces pass the camera is measured: most of a street's image is ground and walls, so 0.7 of the image is
 no steeper than they are. What is 1.3 times as steep is half a jump.
 """
 
@@ -28,7 +28,7 @@ def steepest_slope(slopes: AnyArray, weights: AnyArray, per_radian: float) -> fl
 
     Args:
         slopes: (N,) [1/m/px], measured ones.
-        weights: (N,), how much of the picture each of them is of.
+        weights: (N,), how much of the image each of them is of.
         per_radian: pixels per radian.
     """
     finite = np.isfinite(slopes)

@@ -1,8 +1,8 @@
-"""`quality`: surfaces as triangles between the points, cut where depth jumps, and jumps placed by the picture.
+"""`quality`: surfaces as triangles between the points, cut where depth jumps, and jumps placed by the image.
 
 Triangles (Delaunay) hold inverse depth, in which planes are linear, so a plane comes out exactly; the slopes around
-their corners tell how surfaces bend between scan lines. Across jumps they say little: there, depths flow in from the
-surfaces on both sides, over pixels of one colour and hardly across edges of the picture.
+their corners report how surfaces bend between scan lines. Across jumps they state little: there, depths flow in from
+the surfaces on both sides, over pixels of one colour and hardly across edges of the image.
 """
 
 import numpy as np
@@ -19,28 +19,28 @@ _LONGEST_SURFACE, _LONGEST_JUMP = 12.0, 2.5
 """The longest side of a triangle that is filled, in spacings of the scan lines."""
 
 _SLIVER_PX2 = 0.05
-"""Triangles of less area tell no slope."""
+"""Triangles of less area report no slope."""
 
 _TRUST_OF_JUMPS = 0.02
 _EDGE_LEVELS = 12.0
 """A difference of so many levels, all three channels together, weakens what flows between two pixels by e."""
 
-_TURNS = 2
+_ROTATIONS = 2
 _FLOW = 0.5
 """How far depths flow, as a share of the squared spacing of the scan lines."""
 
 _BELIEF_IN_EDGES = np.float32(0.85)
-"""Not every edge of a picture is one of a thing: by so much jumps go to where the picture has them."""
+"""Not every edge of an image is one of a thing: by so much jumps go to where the image has them."""
 
 _UNDRAWN = 2.0
 
 
 def cover_surfaces(samples: Samples, rgb: UInt8Array | None, per_radian: float) -> Filled:
-    """Fill a picture from triangles between its samples.
+    """Fill an image from triangles between its samples.
 
     Args:
         samples: the measured points.
-        rgb: (H, W, 3) uint8, the picture; None: jumps are placed without one.
+        rgb: (H, W, 3) uint8, the image; None: jumps are placed without one.
         per_radian: pixels per radian.
     """
     filled = close_gaps(samples, per_radian)
@@ -61,7 +61,7 @@ def cover_surfaces(samples: Samples, rgb: UInt8Array | None, per_radian: float) 
 
 
 def triangles_between(pixels: Float32Array, height: int, width: int) -> AnyArray:
-    """Triangulate points of a picture.
+    """Triangulate points of an image.
 
     Args:
         pixels: (N, 2) float32 [px].
@@ -92,7 +92,7 @@ def _fill(
     spacing: float,
     filled: Filled,
 ) -> BoolArray:
-    """Draw the triangles that are not too large over what the gaps told; tell where there are none."""
+    """Draw the triangles that are not too large over what the gaps reported; report where there are none."""
     longest = np.where(trusts > 0.5, _LONGEST_SURFACE, _LONGEST_JUMP) * max(spacing, 2.0)
     small: BoolArray = sides <= longest
     beside = filled.trusts.copy()
@@ -105,13 +105,13 @@ def _fill(
 
 
 def _guide(filled: Filled, beyond: BoolArray, rgb: UInt8Array | None, spacing: float) -> Float32Array:
-    """Let depths flow from surfaces into jumps along the picture; on surfaces and beyond triangles they stay."""
+    """Let depths flow from surfaces into jumps along the image; on surfaces and beyond triangles they stay."""
     depths, trusts = filled.depths, np.where(beyond, np.float32(0), filled.trusts)
     rightward, downward = _links(rgb, depths)
     weights = np.where(depths > 0, trusts + np.float32(_TRUST_OF_JUMPS), np.float32(0))
     flows, room = weights * depths, np.empty_like(depths)
-    for turn in range(1, _TURNS + 1):
-        strength = 1.5 * 4.0 ** (_TURNS - turn) / (4.0**_TURNS - 1) * _FLOW * spacing**2
+    for rotation in range(1, _ROTATIONS + 1):
+        strength = 1.5 * 4.0 ** (_ROTATIONS - rotation) / (4.0**_ROTATIONS - 1) * _FLOW * spacing**2
         smooth_rightward(rightward, strength, flows, weights)
         smooth_downward(downward, strength, flows, weights, room)
     np.divide(flows, weights, out=flows, where=weights > 0)
@@ -120,9 +120,9 @@ def _guide(filled: Filled, beyond: BoolArray, rgb: UInt8Array | None, spacing: f
 
 
 def _links(rgb: UInt8Array | None, depths: Float32Array) -> tuple[Float32Array, Float32Array]:
-    """How freely depth flows from each pixel to the right and down; as over one colour where there is no picture."""
-    picture = np.zeros((*depths.shape, 3), np.uint8) if rgb is None else np.ascontiguousarray(rgb)
+    """How freely depth flows from each pixel to the right and down; as over one colour where there is no image."""
+    image = np.zeros((*depths.shape, 3), np.uint8) if rgb is None else np.ascontiguousarray(rgb)
     rightward, downward = np.empty_like(depths), np.empty_like(depths)
     link_of_difference = np.exp(-np.arange(766) / _EDGE_LEVELS).astype(np.float32)
-    link_pixels(picture, link_of_difference, rightward, downward)
+    link_pixels(image, link_of_difference, rightward, downward)
     return rightward, downward

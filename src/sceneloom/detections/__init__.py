@@ -1,4 +1,4 @@
-"""Fusion of what detectors saw in a sweep with what they saw in a picture."""
+"""Fusion of what detectors saw in a sweep with what they saw in an image."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Which box of a sweep and which of a picture are one object, and the best assignment of any pairs."""
+"""Which box of a sweep and which of an image are one object, and the best assignment of any pairs."""
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -26,13 +26,13 @@ def pair_gains(
     *,
     least_iou: float,
 ) -> Float64Array:
-    """Say what it is worth to take a box of the sweep and one of the picture for one object.
+    """Report what it is worth to take a box of the sweep and one of the image for one object.
 
     The worth is (1 + GIoU) / 2, which is 1 for equal boxes, times a factor for the classes.
 
     Args:
-        outlines_xyxy: (N, 4) float64 [px], of the boxes of the sweep in the picture.
-        corners_xyxy: (M, 4) float64 [px], boxes of the picture.
+        outlines_xyxy: (N, 4) float64 [px], of the boxes of the sweep in the image.
+        corners_xyxy: (M, 4) float64 [px], boxes of the image.
         classes_3d, classes_2d: (N,) and (M,) of `classes.numbers_of`.
         probabilities_3d, probabilities_2d: (N,) and (M,).
         least_iou: boxes that overlap less are worth nothing.

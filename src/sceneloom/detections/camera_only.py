@@ -1,7 +1,7 @@
-"""Where an object may be of which a picture tells alone: along its ray, as far as its height in the picture says.
+"""Where an object may be of which an image reports alone: along its ray, as far as its height in the image says.
 
 An object of the height h that is seen under the angle α from top to bottom is h / (2 tan(α / 2)) away. How much
-heights differ within a class is how little is known of that distance; across the ray the picture knows better.
+heights differ within a class is how little is known of that distance; across the ray the image knows better.
 """
 
 from typing import NamedTuple
@@ -18,9 +18,9 @@ from sceneloom.visibility.outlines import CENTRE_TO_CORNER
 EDGES = (0.05, 2.0)
 """Deviation of an edge of a box: this share of its side, plus so many pixels."""
 BORDER_PX = 2.0
-"""A box that comes so near to the border of the picture may be cut there [px]."""
+"""A box that comes so near to the border of the image may be cut there [px]."""
 _CUT_SIGMA = 0.5
-"""Deviation of the distance of what the picture cuts at top or bottom, as a share of it."""
+"""Deviation of the distance of what the image cuts at top or bottom, as a share of it."""
 
 
 _RAYS: Float64Array = read_only(
@@ -37,10 +37,10 @@ _RAYS: Float64Array = read_only(
 
 
 class Placed(NamedTuple):
-    """Objects in space by one picture.
+    """Objects in space by one image.
 
     Attributes:
-        rows: (P,) int64, which boxes: those asked for along which the lens has rays.
+        rows: (P,) int64, which boxes: those asked for along which the camera model has rays.
         centers: (P, 3) float64 [m], lidar frame.
         center_covariances: (P, 3, 3) float64 [m²].
         sizes_lwh: (P, 3) float64 [m], typical of the class.
@@ -56,19 +56,19 @@ class Placed(NamedTuple):
     ranges: Float64Array
 
 
-def place_by_height(
+def position_by_height(
     camera: Camera,
     camera_from_lidar: RigidTransform,
     corners_xyxy: Float64Array,
     rows: Int64Array,
     kinds: Int64Array,
 ) -> Placed:
-    """Guess where objects are whose boxes in the picture are all that is known.
+    """Guess where objects are whose boxes in the image are all that is known.
 
     Args:
-        camera: the lens.
+        camera: the camera model.
         camera_from_lidar: how it lies.
-        corners_xyxy: (M, 4) float64 [px], boxes of the picture, corner convention, with an area.
+        corners_xyxy: (M, 4) float64 [px], boxes of the image, corner convention, with an area.
         rows: (L,) int64, which of them are asked for.
         kinds: (M,) int64, of `classes.table_rows`.
     """

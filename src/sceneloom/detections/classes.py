@@ -80,7 +80,7 @@ _NONE = -1
 _KIND_OF = {name: name for name in KINDS} | {
     word: name for name, kind in KINDS.items() for word in kind.words
 }
-_PLACES = {name: k for k, name in enumerate(KINDS)}
+_LOCATIONS = {name: k for k, name in enumerate(KINDS)}
 _FAMILIES = tuple(dict.fromkeys(kind.family for kind in KINDS.values()))
 _DROPPED = str.maketrans("", "", " -_.")
 
@@ -112,14 +112,14 @@ def numbers_of(labels_3d: Sequence[str], labels_2d: Sequence[str]) -> tuple[Int6
     """Give the classes of two detectors as numbers that can be compared.
 
     Returns:
-        (N,) and (M,) int64, equal for equal classes: their place in `KINDS`, or UNLISTED and more.
+        (N,) and (M,) int64, equal for equal classes: their location in `KINDS`, or UNLISTED and more.
     """
     others: dict[str, int] = {}
     return _numbered(labels_3d, others), _numbered(labels_2d, others)
 
 
 def _numbered(labels: Sequence[str], others: dict[str, int]) -> Int64Array:
-    numbers = [_place(label) for label in labels]
+    numbers = [_location(label) for label in labels]
     if None in numbers:
         for k, number in enumerate(numbers):
             if number is None:
@@ -128,8 +128,8 @@ def _numbered(labels: Sequence[str], others: dict[str, int]) -> Int64Array:
 
 
 @lru_cache(maxsize=4096)
-def _place(label: str) -> int | None:
-    return _PLACES.get(kind_name(label))
+def _location(label: str) -> int | None:
+    return _LOCATIONS.get(kind_name(label))
 
 
 def table_rows(numbers: Int64Array) -> Int64Array:

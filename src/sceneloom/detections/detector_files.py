@@ -1,4 +1,4 @@
-"""The files that say what detectors are like: TOML, small enough to read; those of the package go by name."""
+"""The files that state what detectors are like: TOML, small enough to read; those of the package go by name."""
 
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -99,7 +99,7 @@ class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 def _faults(found: _File) -> Iterator[tuple[str, str]]:
-    """Places and what is wrong there."""
+    """Locations and what is wrong there."""
     if found.otherwise not in found.classes:
         yield "otherwise", f"{found.otherwise!r}; expected one of {', '.join(found.classes)}"
     if not found.degrees_of_freedom > 2.0:
@@ -108,25 +108,25 @@ def _faults(found: _File) -> Iterator[tuple[str, str]]:
         if kind_name(name) not in KINDS:
             yield f"classes.{name}", f"no known class; expected one of {', '.join(KINDS)}"
         numbers = dict(_numbers(asdict(own), f"classes.{name}"))
-        for place, value in numbers.items():
+        for location, value in numbers.items():
             if value != value or abs(value) == float("inf"):  # noqa: PLR0124 - no number
-                yield place, f"{value}; expected a finite number"
-        sight = own.sight
+                yield location, f"{value}; expected a finite number"
+        visibility = own.visibility
         for key in ("recall_2d", "recall_3d", "weak_recall_2d", "weak_share", "seen_share", "prior"):
-            value = getattr(sight, key)
+            value = getattr(visibility, key)
             if not 0.0 <= value <= 1.0 or (key == "prior" and value in {0.0, 1.0}):
-                yield f"classes.{name}.sight.{key}", f"{value}; expected 0 to 1"
+                yield f"classes.{name}.visibility.{key}", f"{value}; expected 0 to 1"
 
 
-def _numbers(value: Any, place: str) -> Iterator[tuple[str, float]]:
+def _numbers(value: Any, location: str) -> Iterator[tuple[str, float]]:
     if isinstance(value, dict):
         for key, inner in value.items():
-            yield from _numbers(inner, f"{place}.{key}")
+            yield from _numbers(inner, f"{location}.{key}")
     elif isinstance(value, (tuple, list)):
         for k, inner in enumerate(value):
-            yield from _numbers(inner, f"{place}[{k}]")
+            yield from _numbers(inner, f"{location}[{k}]")
     elif isinstance(value, (int, float)):
-        yield place, float(value)
+        yield location, float(value)
 
 
 def format_detectors(detectors: Detectors) -> str:

@@ -1,7 +1,7 @@
 """What two detectors are like: how often they are right, and how far off their boxes are, class by class.
 
 The numbers are fitted to data (`detections.fitting`) and kept in small files (`detections.detector_files`); this module
-says what they mean. A score tells the logarithm of the odds that it names, x = log(s / (1 - s)) of a probability, or
+says what they mean. A score reports the logarithm of the odds that it names, x = log(s / (1 - s)) of a probability, or
 the logit itself, held between `low` and `high`, between which it was seen.
 """
 
@@ -13,7 +13,7 @@ Three = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Told:
+class Reported:
     """What the scores x of one detector come to: a box exists with the odds exp(base + slope x).
 
     Attributes:
@@ -29,33 +29,33 @@ class Told:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Agreement:
-    """What two boxes of one object come to: odds exp(base + sweep x + picture y + overlap (IoU - 0.7)).
+    """What two boxes of one object come to: odds exp(base + sweep x + image y + overlap (IoU - 0.7)).
 
     Attributes:
-        base: at scores of 0 and an overlap of 0.7 in the picture.
-        sweep, picture: by the scores x and y of both, each held as `Told` says.
+        base: at scores of 0 and an overlap of 0.7 in the image.
+        sweep, image: by the scores x and y of both, each held as `Reported` says.
         overlap: by how well they fit.
     """
 
     base: float
     sweep: float
-    picture: float
+    image: float
     overlap: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sight:
+class Visibility:
     """What objects the detectors find.
 
     Attributes:
-        recall_2d: share of the objects shown openly of which the detector of pictures has a box, 0 to 1 (excluded).
+        recall_2d: share of the objects shown openly of which the detector of images has a box, 0 to 1 (excluded).
         weak_recall_2d: that share where it works poorly: by night, in rain, or with another network.
-        weak_share: share of the pictures in which it does, 0 for a detector that is always the same.
+        weak_share: share of the images in which it does, 0 for a detector that is always the same.
         heights_px: up to the first height it finds nothing, from the second one on all that it ever does [px].
         seen_share: an object is shown openly from this share of it on.
         recall_3d: share of the objects of which the detector of sweeps has a box, 0 to 1 (excluded).
         farthest_3d: up to here [m].
-        prior: share of places at which a detector could report something that hold an object, for scores that are no
+        prior: share of locations at which a detector could report something that hold an object, for scores that are no
             numbers.
     """
 
@@ -78,7 +78,7 @@ class BoxNoise:
         center_base, center_by_score, center_by_range: of the middle [m], along the length, width and height of the box.
         size_base, size_by_score, size_by_range: of length, width and height [m].
         yaw: base, by score and by range of the heading [rad].
-        agreed: by how much the covariances of middles and of sizes are multiplied after an update by the picture.
+        agreed: by how much the covariances of middles and of sizes are multiplied after an update by the image.
     """
 
     scores: tuple[float, float]
@@ -93,8 +93,8 @@ class BoxNoise:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PictureNoise:
-    """How far off boxes of pictures are: a deviation [px], and beside that a share of the box's own size there.
+class ImageNoise:
+    """How far off boxes of images are: a deviation [px], and beside that a share of the box's own size there.
 
     Attributes:
         across: of the middle, and of the width.
@@ -112,24 +112,24 @@ class ClassStatistics:
     """What both detectors are like with one class.
 
     Attributes:
-        sweep, picture: what the scores of each come to.
+        sweep, image: what the scores of each come to.
         both: what both together come to.
-        sight: what they find.
+        visibility: what they find.
         noise: how far off boxes of sweeps are.
-        picture_noise: how far off boxes of pictures are.
+        image_noise: how far off boxes of images are.
     """
 
-    sweep: Told
-    picture: Told
+    sweep: Reported
+    image: Reported
     both: Agreement
-    sight: Sight
+    visibility: Visibility
     noise: BoxNoise
-    picture_noise: PictureNoise
+    image_noise: ImageNoise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Detectors:
-    """A detector of sweeps and one of pictures.
+    """A detector of sweeps and one of images.
 
     Attributes:
         name: of the two.

@@ -1,9 +1,10 @@
-"""Where an object is of which a picture tells alone, by the points of the sweep behind its box in the picture.
+"""Where an object is of which an image reports alone, by the points of the sweep behind its box in the image.
 
-The rays through a box in a picture bound a frustum. What the middle of the box shows, its lowest part and with it the
+The rays through a box in an image bound a frustum. What the middle of the box shows, its lowest part and with it the
 ground left out, is mostly the object itself: of the points there, those of the boxes that the sweep has itself taken
-away, the object's are the many at one distance, near to what its height in the picture makes likely (`camera_only`).
-Its middle lies behind them, by half of what it measures along the line of sight: how that is turned is told by how wide
+away, the object's are the many at one distance, near to what its height in the image makes likely (`camera_only`).
+Its middle lies behind them, by half of what it measures along the line of sight: how that is rotated is known by how
+    wide
 it appears. Too few points leave the object where its height puts it.
 
 Source: Qi et al. 2018, "Frustum PointNets for 3D Object Detection from RGB-D Data", for frustums of boxes; there a
@@ -25,7 +26,7 @@ from sceneloom.kernels.points_in_cones import points_in_cones
 from sceneloom.visibility.outlines import CENTRE_TO_CORNER
 
 LEAST_POINTS = 5
-"""Fewer points at one distance tell nothing."""
+"""Fewer points at one distance state nothing."""
 _CORE_ACROSS, _CORE_UPRIGHT = (0.2, 0.8), (0.05, 0.75)
 """The part of a box that is looked at, as shares of its width and of its height from the top."""
 _SURFACE = 0.25
@@ -37,31 +38,33 @@ _DEEPER = 0.4
 _IN_BOX = 0.15
 """A point so near to a box of the sweep is of it [m]."""
 _FREEDOM = 4.0
-"""Degrees of freedom of the distances that heights tell: Student's distribution forgives classes that are wrong."""
+"""Degrees of freedom of the distances that heights report: Student's distribution forgives classes that are wrong."""
 _LEAST_SHARE, _MOST_NEARER = 0.35, 0.35
 """Of the points in the middle of a box at least such a share is at the object's distance, and no larger one nearer:
-else it may be hidden behind something, and points tell of that."""
+else it may be hidden behind something, and points report that."""
 _HIDDEN = 0.15
-"""If a larger share of the points is nearer than the object, its box in the picture is of what is not hidden."""
+"""If a larger share of the points is nearer than the object, its box in the image is of what is not hidden."""
 _HIDDEN_SIGMA = 0.25
 """Deviation of the middle of such a box, as a share of its sides."""
 _CUT_ALONG, _CUT_SHARE = 0.25, 0.3
-"""Deviation of the place of what the border of the picture cuts, as shares of its length (height), along the ray and
+"""Deviation of the position of what the border of the image cuts, as shares of its length (height), along the ray and
 across."""
 _NEAR_SHIFT = 12.0
 """The middle of what is seen of a near object of length l is off by l² / (so many times its distance)."""
 _SLIM, _BODY = 1.0, 0.25
-"""Of what is slimmer [m] the middle shows a person, riding or not: the middle of a body is this share of its width
+"""Of what is slimmer [m] the middle shows a person, rider association or not.
+
+The middle of a body is this share of its width
 behind its surface."""
 _MIDDLE_AND_CORNERS = np.array([[0.5, 0.5], [0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
 _LEAST_COSINE, _WIDER = 0.2, 0.999
 """Boxes that are wider than a cone of this cosine have no cone; those of others are a little wider than the boxes."""
-_ANY_TURN = np.linspace(0.0, np.pi / 2.0, 16)
+_ANY_ROTATION = np.linspace(0.0, np.pi / 2.0, 16)
 _SIDE_SHARE = 0.12
 """Deviation of how wide an object appears, as a share of it."""
 
 
-def place_by_points(
+def position_by_points(
     camera: Camera,
     camera_from_lidar: RigidTransform,
     points_lidar: FloatArray,
@@ -70,13 +73,13 @@ def place_by_points(
     boxes: Float64Array,
     placed: Placed,
 ) -> tuple[Placed, BoolArray]:
-    """Put objects that a picture shows where the points of the sweep are.
+    """Put objects that an image shows where the points of the sweep are.
 
     Args:
-        camera: the lens.
+        camera: the camera model.
         camera_from_lidar: how it lies.
         points_lidar: (P, 3) float [m], of the sweep.
-        corners_xyxy: (M, 4) float64 [px], boxes of the picture, corner convention.
+        corners_xyxy: (M, 4) float64 [px], boxes of the image, corner convention.
         kinds: (M,) int64, of `classes.table_rows`.
         boxes: (N, 7) float64, boxes of the sweep: centre, size [m] and heading [rad].
         placed: where heights put the objects.
@@ -93,11 +96,11 @@ def place_by_points(
     pixels, visible = project(camera, camera_from_lidar.apply(points))
     points, pixels = points[visible], pixels[visible] + CENTRE_TO_CORNER
     moved = Placed(*(column.copy() for column in placed))  # type: ignore[arg-type]
-    sights = _sights(camera, corners)
+    observations = _observations(camera, corners)
     for k, inside in enumerate(_cores(pixels, corners)):
         own = points[inside]
         own = own[~_in_boxes(own, boxes)]
-        found = _Found.of(own, origin, placed, k, SIZES[kinds[placed.rows[k]]], sights[k])
+        found = _Found.of(own, origin, placed, k, SIZES[kinds[placed.rows[k]]], observations[k])
         if found is not None:
             measured[k] = True
             found.put(moved, k, origin)
@@ -111,10 +114,10 @@ def _near_boxes(
     corners: Float64Array,
     origin: Float64Array,
 ) -> Float64Array:
-    """The points (N, 3) [m] in cones around boxes of the picture: few of a sweep, of which the lens is asked."""
+    """The points (N, 3) [m] in cones around boxes of the image: few of a sweep, of which the camera model is asked."""
     wide = corners[:, 2:] - corners[:, :2]
-    places = corners[:, None, :2] + _MIDDLE_AND_CORNERS * wide[:, None] - CENTRE_TO_CORNER
-    rays = unproject(camera, places.reshape(-1, 2)).reshape(-1, 5, 3)
+    locations = corners[:, None, :2] + _MIDDLE_AND_CORNERS * wide[:, None] - CENTRE_TO_CORNER
+    rays = unproject(camera, locations.reshape(-1, 2)).reshape(-1, 5, 3)
     cosines = (rays[:, 1:] * rays[:, :1]).sum(axis=2).min(axis=1)
     known = np.isfinite(cosines)
     if not (cosines[known] > _LEAST_COSINE).all():
@@ -148,13 +151,13 @@ def _in_boxes(points: Float64Array, boxes: Float64Array) -> BoolArray:
     return found
 
 
-class _Sight(NamedTuple):
-    """How a picture sees an object.
+class _Visibility(NamedTuple):
+    """How an image sees an object.
 
     Attributes:
         upright, across: under which angles [rad].
         edge_shares: deviation of an edge across and upright, as shares of the sides of its box.
-        is_cut_upright, is_cut_across: whether the border of the picture cuts it.
+        is_cut_upright, is_cut_across: whether the border of the image cuts it.
         is_hidden: whether nearer things hide part of it.
     """
 
@@ -166,17 +169,17 @@ class _Sight(NamedTuple):
     is_hidden: bool = False
 
 
-def _sights(camera: Camera, corners: Float64Array) -> list[_Sight]:
+def _observations(camera: Camera, corners: Float64Array) -> list[_Visibility]:
     sides = np.array([[0.5, 0.0], [0.5, 1.0], [0.0, 0.5], [1.0, 0.5]])
     spans = corners[:, 2:] - corners[:, :2]
-    places = corners[:, None, :2] + sides * spans[:, None] - CENTRE_TO_CORNER
-    rays = unproject(camera, places.reshape(-1, 2)).reshape(-1, 2, 2, 3)
+    locations = corners[:, None, :2] + sides * spans[:, None] - CENTRE_TO_CORNER
+    rays = unproject(camera, locations.reshape(-1, 2)).reshape(-1, 2, 2, 3)
     angles = 2.0 * np.arcsin(np.clip(np.linalg.norm(rays[:, :, 0] - rays[:, :, 1], axis=2) / 2.0, 0.0, 1.0))
     near = corners < BORDER_PX, corners > np.array([camera.width, camera.height] * 2) - BORDER_PX
     cut = near[0][:, :2] | near[1][:, 2:]
     shares = EDGES[0] + EDGES[1] / spans
     return [
-        _Sight(float(upright), float(across), (float(wide), float(high)), bool(cut_v), bool(cut_u))
+        _Visibility(float(upright), float(across), (float(wide), float(high)), bool(cut_v), bool(cut_u))
         for (upright, across), (wide, high), (cut_u, cut_v) in zip(angles, shares, cut, strict=True)
     ]
 
@@ -197,7 +200,7 @@ class _Found(NamedTuple):
         placed: Placed,
         k: int,
         size: Float64Array,
-        sight: _Sight,
+        visibility: _Visibility,
     ) -> "_Found | None":
         ray = (placed.centers[k] - origin) / placed.ranges[k]
         by_height = float(ray @ placed.center_covariances[k] @ ray)
@@ -207,12 +210,16 @@ class _Found(NamedTuple):
         if last - first < max(LEAST_POINTS, _LEAST_SHARE * len(depths)) or first > _MOST_NEARER * len(depths):
             return None
         surface = float(np.quantile(depths[first:last], _SURFACE))
-        behind, behind_variance = _behind(surface, size, sight)
-        distance, sight = surface + behind, sight._replace(is_hidden=first > _HIDDEN * len(depths))
+        behind, behind_variance = _behind(surface, size, visibility)
+        distance, visibility = surface + behind, visibility._replace(is_hidden=first > _HIDDEN * len(depths))
         across = (float(np.trace(placed.center_covariances[k])) - by_height) / 2.0
-        across = across * (distance / placed.ranges[k]) ** 2 + _off_ray(distance, size, sight)
-        along = _SURFACE_SIGMA**2 + behind_variance + sight.is_cut_across * (_CUT_ALONG * float(size[0])) ** 2
-        return cls(distance, along, across, _height(distance, size, sight))
+        across = across * (distance / placed.ranges[k]) ** 2 + _off_ray(distance, size, visibility)
+        along = (
+            _SURFACE_SIGMA**2
+            + behind_variance
+            + visibility.is_cut_across * (_CUT_ALONG * float(size[0])) ** 2
+        )
+        return cls(distance, along, across, _height(distance, size, visibility))
 
     def put(self, placed: Placed, k: int, origin: Float64Array) -> None:
         """Move object k there."""
@@ -235,23 +242,23 @@ def _most_at_once(depths: Float64Array, reach: float, expected: float, variance:
     return best, int(stops[best])
 
 
-def _behind(surface: float, size: Float64Array, sight: _Sight) -> tuple[float, float]:
+def _behind(surface: float, size: Float64Array, visibility: _Visibility) -> tuple[float, float]:
     """How far the middle of an object is behind what is seen of it [m], and the variance of that [m²].
 
-    A box of length l and width w that is turned by β from the line of sight appears l sin β + w cos β wide; from its
+    A box of length l and width w that is rotated by β from the line of sight appears l sin β + w cos β wide; from its
     middle to its surface on the line of sight it is the less of l / (2 cos β) and w / (2 sin β).
     """
     if size[1] < _SLIM:
         return _BODY * float(size[1]), float(_BODY * size[1] / 2.0) ** 2
     length, width = float(size[0]), float(size[1])
-    turns = _ANY_TURN
-    cos, sin = np.cos(turns), np.sin(turns)
+    rotations = _ANY_ROTATION
+    cos, sin = np.cos(rotations), np.sin(rotations)
     depths = np.minimum(length / 2.0 / np.maximum(cos, 1e-9), width / 2.0 / np.maximum(sin, 1e-9))
-    weights = np.ones(len(turns))
-    if not sight.is_cut_across:
-        appears = 2.0 * (surface + depths / 2.0) * np.tan(min(sight.across, 3.0) / 2.0)
+    weights = np.ones(len(rotations))
+    if not visibility.is_cut_across:
+        appears = 2.0 * (surface + depths / 2.0) * np.tan(min(visibility.across, 3.0) / 2.0)
         wide = length * sin + width * cos
-        off = (appears - wide) / (np.hypot(_SIDE_SHARE, sight.edge_shares[0]) * wide)
+        off = (appears - wide) / (np.hypot(_SIDE_SHARE, visibility.edge_shares[0]) * wide)
         weights = np.exp(-0.5 * np.minimum(off**2, 50.0))
     weights /= weights.sum()
     behind = float(weights @ depths)
@@ -260,27 +267,27 @@ def _behind(surface: float, size: Float64Array, sight: _Sight) -> tuple[float, f
     return behind, spread + own
 
 
-def _off_ray(distance: float, size: Float64Array, sight: _Sight) -> float:
-    """Variance of where an object is across the ray through the middle of its box in the picture [m²].
+def _off_ray(distance: float, size: Float64Array, visibility: _Visibility) -> float:
+    """Variance of where an object is across the ray through the middle of its box in the image [m²].
 
     The middle of what is seen is not that of the object where it is near, cut off or hidden.
     """
     length, height = float(size[0]), float(size[2])
     variance = min(length**2 / (_NEAR_SHIFT * distance), length / 4.0) ** 2
-    variance += sight.is_cut_across * (_CUT_SHARE * length) ** 2
-    variance += sight.is_cut_upright * (_CUT_SHARE * height) ** 2
-    if sight.is_hidden:
-        variance += (_HIDDEN_SIGMA * distance * max(sight.upright, sight.across)) ** 2
+    variance += visibility.is_cut_across * (_CUT_SHARE * length) ** 2
+    variance += visibility.is_cut_upright * (_CUT_SHARE * height) ** 2
+    if visibility.is_hidden:
+        variance += (_HIDDEN_SIGMA * distance * max(visibility.upright, visibility.across)) ** 2
     return variance
 
 
-def _height(distance: float, size: Float64Array, sight: _Sight) -> tuple[float, float]:
+def _height(distance: float, size: Float64Array, visibility: _Visibility) -> tuple[float, float]:
     """Height of an object [m] and its variance [m²]: what is usual, and what it appears at its distance."""
     usual, variance = float(size[2]), float(size[5]) ** 2
-    if sight.is_cut_upright or sight.is_hidden:
+    if visibility.is_cut_upright or visibility.is_hidden:
         return usual, variance
-    appears = 2.0 * distance * np.tan(min(sight.upright, 3.0) / 2.0)
+    appears = 2.0 * distance * np.tan(min(visibility.upright, 3.0) / 2.0)
     # what is near is seen from its front to its back under angles that differ by as much as its depth
-    off = 2.0 * sight.edge_shares[1] ** 2 + (float(size[0]) / (4.0 * distance)) ** 2
+    off = 2.0 * visibility.edge_shares[1] ** 2 + (float(size[0]) / (4.0 * distance)) ** 2
     weight, weight_seen = 1.0 / variance, 1.0 / (off * appears**2)
     return (usual * weight + appears * weight_seen) / (weight + weight_seen), 1.0 / (weight + weight_seen)

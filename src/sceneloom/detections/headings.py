@@ -1,19 +1,19 @@
-"""Headings that are turned by half a circle, repaired by the motion of the object."""
+"""Headings that are rotated by half a circle, repaired by the motion of the object."""
 
 import numpy as np
 
 from sceneloom.arrays import Float64Array
 
 FASTEST_BACKWARDS = 3.0
-"""What moves faster than this moves forward [m/s]: cars leave parking places at 1 to 2 m/s."""
+"""What moves faster than this moves forward [m/s]: cars leave parking locations at 1 to 2 m/s."""
 _AGAINST = -0.5
 """Cosine between heading and motion from which on one of them is wrong."""
 
 
-def turn_with_motion(yaws: Float64Array, velocities: Float64Array | None) -> Float64Array:
-    """Turn the headings of objects around that would move backwards too fast.
+def orient_by_motion(yaws: Float64Array, velocities: Float64Array | None) -> Float64Array:
+    """Rotate the headings of objects around that would move backwards too fast.
 
-    Detectors of sweeps know the axis of a box better than its front: 2 % of PointRCNN's cars on KITTI are turned.
+    Detectors of sweeps know the axis of a box better than its front: 2 % of PointRCNN's cars on KITTI are rotated.
 
     Args:
         yaws: (N,) [rad].

@@ -1,7 +1,7 @@
 r"""Two detectors whose scores are probabilities and who err independently of one another: nothing was fitted to data.
 
-A place where a detector could report something holds an object (e) with the prior probability π. A score is what it
-says: of the boxes with the score s the share s is true. By Bayes' theorem a box with the score s has told
+A location where a detector could report something holds an object (e) with the prior probability π. A score is what it
+says: of the boxes with the score s the share s is true. By Bayes' theorem a box with the score s has reported
 
     P(box, s | e) / P(box, s | not e) = [s / (1 - s)] / [π / (1 - π)].
 
@@ -9,8 +9,8 @@ Given what is there, detectors err independently of one another, so the ratios o
 
     odds(e | both) = odds(s_3d) odds(s_2d) / odds(π).
 
-Two false boxes seldom fall on one place: the smaller π, the more an agreement says. A detector that had to see the
-object and reports nothing tells too, with its chance D to find what is there:
+Two false boxes seldom fall on one location: the smaller π, the more an agreement says. A detector that had to see the
+object and reports nothing reports too, with its chance D to find what is there:
 
     odds(e | box, none) = odds(s) (1 - D),
 
@@ -29,9 +29,9 @@ from sceneloom.detections.detectors import (
     BoxNoise,
     ClassStatistics,
     Detectors,
-    PictureNoise,
-    Sight,
-    Told,
+    ImageNoise,
+    Reported,
+    Visibility,
 )
 
 INDEPENDENT = "independent"
@@ -44,10 +44,10 @@ YAW_SIGMA = 0.1
 """Deviation of a heading [rad]."""
 BY_RANGE = 0.5
 """Deviations grow with the root of the range."""
-PICTURE_SIGMAS = PictureNoise(across=(2.0, 0.03), upright=(2.0, 0.03), height=(2.0, 0.06))
+IMAGE_SIGMAS = ImageNoise(across=(2.0, 0.03), upright=(2.0, 0.03), height=(2.0, 0.06))
 """Clocks and calibration leave two pixels."""
 SUREST = 14.0
-"""Scores beyond these logarithms of odds say no more."""
+"""Scores beyond these logarithms of odds report no more."""
 
 
 def independent_detectors(
@@ -56,27 +56,27 @@ def independent_detectors(
     """Give detectors of whom nothing is known but what they find.
 
     Args:
-        prior: share of the places at which a detector could report something that hold an object.
-        recall_2d, recall_3d: share of the objects in its view that the detector of pictures and that of sweeps finds.
-        least_height_px: what is less high in the picture need not have been found there [px].
+        prior: share of the locations at which a detector could report something that hold an object.
+        recall_2d, recall_3d: share of the objects in its view that the detector of images and that of sweeps finds.
+        least_height_px: what is less high in the image need not have been found there [px].
     """
-    sight = Sight(
+    visibility = Visibility(
         recall_2d=recall_2d,
         recall_3d=recall_3d,
         weak_recall_2d=recall_2d,
         heights_px=(least_height_px, least_height_px),
         prior=prior,
     )
-    told = Told(low=-SUREST, high=SUREST, base=0.0, slope=1.0)
-    both = Agreement(base=-math.log(prior / (1.0 - prior)), sweep=1.0, picture=1.0, overlap=0.0)
+    reported = Reported(low=-SUREST, high=SUREST, base=0.0, slope=1.0)
+    both = Agreement(base=-math.log(prior / (1.0 - prior)), sweep=1.0, image=1.0, overlap=0.0)
     classes = {
         name: ClassStatistics(
-            sweep=told,
-            picture=told,
+            sweep=reported,
+            image=reported,
             both=both,
-            sight=sight,
+            visibility=visibility,
             noise=_noise(kind),
-            picture_noise=PICTURE_SIGMAS,
+            image_noise=IMAGE_SIGMAS,
         )
         for name, kind in KINDS.items()
     }

@@ -1,15 +1,16 @@
-r"""Several cameras and one sweep: the objects that each picture and the sweep gave, as one list.
+r"""Several cameras and one sweep: the objects that each image and the sweep gave, as one list.
 
-A box of the sweep is one object, however many pictures show it. Given what is there, pictures err independently of one
+A box of the sweep is one object, however many images show it. Given what is there, images err independently of one
 another, so each adds what it changed in the logarithm of odds that the sweep alone gave,
 
-    log odds(e | sweep, pictures) = log odds(e | sweep) + Σ [log odds(e | sweep, picture c) - log odds(e | sweep)].
+    log odds(e | sweep, images) = log odds(e | sweep) + Σ [log odds(e | sweep, image c) - log odds(e | sweep)].
 
-A picture that does not show its place adds nothing. The object is where the picture says that knows its middle best.
+An image that does not show its location adds nothing. The object is where the image says that knows its middle best.
 
-Objects of pictures alone are one where two pictures may be seeing the same thing: classes may be the same, and the
-places agree within their covariances (Mahalanobis' distance, the best assignment camera by camera). Their distances are
-guesses by the same usual height, so they err alike, and their places are joined as if nothing were known of that:
+Objects of images alone are one where two images may be seeing the same thing: classes may be the same, and the
+locations agree within their covariances (Mahalanobis' distance, the best assignment camera by camera). Their distances
+are guesses by the same usual height, so they err alike, and their locations are joined as if nothing were known of
+that:
 
     P⁻¹ = w A⁻¹ + (1 - w) B⁻¹,   P⁻¹ x = w A⁻¹ a + (1 - w) B⁻¹ b,   w that makes P smallest.
 
@@ -17,7 +18,7 @@ That the sweep has no box there counts once: odds(both) = odds(a) odds(b) / [odd
 objects that a sweep shows. Objects of one camera are never joined.
 
 Source: Julier and Uhlmann 1997, "A Non-divergent Estimation Algorithm in the Presence of Unknown Correlations", for the
-places; Bayes' theorem under conditional independence for the odds.
+locations; Bayes' theorem under conditional independence for the odds.
 """
 
 from collections.abc import Mapping
@@ -33,14 +34,14 @@ from sceneloom.detections.classes import FAMILIES, UNLISTED, numbers_of, table_r
 from sceneloom.detections.results import NO_BOX, FusedBoxes
 from sceneloom.detections.settings import ProjectionSettings, tables_of
 from sceneloom.errors import OptionError
-from sceneloom.kernels import existence_odds
+from sceneloom.kernels import existence_probability
 from sceneloom.scene.detections import Boxes3D, ScoreForm
 from sceneloom.scene.types import Identifier
 
 DEFAULTS = ProjectionSettings()
 
 FARTHEST_SQUARED = 11.34
-"""Places whose Mahalanobis' distance squared is more than this are two: 1 in 100 of one object in two pictures is.
+"""Locations whose Mahalanobis' distance squared is more than this are two: 1 in 100 of one object in two images is.
 
 Source: chi-square distribution with 3 degrees of freedom.
 """
@@ -52,13 +53,13 @@ _LEAST_VARIANCE = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergedBoxes:
-    """The objects behind the boxes of one sweep and several pictures.
+    """The objects behind the boxes of one sweep and several images.
 
     Attributes:
-        objects: those of the sweep in the order of its boxes, then those of pictures alone. `corners_xyxy` and
-            `rows_2d` are of the picture that `cameras` names.
-        cameras: (N,) int64, of which camera's picture the box is by which an object is known best, as its place in
-            `rows`; NO_BOX where no picture has a box of it.
+        objects: those of the sweep in the order of its boxes, then those of images alone. `corners_xyxy` and
+            `rows_2d` are of the image that `cameras` names.
+        cameras: (N,) int64, of which camera's image the box is by which an object is known best, as its location in
+            `rows`; NO_BOX where no image has a box of it.
         rows: by camera (N,) int64, which object of that camera's `FusedBoxes` it is, NO_BOX for none.
     """
 
@@ -73,11 +74,11 @@ class MergedBoxes:
 def merge_views(
     boxes_3d: Boxes3D, views: Mapping[Identifier, FusedBoxes], *, settings: ProjectionSettings = DEFAULTS
 ) -> MergedBoxes:
-    """Make one list of the objects that a sweep and several pictures show.
+    """Make one list of the objects that a sweep and several images show.
 
     Args:
         boxes_3d: of the sweep.
-        views: by camera, what came of fusing these boxes with those of its picture; one at least.
+        views: by camera, what came of fusing these boxes with those of its image; one at least.
         settings: those by which that was done.
 
     Raises:
@@ -88,14 +89,14 @@ def merge_views(
     found = tuple(views.values())
     existence = tables_of(settings).existence
     numbers, sweep = _rows_of_sweep(found)
-    alone = _rows_of_pictures(found)
+    alone = _rows_of_images(found)
     rows = np.concatenate([sweep, alone.rows], axis=1)
     best = np.concatenate([_best_of_sweep(found, sweep), alone.best])
     of_sweep = _scores_of_sweep(boxes_3d, numbers, found, sweep, existence)
     picked, first = _picked(found, rows, best), len(numbers)
     objects = replace(
         picked,
-        scores=np.concatenate([of_sweep, _scores_of_pictures(found, alone, existence)]),
+        scores=np.concatenate([of_sweep, _scores_of_images(found, alone, existence)]),
         ids=np.arange(rows.shape[1]),
         centers=np.concatenate([picked.centers[:first], alone.centers]),
         center_covariances=np.concatenate([picked.center_covariances[:first], alone.covariances]),
@@ -123,7 +124,7 @@ def _best_of_sweep(views: tuple[FusedBoxes, ...], rows: Int64Array) -> Int64Arra
         known = rows[c] != NO_BOX
         kept = rows[c, known]
         traces = np.trace(view.center_covariances[kept], axis1=1, axis2=2)
-        # those without a box in the picture are behind all that have one, however large
+        # those without a box in the image are behind all that have one, however large
         spread[c, known] = np.where(view.rows_2d[kept] != NO_BOX, -1.0 / (traces + _LEAST_VARIANCE), traces)
     best: Int64Array = np.argmin(spread, axis=0)
     return best
@@ -136,10 +137,10 @@ def _scores_of_sweep(
     rows: Int64Array,
     table: Float64Array,
 ) -> Float64Array:
-    """(N,) float64, how likely the objects of the sweep are by all pictures."""
+    """(N,) float64, how likely the objects of the sweep are by all images."""
     kinds = table_rows(numbers_of([boxes.labels[k] for k in numbers.tolist()], [])[0])
     is_logit = boxes.score_form is ScoreForm.LOGIT
-    own = existence_odds.told_odds(boxes.scores, numbers, is_logit, _OF_SWEEP, kinds, table)[1]
+    own = existence_probability.reported_odds(boxes.scores, numbers, is_logit, _OF_SWEEP, kinds, table)[1]
     total = own.copy()
     for c, view in enumerate(views):
         known = rows[c] != NO_BOX
@@ -149,11 +150,11 @@ def _scores_of_sweep(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Alone:
-    """Objects of pictures alone.
+    """Objects of images alone.
 
     Attributes:
         rows: (C, M) int64, which object of each view they are.
-        best: (M,) int64, the view that knows their place best.
+        best: (M,) int64, the view that knows their location best.
         centers: (M, 3) float64 [m].
         covariances: (M, 3, 3) float64 [m²].
         labels: M classes.
@@ -166,8 +167,8 @@ class _Alone:
     labels: tuple[str, ...]
 
 
-def _rows_of_pictures(views: tuple[FusedBoxes, ...]) -> _Alone:
-    """Join the objects of pictures alone, camera by camera."""
+def _rows_of_images(views: tuple[FusedBoxes, ...]) -> _Alone:
+    """Join the objects of images alone, camera by camera."""
     count = len(views)
     joined = _Alone(
         np.zeros((count, 0), np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)), ()
@@ -178,7 +179,7 @@ def _rows_of_pictures(views: tuple[FusedBoxes, ...]) -> _Alone:
 
 
 def _with_view(joined: _Alone, camera: int, view: FusedBoxes, rows: Int64Array) -> _Alone:
-    """Join what has been found with the objects of one more picture, and append those that are new."""
+    """Join what has been found with the objects of one more image, and append those that are new."""
     labels = tuple(view.labels[k] for k in rows.tolist())
     centers, covariances = view.centers[rows], view.center_covariances[rows]
     gains = _agreement(joined, centers, covariances, labels)
@@ -209,7 +210,7 @@ def _with_view(joined: _Alone, camera: int, view: FusedBoxes, rows: Int64Array) 
 def _agreement(
     joined: _Alone, centers: Float64Array, covariances: Float64Array, labels: tuple[str, ...]
 ) -> Float64Array:
-    """(M, K) float64, 0 to 1: how well places agree; 0 where they or the classes are not of one object."""
+    """(M, K) float64, 0 to 1: how well locations agree; 0 where they or the classes are not of one object."""
     if not len(joined.labels) or not len(labels):
         return np.zeros((len(joined.labels), len(labels)))
     apart = joined.centers[:, None] - centers
@@ -232,25 +233,25 @@ def _may_be_one(labels: tuple[str, ...], others: tuple[str, ...]) -> BoolArray:
 def _intersected(
     one: Float64Array, of_one: Float64Array, other: Float64Array, of_other: Float64Array
 ) -> tuple[Float64Array, Float64Array]:
-    """A place by two whose errors may be the same, and its covariance."""
+    """A location by two whose errors may be the same, and its covariance."""
     floor = _LEAST_VARIANCE * np.eye(3)
     first, second = np.linalg.inv(of_one + floor), np.linalg.inv(of_other + floor)
     weights = _WEIGHTS[:, None, None]
     information = weights * first + (1.0 - weights) * second
     k = int(np.argmax(np.linalg.det(information)))
     covariance = np.linalg.inv(information[k])
-    told = _WEIGHTS[k] * first @ one + (1.0 - _WEIGHTS[k]) * second @ other
-    return covariance @ told, (covariance + covariance.T) / 2.0
+    reported = _WEIGHTS[k] * first @ one + (1.0 - _WEIGHTS[k]) * second @ other
+    return covariance @ reported, (covariance + covariance.T) / 2.0
 
 
-def _scores_of_pictures(views: tuple[FusedBoxes, ...], alone: _Alone, table: Float64Array) -> Float64Array:
-    """(M,) float64, how likely objects of pictures alone are by all that show them."""
+def _scores_of_images(views: tuple[FusedBoxes, ...], alone: _Alone, table: Float64Array) -> Float64Array:
+    """(M,) float64, how likely objects of images alone are by all that show them."""
     kinds = table_rows(numbers_of(alone.labels, [])[0])
     distances = np.linalg.norm(alone.centers, axis=1)
-    near = distances <= table[kinds, existence_odds.FARTHEST_3D]
-    # what several pictures have in common: that such a place is empty, and that the sweep has no box there
-    common = table[kinds, existence_odds.PRIOR] + np.where(
-        near, np.log1p(-table[kinds, existence_odds.RECALL_3D]), 0.0
+    near = distances <= table[kinds, existence_probability.FARTHEST_3D]
+    # what several images have in common: that such a location is empty, and that the sweep has no box there
+    common = table[kinds, existence_probability.PRIOR] + np.where(
+        near, np.log1p(-table[kinds, existence_probability.RECALL_3D]), 0.0
     )
     total = common.copy()
     for c, view in enumerate(views):
@@ -260,20 +261,20 @@ def _scores_of_pictures(views: tuple[FusedBoxes, ...], alone: _Alone, table: Flo
 
 
 def _picked(views: tuple[FusedBoxes, ...], rows: Int64Array, best: Int64Array) -> FusedBoxes:
-    """The objects as the view tells that knows each best."""
+    """The objects as the view reports that knows each best."""
     chosen = rows[best, np.arange(len(best))]
     starts = np.cumsum([0, *(len(view) for view in views)])[:-1]
-    places = starts[best] + chosen
+    locations = starts[best] + chosen
     columns: dict[str, Any] = {}
     for name in _COLUMNS:
         values = [getattr(view, name) for view in views]
         given = all(value is not None for value in values)
-        columns[name] = np.concatenate(values)[places] if given else None
+        columns[name] = np.concatenate(values)[locations] if given else None
     labels = [label for view in views for label in view.labels]
     freedom = [view.degrees_of_freedom for view in views if view.degrees_of_freedom is not None]
     return FusedBoxes(
         timestamp_ns=views[0].timestamp_ns,
-        labels=tuple(labels[k] for k in places.tolist()),
+        labels=tuple(labels[k] for k in locations.tolist()),
         degrees_of_freedom=min(freedom) if freedom else None,
         **columns,
     )

@@ -1,11 +1,11 @@
-"""How far off boxes are, where their detector does not say so.
+"""How far off boxes are, where their detector does not report it.
 
 Deviations along the axes of a box and of its sizes fall with the score and grow with the range,
 
     σ = exp(base + by_score x + by_range log(range / 20 m)),
 
 fitted for each class (`detectors.BoxNoise`); a class without numbers of its own has those of its family, in proportion
-to its usual size. What a detector tells counts instead where it is a covariance: finite, with variances
+to its usual size. What a detector reports counts instead where it is a covariance: finite, with variances
 above 0.
 
 Errors have heavier tails than a Gaussian's: one car in twenty is longer by half a metre than the box of its visible
@@ -28,11 +28,11 @@ deviations of x, y, z along the axes of the box, length, width, height [m] and h
 BY_SCORE, BY_RANGE = BASE + 7, BASE + 14
 """How much those grow with the score, and with the logarithm of the range, seven columns each."""
 AGREED = BASE + 21
-"""By how much the covariances of middle and size of a box with a partner in the picture are multiplied."""
-PICTURE = AGREED + 2
-"""Deviations of the partner in the picture: of its middle across, of its middle upright and of its height, in pixels
+"""By how much the covariances of middle and size of a box with a partner in the image are multiplied."""
+IMAGE = AGREED + 2
+"""Deviations of the partner in the image: of its middle across, of its middle upright and of its height, in pixels
 and beside that as a share of its own size there, six columns."""
-COLUMNS = PICTURE + 6
+COLUMNS = IMAGE + 6
 
 USUAL = 20.0
 """The range at which `BASE` holds [m]."""
@@ -71,18 +71,18 @@ def _row(own: ClassStatistics, growth: Float64Array) -> Float64Array:
     ):
         row[first : first + 7] = *centers, *sizes, yaw
     row[AGREED : AGREED + 2] = noise.agreed
-    told = own.picture_noise
-    row[PICTURE : PICTURE + 6] = *told.across, *told.upright, *told.height
+    reported = own.image_noise
+    row[IMAGE : IMAGE + 6] = *reported.across, *reported.upright, *reported.height
     return row
 
 
-def picture_sigmas(table: Float64Array, kinds: Int64Array, *, added_px: float = 0.0) -> Float64Array:
-    """Give how far off boxes of pictures are, (N, 6), by the rows of the table.
+def image_sigmas(table: Float64Array, kinds: Int64Array, *, added_px: float = 0.0) -> Float64Array:
+    """Give how far off boxes of images are, (N, 6), by the rows of the table.
 
     Args:
-        added_px: deviation of places in the picture by a calibration that is not exact [px].
+        added_px: deviation of locations in the image by a calibration that is not exact [px].
     """
-    sigmas: Float64Array = table[kinds, PICTURE:]
+    sigmas: Float64Array = table[kinds, IMAGE:]
     if added_px > 0.0:
         for column in (0, 2):
             sigmas[:, column] = np.sqrt(sigmas[:, column] ** 2 + added_px**2)
@@ -92,7 +92,7 @@ def picture_sigmas(table: Float64Array, kinds: Int64Array, *, added_px: float = 
 def box_covariances(
     boxes: Float64Array,
     scores: Float64Array,
-    told: Float64Array,
+    reported: Float64Array,
     rows: Int64Array,
     kinds: Int64Array,
     table: Float64Array,
@@ -101,8 +101,8 @@ def box_covariances(
 
     Args:
         boxes: (N, 7), middle, size [m] and heading [rad], in the frame of the sensor.
-        scores: (N,), logarithms of odds as the detector tells them; NaN for no numbers.
-        told: what the detector tells, (A, 7, 7) of all of its boxes, or (0, 7, 7).
+        scores: (N,), logarithms of odds as the detector reports them; NaN for no numbers.
+        reported: what the detector reports, (A, 7, 7) of all of its boxes, or (0, 7, 7).
         rows: (N,), which of them these are.
         kinds: (N,), rows of the table.
         table: (K, COLUMNS).
@@ -121,15 +121,15 @@ def box_covariances(
     found[:, 0, 1] = found[:, 1, 0] = (along - across) * cosines * sines
     for k in range(2, 6):
         found[:, k, k] = variances[:, k]
-    if len(told):
+    if len(reported):
         # halves first: no sum of finite numbers is infinite then
-        halves = told[rows, :6, :6] / 2.0
+        halves = reported[rows, :6, :6] / 2.0
         symmetric = halves + halves.transpose(0, 2, 1)
         own = _are_covariances(symmetric)
         found[own] = symmetric[own]
-        yaws_told = told[rows, 6, 6]
-        known = own & (yaws_told > 0.0) & np.isfinite(yaws_told)
-        of_yaws[known] = yaws_told[known]
+        yaws_reported = reported[rows, 6, 6]
+        known = own & (yaws_reported > 0.0) & np.isfinite(yaws_reported)
+        of_yaws[known] = yaws_reported[known]
     return found, of_yaws, own
 
 
@@ -144,7 +144,7 @@ def _sigmas(distances: Float64Array, scores: Float64Array, numbers: Float64Array
 
 
 def _are_covariances(matrices: Float64Array) -> BoolArray:
-    """Say which symmetric matrices are finite and positive definite."""
+    """Report which symmetric matrices are finite and positive definite."""
     good: BoolArray = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
     for k in np.flatnonzero(good):
         try:

@@ -1,4 +1,4 @@
-"""Which boxes have finite numbers, and where those of a sweep lie in a picture."""
+"""Which boxes have finite numbers, and where those of a sweep lie in an image."""
 
 from dataclasses import dataclass
 
@@ -14,10 +14,13 @@ from sceneloom.visibility.outlines import COARSE, box_extents
 _NEAR = 0.05
 """A box nearer to the camera than this holds it, and has no outline [m]."""
 _APART = 1.5
-"""Boxes whose middles are nearer to each other than this along the sight stand for one thing, and hide no other [m]."""
+"""Boxes whose middles are nearer to each other than this along the visibility stand for one thing.
+
+And hide no other [m].
+"""
 
 
-def boxes_with_place(
+def boxes_with_position(
     centers: Float64Array, sizes: Float64Array, yaws: Float64Array
 ) -> tuple[Float64Array, Int64Array]:
     """Take those boxes in space that have finite numbers, and sizes above 0.
@@ -35,7 +38,7 @@ def boxes_with_place(
 
 
 def boxes_with_area(corners: Float64Array) -> tuple[Float64Array, Int64Array]:
-    """Take those boxes in a picture that have finite edges, right and lower ones beyond left and upper ones.
+    """Take those boxes in an image that have finite edges, right and lower ones beyond left and upper ones.
 
     Args:
         corners: (N, 4) [px], left, upper, right and lower edge.
@@ -49,11 +52,11 @@ def boxes_with_area(corners: Float64Array) -> tuple[Float64Array, Int64Array]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outlines:
-    """Boxes of a sweep as a picture shows them.
+    """Boxes of a sweep as an image shows them.
 
     Attributes:
-        corners_xyxy: (N, 4) float64 [px], corner convention, cut at the picture; zeros where it does not show them.
-        seen_shares: (N,) float64, which share of a box is in the picture and not behind a nearer one.
+        corners_xyxy: (N, 4) float64 [px], corner convention, cut at the image; zeros where it does not show them.
+        seen_shares: (N,) float64, which share of a box is in the image and not behind a nearer one.
         axes_camera: (N, 3, 3) float64, whose columns are the boxes' axes in the camera's frame.
         corners_camera: (N, 8, 3) float64 [m], in the order of `geometry.boxes.CORNER_SIGNS`.
     """
@@ -71,24 +74,24 @@ def project_outlines(
     *,
     likely: Float64Array | None = None,
 ) -> Outlines:
-    """Find where a picture shows the boxes of a sweep.
+    """Find where an image shows the boxes of a sweep.
 
     Args:
-        camera: the lens.
+        camera: the camera model.
         camera_from_lidar: how it lies.
         boxes: (N, 7) float64, middle, size [m] and heading [rad] in the lidar's frame; finite.
         likely: (N,) float64, how likely it is that each exists, and so hides what is behind it; None for certain.
 
     Raises:
-        CalibrationError: the lens is unknown.
+        CalibrationError: the camera model is unknown.
     """
     rotation, halves = camera_from_lidar.rotation, boxes[:, 3:6] / 2.0
-    turns = np.zeros((len(boxes), 3, 3))
-    turns[:, 0, 0] = turns[:, 1, 1] = np.cos(boxes[:, 6])
-    turns[:, 1, 0] = np.sin(boxes[:, 6])
-    turns[:, 0, 1] = -turns[:, 1, 0]
-    turns[:, 2, 2] = 1.0
-    axes = rotation @ turns
+    rotations = np.zeros((len(boxes), 3, 3))
+    rotations[:, 0, 0] = rotations[:, 1, 1] = np.cos(boxes[:, 6])
+    rotations[:, 1, 0] = np.sin(boxes[:, 6])
+    rotations[:, 0, 1] = -rotations[:, 1, 0]
+    rotations[:, 2, 2] = 1.0
+    axes = rotation @ rotations
     middles = boxes[:, :3] @ rotation.T + camera_from_lidar.translation
     corners = middles[:, None] + (CORNER_SIGNS * halves[:, None]) @ axes.transpose(0, 2, 1)
     distances = np.sqrt((middles * middles).sum(axis=1))

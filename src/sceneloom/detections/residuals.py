@@ -1,6 +1,6 @@
-"""Whether the boxes of pictures lie where those of sweeps say: a calibration that is wrong shows as a common turn.
+"""Whether the boxes of images lie where those of sweeps state: a calibration that is wrong shows as a common rotate.
 
-Of each picture all couples of boxes are kept that may be one object: of one class and about as high. Most of them are
+Of each image all couples of boxes are kept that may be one object: of one class and about as high. Most of them are
 not one object, and their offsets are anywhere; those that are have the offset that errors of boxes and the calibration
 leave.
 """
@@ -13,23 +13,23 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import unproject
 from sceneloom.detections.classes import numbers_of
-from sceneloom.detections.common_turn import (
+from sceneloom.detections.common_rotation import (
     LEAST_AGREEING,
-    NO_TURN,
+    NO_ROTATION,
     agreeing_with,
     chance_agreement,
-    refined_turn,
-    turn_covariance,
-    turn_slopes,
-    voted_turn,
+    refined_rotation,
+    rotation_covariance,
+    rotation_slopes,
+    voted_rotation,
 )
-from sceneloom.detections.outlines import boxes_with_area, boxes_with_place, project_outlines
+from sceneloom.detections.outlines import boxes_with_area, boxes_with_position, project_outlines
 from sceneloom.detections.results import DetectionPair
-from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.warnings import DataWarning, WarningKind
 from sceneloom.visibility.outlines import CENTRE_TO_CORNER
 
 WORTH_TELLING_DEG = 1.0
-"""Turns below may be those of boxes and of motion between sweep and picture [°]."""
+"""Rotates below may be those of boxes and of motion between sweep and image [°]."""
 MOST_COUPLES = 4000
 """No more couples are kept."""
 _ALIKE = 1.3
@@ -38,15 +38,15 @@ _LEAST_PX, _BORDER_PX = 25.0, 3.0
 _LEAST_DEPTH = 0.3
 """Cosine of the angle to the optical axis from which on tangents are of use."""
 _BETTER = 1.2
-"""So many times more couples must agree about a turn than about none."""
+"""So many times more couples must agree about a rotation than about none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Misalignment:
-    """By what turn of what the lidar sees it comes together with the picture.
+    """By what rotate of what the lidar sees it comes together with the image.
 
     Attributes:
-        rotation_deg: rotation vector in the camera's frame; `camera_from_lidar` after this turn fits best [°].
+        rotation_deg: rotation vector in the camera's frame; `camera_from_lidar` after this rotation fits best [°].
         agreeing: couples of boxes that fit after it.
         agreeing_now: couples that fit without it.
     """
@@ -57,7 +57,7 @@ class Misalignment:
 
     @property
     def angle_deg(self) -> float:
-        """How large the turn is [°]."""
+        """How large the rotation is [°]."""
         return float(np.linalg.norm(self.rotation_deg))
 
     @property
@@ -71,26 +71,26 @@ class Misalignment:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BoxTurn:
-    """The turn about which boxes of pictures and sweeps agree, and how sure that is.
+class BoxRotation:
+    """The rotation about which boxes of images and sweeps agree, and how sure that is.
 
     Attributes:
-        rotation: (3,) rotation vector in the camera's frame; `camera_from_lidar` after this turn fits best [rad].
+        rotation: (3,) rotation vector in the camera's frame; `camera_from_lidar` after this rotation fits best [rad].
         covariance: (3, 3), of it, by chance alone: what boxes of one detector have in common is not in it [rad²].
         agreeing: couples of boxes that fit after it.
-        by_chance: couples that fit after the best of many other turns.
-        pictures: that show couples which fit.
+        by_chance: couples that fit after the best of many other rotations.
+        images: that show couples which fit.
     """
 
     rotation: Float64Array
     covariance: Float64Array
     agreeing: int
     by_chance: int
-    pictures: int
+    images: int
 
 
 class BoxResiduals:
-    """Collects couples of boxes over the pictures of one camera."""
+    """Collects couples of boxes over the images of one camera."""
 
     def __init__(self) -> None:
         self._couples: list[Float64Array] = []
@@ -100,7 +100,7 @@ class BoxResiduals:
         """Take the boxes of a pair, unless there are enough already.
 
         Raises:
-            CalibrationError: the lens is unknown.
+            CalibrationError: the camera model is unknown.
         """
         if self._count >= MOST_COUPLES or not len(pair.boxes_3d) or not len(pair.boxes_2d):
             return
@@ -109,48 +109,49 @@ class BoxResiduals:
         self._count += len(found)
 
     def misalignment(self) -> Misalignment | None:
-        """Find the turn about which most couples agree; None where there are too few."""
+        """Find the rotation about which most couples agree; None where there are too few."""
         if self._count < LEAST_AGREEING:
             return None
         couples = np.concatenate(self._couples)
-        jacobian = turn_slopes(couples)
-        turn = refined_turn(couples, jacobian, voted_turn(couples, jacobian))
-        agreeing = agreeing_with(couples, jacobian, turn)
-        x, y, z = np.degrees(turn).tolist()
+        jacobian = rotation_slopes(couples)
+        rotation = refined_rotation(couples, jacobian, voted_rotation(couples, jacobian))
+        agreeing = agreeing_with(couples, jacobian, rotation)
+        x, y, z = np.degrees(rotation).tolist()
         return Misalignment(
-            (x, y, z), int(agreeing.sum()), int(agreeing_with(couples, jacobian, NO_TURN).sum())
+            (x, y, z), int(agreeing.sum()), int(agreeing_with(couples, jacobian, NO_ROTATION).sum())
         )
 
-    def turn(self) -> BoxTurn | None:
-        """Find the turn about which most couples agree, and how sure it is; None where there are too few."""
+    def rotation(self) -> BoxRotation | None:
+        """Find the rotation about which most couples agree, and how sure it is; None where there are too few."""
         if self._count < LEAST_AGREEING:
             return None
         couples = np.concatenate(self._couples)
-        pictures = np.repeat(np.arange(len(self._couples)), [len(found) for found in self._couples])
-        jacobian = turn_slopes(couples)
-        turn = refined_turn(couples, jacobian, voted_turn(couples, jacobian))
-        agreeing = agreeing_with(couples, jacobian, turn)
-        return BoxTurn(
-            turn,
-            turn_covariance(couples, jacobian, turn, pictures),
+        images = np.repeat(np.arange(len(self._couples)), [len(found) for found in self._couples])
+        jacobian = rotation_slopes(couples)
+        rotation = refined_rotation(couples, jacobian, voted_rotation(couples, jacobian))
+        agreeing = agreeing_with(couples, jacobian, rotation)
+        return BoxRotation(
+            rotation,
+            rotation_covariance(couples, jacobian, rotation, images),
             int(agreeing.sum()),
-            int(chance_agreement(couples, jacobian, turn)),
-            len(np.unique(pictures[agreeing])),
+            int(chance_agreement(couples, jacobian, rotation)),
+            len(np.unique(images[agreeing])),
         )
 
-    def notices(self, camera_id: str) -> list[Notice]:
-        """What there is to say of a camera's calibration."""
+    def warnings(self, camera_id: str) -> list[DataWarning]:
+        """What there is to state of a camera's calibration."""
         found = self.misalignment()
         if found is None or not found.is_wrong:
             return []
-        turn = ", ".join(f"{angle:+.1f}" for angle in found.rotation_deg)
+        rotation = ", ".join(f"{angle:+.1f}" for angle in found.rotation_deg)
         return [
-            Notice(
-                kind=NoticeKind.ASSUMED,
+            DataWarning(
+                kind=WarningKind.ASSUMED,
                 code="calibration-off",
-                place=camera_id,
-                message=f"the calibration was taken as it is, but boxes of pictures and sweeps come together after a "
-                f"turn of camera_from_lidar by ({turn})° about the camera's axes: {found.agreeing} couples fit then, "
+                location=camera_id,
+                message=f"the calibration was taken as it is, but boxes of images and sweeps come together after a "
+                f"rotate of camera_from_lidar by ({rotation})° about the camera's axes: {found.agreeing} couples fit "
+                f"then, "
                 f"{found.agreeing_now} now",
             )
         ]
@@ -159,7 +160,7 @@ class BoxResiduals:
 def _couples(pair: DetectionPair) -> Float64Array:
     """Couples of boxes that may be one object, (C, 5): x, y and offsets Δx, Δy of tangents, and what fits."""
     three, two, camera = pair.boxes_3d, pair.boxes_2d, pair.camera
-    boxes, rows_3d = boxes_with_place(three.centers, three.sizes_lwh, three.yaws)
+    boxes, rows_3d = boxes_with_position(three.centers, three.sizes_lwh, three.yaws)
     corners, rows_2d = boxes_with_area(two.corners_xyxy)
     classes_3d, classes_2d = numbers_of(
         [three.labels[k] for k in rows_3d.tolist()], [two.labels[k] for k in rows_2d.tolist()]

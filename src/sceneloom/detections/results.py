@@ -1,4 +1,4 @@
-"""What detection fusion takes and gives: the boxes of a sweep and of a picture, and the objects behind them."""
+"""What detection fusion takes and gives: the boxes of a sweep and of an image, and the objects behind them."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -17,15 +17,15 @@ NO_BOX = -1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectionPair:
-    """The boxes of one sweep and of one picture.
+    """The boxes of one sweep and of one image.
 
     Attributes:
         boxes_3d: in the lidar's frame (x forward, y left, z up) at the time of the sweep.
-        boxes_2d: in the picture.
-        camera: its lens.
-        camera_from_lidar: takes the lidar's frame at the time of the sweep into the camera's at that of the picture.
+        boxes_2d: in the image.
+        camera: its camera model.
+        camera_from_lidar: takes the lidar's frame at the time of the sweep into the camera's at that of the image.
         points_lidar: (N, 3) float32 [m], points of the sweep in the lidar's frame at its time, or None: boxes of the
-            picture alone are placed by them.
+            image alone are placed by them.
 
     Raises:
         ArrayError: the points are no such array.
@@ -51,7 +51,7 @@ _ARRAYS = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FusedBoxes:
-    """The objects behind the boxes of one sweep and one picture.
+    """The objects behind the boxes of one sweep and one image.
 
     Attributes:
         timestamp_ns: of the sweep [ns].
@@ -63,14 +63,14 @@ class FusedBoxes:
         velocities: (N, 3) float64 [m/s], lidar frame, or None.
         scores: (N,) float64, probability that the object exists.
         labels: N classes.
-        corners_xyxy: (N, 4) float64 [px], corner convention, as in `Boxes2D`; zeros where the picture does not show it.
+        corners_xyxy: (N, 4) float64 [px], corner convention, as in `Boxes2D`; zeros where the image does not show it.
         ids: (N,) int64, numbers of the objects in this pair.
         rows_3d: (N,) int64, which box of the sweep, or NO_BOX.
-        rows_2d: (N,) int64, which box of the picture, or NO_BOX.
+        rows_2d: (N,) int64, which box of the image, or NO_BOX.
         yaw_variances: (N,) float64 [rad²], or None.
         degrees_of_freedom: of the Student distribution of errors with these covariances
             (`noise.radius_squared`), infinite for a Gaussian one, or None where nothing is known of it.
-        by_points: (N,) bool, whether points of the sweep behind a box of the picture alone placed the object, or None
+        by_points: (N,) bool, whether points of the sweep behind a box of the image alone placed the object, or None
             where none were given.
 
     Raises:
@@ -124,5 +124,5 @@ class DetectionAlgorithm(Protocol):
     """How an algorithm of detection fusion is called."""
 
     def __call__(self, pair: DetectionPair, /) -> FusedBoxes:
-        """Fuse the boxes of one sweep with those of one picture."""
+        """Fuse the boxes of one sweep with those of one image."""
         ...

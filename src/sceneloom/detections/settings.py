@@ -18,12 +18,12 @@ class ProjectionSettings:
     Attributes:
         detectors: how often detectors are right, and how far off: `Detectors`, a name out of `detector_names()`, or the
             path of a file.
-        least_iou: boxes that overlap less in the picture than this are not one object, 0 to 1.
-        recall_2d, recall_3d: share of the objects in its view that the detector of pictures and that of sweeps finds, 0
-            to 1 (excluded), for all classes; 0 where its silence shall tell nothing. [default: by `detectors`]
-        keep_camera_only: whether boxes of the picture without one in the sweep become objects.
-        rotation_sigma_deg: how well the turn from lidar to camera is known, beyond what pictures of such detectors show
-            anyway [°].
+        least_iou: boxes that overlap less in the image than this are not one object, 0 to 1.
+        recall_2d, recall_3d: share of the objects in its view that the detector of images and that of sweeps finds, 0
+            to 1 (excluded), for all classes; 0 where its silence shall state nothing. [default: by `detectors`]
+        keep_camera_only: whether boxes of the image without one in the sweep become objects.
+        rotation_sigma_deg: how well the rotation from lidar to camera is known, beyond what images of such detectors
+            show anyway [°].
         time_sigma: how well the time of a box is known; objects with a velocity are as uncertain along it [s].
 
     Raises:
@@ -58,7 +58,7 @@ class Tables(NamedTuple):
     """What detectors are like, as compiled formulas take it.
 
     Attributes:
-        existence: columns of `kernels.existence_odds`.
+        existence: columns of `kernels.existence_probability`.
         noise: columns of `noise`.
         degrees_of_freedom: of errors.
     """
@@ -81,8 +81,8 @@ def tables_of(settings: ProjectionSettings) -> Tables:
     """
     found = _TABLES.get(settings)
     if found is None:
-        told = settings.detectors
-        detectors = find_detectors(told) if isinstance(told, str) else told
+        reported = settings.detectors
+        detectors = find_detectors(reported) if isinstance(reported, str) else reported
         existence = existence_table(detectors, recall_2d=settings.recall_2d, recall_3d=settings.recall_3d)
         found = Tables(existence, noise_table(detectors), detectors.degrees_of_freedom)
         if len(_TABLES) >= _MOST:

@@ -6,9 +6,9 @@ from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
     from sceneloom.editing.apply import apply_corrections
+    from sceneloom.editing.camera_models import convert_camera_models
     from sceneloom.editing.crop import crop_scene
     from sceneloom.editing.frames import annotations_to_world, to_ego, to_sensor, to_world
-    from sceneloom.editing.lenses import convert_lenses
     from sceneloom.editing.merge import merge_scenes
     from sceneloom.editing.simplify import simplify_scene
     from sceneloom.editing.thin import thin_scene
@@ -19,7 +19,7 @@ else:
         {
             "annotations_to_world": "sceneloom.editing.frames:annotations_to_world",
             "apply_corrections": "sceneloom.editing.apply:apply_corrections",
-            "convert_lenses": "sceneloom.editing.lenses:convert_lenses",
+            "convert_camera_models": "sceneloom.editing.camera_models:convert_camera_models",
             "crop_scene": "sceneloom.editing.crop:crop_scene",
             "merge_scenes": "sceneloom.editing.merge:merge_scenes",
             "simplify_scene": "sceneloom.editing.simplify:simplify_scene",
@@ -34,7 +34,7 @@ else:
 __all__ = [
     "annotations_to_world",
     "apply_corrections",
-    "convert_lenses",
+    "convert_camera_models",
     "crop_scene",
     "merge_scenes",
     "simplify_scene",

@@ -9,7 +9,7 @@ from sceneloom.editing.frame_change import FrameChange
 from sceneloom.editing.frames import to_world
 from sceneloom.editing.moved_world import moved_trajectory, moved_world
 from sceneloom.editing.odometry import EGO_ID, free_id
-from sceneloom.editing.record import assumed, ours_of, skipped, with_notices, with_ours
+from sceneloom.editing.record import assumed, ours_of, skipped, with_ours, with_warnings
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment, effect_of
@@ -20,12 +20,12 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.motion import OdometrySensor
-from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import scene_period_ns
 from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, key_of
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 Correction = LocalizationAdjustment | CameraCalibration
 
@@ -41,16 +41,16 @@ def apply_corrections(
 ) -> Scene:
     """Apply localization adjustments and camera calibrations, and take them away.
 
-    An adjustment takes places in the world to where they belong, p' = A(t) p: points and poses at the time of their
+    An adjustment takes locations in the world to where they belong, p' = A(t) p: points and poses at the time of their
     frame, annotations at that of their keyframe; beyond its ends its end poses hold. In a scene in ego coordinates it
-    leads from the ego to the world, and tells the ego's way from then on. A calibration turns a camera behind its
-    poses, replaces its lens and moves the times of its pictures and of what is drawn in them.
+    leads from the ego to the world, and reports the ego trajectory from then on. A calibration rotates a camera behind
+    its poses, replaces its camera model and moves the times of its images and of what is drawn in them.
 
     Args:
         scene: as it is.
         corrections: ids of the only annotations to apply; None for all adjustments and calibrations.
-        annotations_in: "world" or "ego", where a scene in ego coordinates does not say in which frame its annotations
-            are. None: "ego", with a notice.
+        annotations_in: "world" or "ego", where a scene in ego coordinates does not state in which frame its annotations
+            are. None: "ego", with a warning.
 
     Raises:
         OptionError: there is nothing to apply, an id is none of a correction, or sensors are in both frames.
@@ -71,22 +71,22 @@ def apply_corrections(
 
 
 def corrected_scene(scene: Scene) -> Scene:
-    """Give the scene with all that is to be applied applied, and a notice for each; what `Scene.corrected` calls.
+    """Give the scene with all that is to be applied applied, and a warning for each; what `Scene.corrected` calls.
 
     Raises:
         OptionError, DataError: as of `apply_corrections`.
     """
     pending = scene.pending_corrections
-    told = [
-        Notice(
-            kind=NoticeKind.REPAIRED,
+    reported = [
+        DataWarning(
+            kind=WarningKind.REPAIRED,
             code="correction-applied",
-            place=f"annotations[{correction.id}]",
+            location=f"annotations[{correction.id}]",
             message=f"{correction.type} applied: {effect_of(correction)}",
         )
         for correction in pending
     ]
-    return with_notices(apply_corrections(scene, corrections=[c.id for c in pending]), told)
+    return with_warnings(apply_corrections(scene, corrections=[c.id for c in pending]), reported)
 
 
 def _chosen(scene: Scene, wanted: Iterable[Identifier] | None) -> list[Correction]:
@@ -107,12 +107,12 @@ def _chosen(scene: Scene, wanted: Iterable[Identifier] | None) -> list[Correctio
 
 
 def _without(scene: Scene, correction: Correction, **further: Any) -> Scene:
-    """The scene without a correction that was applied, which the metadata tell."""
+    """The scene without a correction that was applied, which the metadata report."""
     earlier = ours_of(scene).get(APPLIED)
     entry = {"id": correction.id, "type": correction.type, **further}
     left = tuple(a for a in scene.annotations if key_of(a.id) != key_of(correction.id))
-    told = [*(earlier if isinstance(earlier, list) else []), entry]
-    return with_ours(replace(scene, annotations=left), **{APPLIED: told})
+    reported = [*(earlier if isinstance(earlier, list) else []), entry]
+    return with_ours(replace(scene, annotations=left), **{APPLIED: reported})
 
 
 def _calibrated(scene: Scene, calibration: CameraCalibration) -> Scene:
@@ -120,7 +120,7 @@ def _calibrated(scene: Scene, calibration: CameraCalibration) -> Scene:
     camera = next((s for s in scene.sensors if key_of(s.id) == key), None)
     if not isinstance(camera, CameraSensor):
         what = f"no camera {calibration.sensor_id!r} in it; not applied"
-        return with_notices(
+        return with_warnings(
             scene, [skipped("calibration-without-camera", f"annotations[{calibration.id}]", what)]
         )
     corrected = calibrated_camera(camera, calibration)
@@ -133,8 +133,8 @@ def _calibrated(scene: Scene, calibration: CameraCalibration) -> Scene:
     what = "projections into a camera that was corrected stay as they were drawn"
     stale = assumed("projections-kept", f"sensors[{camera.id}]", what, count=_projections(scene, camera.id))
     moved = calibration.poses is not None or calibration.intrinsics is not None
-    told = with_notices(changed, (stale,) if moved else ())
-    return _without(told, calibration, sensor_id=camera.id)
+    reported = with_warnings(changed, (stale,) if moved else ())
+    return _without(reported, calibration, sensor_id=camera.id)
 
 
 def _projections(scene: Scene, sensor_id: Identifier) -> int:
@@ -160,8 +160,8 @@ def _adjusted(
     if len(poses.timestamps_ns) == 1 or not _only_mounted(scene):
         return moved
     # all sensors are on the ego, from which it leads to the world
-    way = Trajectory(str(EGO_ID), poses.timestamps_ns, poses.positions, poses.quaternions_xyzw)
-    return replace(moved, trajectories={way.name: way})
+    trajectory = Trajectory(str(EGO_ID), poses.timestamps_ns, poses.positions, poses.quaternions_xyzw)
+    return replace(moved, trajectories={trajectory.name: trajectory})
 
 
 def _frame(scene: Scene) -> Coordinates:
@@ -202,29 +202,29 @@ def _only_mounted(scene: Scene) -> bool:
     return mounted and not (placed or in_world or scene.trajectories)
 
 
-def _led_to_world(scene: Scene, world_from_ego: PosePath, annotations_in: Coordinates | str | None) -> Scene:
+def _led_to_world(scene: Scene, world_from_ego: Poses, annotations_in: Coordinates | str | None) -> Scene:
     """Bring a scene in ego coordinates into the world that an adjustment leads to."""
-    said = annotations_in or ours_of(scene).get(ANNOTATIONS_FRAME)
-    notices = []
-    if said is None and scene.annotations:
-        what = "the frame of the annotations is not said; taken to be the ego frame, as that of the sensors"
-        notices.append(assumed("annotations-frame", "annotations", what))
+    stated = annotations_in or ours_of(scene).get(ANNOTATIONS_FRAME)
+    warnings = []
+    if stated is None and scene.annotations:
+        what = "the frame of the annotations is not stated; taken to be the ego frame, as that of the sensors"
+        warnings.append(assumed("annotations-frame", "annotations", what))
     odometries = [sensor for sensor in scene.sensors if isinstance(sensor, OdometrySensor)]
     identifier = odometries[0].id if odometries else free_id(scene, EGO_ID)
     ego = OdometrySensor(identifier, world_from_ego)
     kept = tuple(sensor for sensor in scene.sensors if not isinstance(sensor, OdometrySensor))
     name = str(identifier)
     times = world_from_ego
-    way = Trajectory(name, times.timestamps_ns, times.positions, times.quaternions_xyzw)
+    trajectory = Trajectory(name, times.timestamps_ns, times.positions, times.quaternions_xyzw)
     others = _others_in_world(scene, odometries, world_from_ego, name)
-    led = replace(scene, sensors=(*kept, ego), trajectories={name: way, **others})
-    return to_world(with_notices(led, notices), annotations_in=said or Coordinates.EGO)
+    led = replace(scene, sensors=(*kept, ego), trajectories={name: trajectory, **others})
+    return to_world(with_warnings(led, warnings), annotations_in=stated or Coordinates.EGO)
 
 
 def _others_in_world(
-    scene: Scene, odometries: list[OdometrySensor], world_from_ego: PosePath, name: str
+    scene: Scene, odometries: list[OdometrySensor], world_from_ego: Poses, name: str
 ) -> dict[str, Trajectory]:
-    """The other ways of the ego, in the world that the adjustment leads to: by way of the odometry that they join."""
+    """The other ways of the ego, in the world that the adjustment leads to: through the odometry that they join."""
     if not odometries:
         return {}
     reach_ns = scene_period_ns(scene)
@@ -232,8 +232,8 @@ def _others_in_world(
     onto_ego = FrameChange(None, PoseSource(odometries[0].poses, still, reach_ns))
     into_world = FrameChange(PoseSource(world_from_ego, still, reach_ns))
     moved: dict[str, Trajectory] = {}
-    for other, way in scene.trajectories.items():
-        on_ego = None if other == name else moved_trajectory(way, onto_ego)
+    for other, trajectory in scene.trajectories.items():
+        on_ego = None if other == name else moved_trajectory(trajectory, onto_ego)
         there = None if on_ego is None else moved_trajectory(on_ego, into_world)
         if there is not None:
             moved[other] = there

@@ -1,4 +1,4 @@
-"""The camera that coloured each point, when the cameras of a scene change places."""
+"""The camera that coloured each point, when the cameras of a scene change locations."""
 
 from dataclasses import dataclass, replace
 
@@ -51,15 +51,15 @@ def recounted(lidar: LidarSensor, numbers: dict[int, int]) -> LidarSensor:
     table = np.full(256, UNSEEN, np.uint8)
     for old, new in numbers.items():
         table[old] = new
-    stamps_ns = lidar.frames.timestamps_ns
-    return replace(lidar, frames=LazyFrames(stamps_ns, RecountedFrames(lidar.frames, table)))
+    timestamps_ns = lidar.frames.timestamps_ns
+    return replace(lidar, frames=LazyFrames(timestamps_ns, RecountedFrames(lidar.frames, table)))
 
 
 def without_cameras(scene: Scene, kept: Scene) -> Scene:
-    """The scene `kept`, made of `scene` by leaving out sensors: its points name the cameras by their new places."""
-    places = {key_of(camera.id): k for k, camera in enumerate(kept.cameras)}
+    """The scene `kept`, made of `scene` by leaving out sensors: its points name the cameras by their new locations."""
+    locations = {key_of(camera.id): k for k, camera in enumerate(kept.cameras)}
     old = [key_of(camera.id) for camera in scene.cameras]
-    numbers = {k: places[key] for k, key in enumerate(old) if key in places}
+    numbers = {k: locations[key] for k, key in enumerate(old) if key in locations}
     if len(numbers) == len(old):
         return kept
     sensors = tuple(

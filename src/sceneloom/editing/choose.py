@@ -5,7 +5,7 @@ from dataclasses import replace
 from types import MappingProxyType
 
 from sceneloom.editing.camera_index import without_cameras
-from sceneloom.editing.record import OURS, assumed, ours_of, skipped, with_notices
+from sceneloom.editing.record import OURS, assumed, ours_of, skipped, with_warnings
 from sceneloom.editing.references import (
     NewIds,
     attributes_of,
@@ -30,7 +30,7 @@ from sceneloom.scene.types import Coordinates, Identifier, Key, key_of
 def with_sensors_chosen(
     scene: Scene, *, sensors: Iterable[Identifier] | None = None, without: Iterable[Identifier] = ()
 ) -> Scene:
-    """Give a scene with some of its sensors, and without what is said of the others.
+    """Give a scene with some of its sensors, and without what is stated for the others.
 
     Args:
         scene: as it is.
@@ -57,7 +57,7 @@ def with_sensors_chosen(
     ours = metadata_of(ours_of(scene), ids)
     if ours:
         cut = replace(cut, metadata=MappingProxyType({**scene.metadata, OURS: ours}))
-    told = skipped("sensors-left-out", "sensors", "sensors that were not chosen", count=len(ids.changed))
+    reported = skipped("sensors-left-out", "sensors", "sensors that were not chosen", count=len(ids.changed))
     colours = assumed(
         "colours-kept",
         "sensors[].frames[].points.camera_index",
@@ -65,7 +65,7 @@ def with_sensors_chosen(
         count=sum(isinstance(s, CameraSensor) and ids.gone(s.id) for s in scene.sensors),
     )
     clouds = any(isinstance(sensor, LidarSensor) for sensor in kept)
-    return with_notices(without_cameras(scene, cut), (told, *((colours,) if clouds else ())))
+    return with_warnings(without_cameras(scene, cut), (reported, *((colours,) if clouds else ())))
 
 
 def _check_ego(scene: Scene, kept: tuple[object, ...], ids: NewIds) -> None:
@@ -100,13 +100,13 @@ def with_annotations(scene: Scene, found: list[Annotation | None]) -> Scene:
     orphans = sum(ids.gone(annotation.parent_id) for annotation in kept)
     freed = [with_annotation_ids(annotation, ids) for annotation in kept]
     left = tuple(annotation for annotation in freed if annotation is not None)
-    told = (
+    reported = (
         ("annotations", "annotations that are not in it any more", len(gone)),
         ("links", "links to annotations that are not in it any more", len(kept) - len(left)),
         ("parents", "names of parents that are not in it any more", orphans),
     )
-    notices = [skipped(f"{what}-left-out", "annotations", message, count=n) for what, message, n in told]
-    return with_notices(replace(scene, annotations=left), notices)
+    warnings = [skipped(f"{what}-left-out", "annotations", message, count=n) for what, message, n in reported]
+    return with_warnings(replace(scene, annotations=left), warnings)
 
 
 def with_labels_chosen(scene: Scene, labels: Iterable[str]) -> Scene:
@@ -116,10 +116,10 @@ def with_labels_chosen(scene: Scene, labels: Iterable[str]) -> Scene:
         OptionError: no annotation has such a label.
     """
     wanted = frozenset(labels)
-    said = {_label(annotation) for annotation in scene.annotations}
-    unknown = sorted(wanted - said)
+    stated = {_label(annotation) for annotation in scene.annotations}
+    unknown = sorted(wanted - stated)
     if unknown:
-        known = ", ".join(sorted(repr(label) for label in said if label is not None))
+        known = ", ".join(sorted(repr(label) for label in stated if label is not None))
         raise OptionError(
             f"{scene.source}: no annotation has the label {unknown[0]!r}; there are {known or 'none'}"
         )

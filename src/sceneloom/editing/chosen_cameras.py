@@ -7,7 +7,7 @@ from typing import Any
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.scene.annotations.corrections import CameraCalibration
-from sceneloom.scene.assumed_lenses import check_lenses
+from sceneloom.scene.assumed_camera_models import check_camera_models
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, key_of
@@ -16,20 +16,20 @@ from sceneloom.scene.types import Identifier, key_of
 def chosen_cameras(
     scene: Scene, cameras: Iterable[Identifier] | None, *, unless: str | None = None
 ) -> Iterator[tuple[int, CameraSensor]]:
-    """Give cameras with their places among the sensors.
+    """Give cameras with their locations among the sensors.
 
     Args:
         scene: whose cameras.
-        cameras: ids of those wanted; None for all whose lens is not of the model `unless`.
+        cameras: ids of those wanted; None for all whose camera model is not of the model `unless`.
         unless: a model that needs no change.
 
     Raises:
-        OptionError: the scene has no such camera, or none at all, or an annotation replaces its lens.
-        CalibrationError: nothing confirms the formula of a lens, and computing with it was not asked for.
+        OptionError: the scene has no such camera, or none at all, or an annotation replaces its camera model.
+        CalibrationError: nothing confirms the formula of a camera model, and computing with it was not asked for.
     """
     wanted = None if cameras is None else {key_of(scene.sensor(identifier).id) for identifier in cameras}
     if not scene.cameras:
-        raise OptionError(f"{scene.source}: has no camera, and so no lens to change")
+        raise OptionError(f"{scene.source}: has no camera, and so no camera model to change")
     for index, sensor in enumerate(scene.sensors):
         if wanted is None:
             if isinstance(sensor, CameraSensor) and sensor.camera.model != unless:
@@ -45,18 +45,19 @@ def chosen_cameras(
 
 
 def _check(scene: Scene, sensor: CameraSensor) -> None:
-    """Refuse lenses that cannot be computed with, or that an annotation replaces."""
-    check_lenses(scene, [sensor])
+    """Refuse camera models that cannot be computed with, or that an annotation replaces."""
+    check_camera_models(scene, [sensor])
     for annotation in scene.annotations:
         if not isinstance(annotation, CameraCalibration) or annotation.intrinsics is None:
             continue
         if key_of(annotation.sensor_id) == key_of(sensor.id):
             raise OptionError(
-                f"{scene.source}: annotations[{annotation.id}] gives camera {sensor.id!r} another lens; apply it first "
+                f"{scene.source}: annotations[{annotation.id}] gives camera {sensor.id!r} another camera model; apply "
+                f"it first "
                 "(`sceneloom edit apply`)"
             )
 
 
-def lens_record(camera: Camera) -> dict[str, Any]:
-    """A lens as our metadata hold it."""
+def camera_model_record(camera: Camera) -> dict[str, Any]:
+    """A camera model as our metadata hold it."""
     return {**asdict(camera), "coefficients": list(camera.coefficients)}

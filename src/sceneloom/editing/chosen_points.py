@@ -25,7 +25,7 @@ CloudSensor = TypeVar("CloudSensor", LidarSensor, RadarSensor)
 Points = TypeVar("Points", LidarPoints, RadarPoints)
 
 OnPoints = Callable[[Identifier, int, int, int], None]
-"""Told of each frame that is read: its sensor, its number, how many points it had, how many it has now."""
+"""Reported of each frame that is read: its sensor, its number, how many points it had, how many it has now."""
 
 Choose = Callable[[LidarFrame | RadarFrame], Int64Array | None]
 """Gives the rows of a frame's points that stay, ascending; None for all of them."""
@@ -80,7 +80,7 @@ class ChosenFrames(Generic[Cloud]):
         frames: as they were.
         choose: which points stay.
         sensor_id: whose frames they are.
-        on_points: told of each frame that is read.
+        on_points: reported each frame that is read.
     """
 
     frames: LazyFrames[Cloud]

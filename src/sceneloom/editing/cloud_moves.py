@@ -9,8 +9,8 @@ from sceneloom.editing.frame_change import KNOWN, FrameChange
 from sceneloom.editing.moved_clouds import moved_frames
 from sceneloom.editing.record import assumed, skipped
 from sceneloom.scene.labelled import Renumbering
-from sceneloom.scene.notices import Notice
 from sceneloom.scene.types import Key, PointsFrame, key_of
+from sceneloom.scene.warnings import DataWarning
 
 
 @dataclass(slots=True)
@@ -19,24 +19,24 @@ class CloudMoves:
 
     Attributes:
         frames: the numbers of those that stay, by sensor, where some go.
-        notices: what is to be told.
+        warnings: what is to be reported.
     """
 
     frames: dict[Key, Renumbering] = field(default_factory=dict)
-    notices: list[Notice] = field(default_factory=list)
+    warnings: list[DataWarning] = field(default_factory=list)
 
     def cloud(self, sensor: CloudSensor, change: FrameChange | None, frame: PointsFrame) -> CloudSensor:
         """Move the points of a sensor; note the frames that go."""
         if change is None:
             return replace(sensor, points_frame=frame)
         moved, numbers = moved_frames(sensor.frames, change)
-        place = f"sensors[{sensor.id}].frames"
+        location = f"sensors[{sensor.id}].frames"
         if len(numbers) < len(sensor.frames):
             self.frames[key_of(sensor.id)] = Renumbering(numbers)
-            what = "frames at whose time the way of the ego is not known"
+            what = "frames at whose time the ego trajectory is not known"
             lost = len(sensor.frames) - len(numbers)
-            self.notices.append(skipped("frames-beyond-the-way", place, what, count=lost))
+            self.warnings.append(skipped("frames-beyond-the-trajectory", location, what, count=lost))
         beyond = int(np.count_nonzero(change.at(moved.timestamps_ns).coverage == KNOWN))
-        what = "frames beyond the ends of the way, placed as if it went on"
-        self.notices.append(assumed("frames-extrapolated", place, what, count=beyond))
+        what = "frames beyond the ends of the trajectory, placed as if it went on"
+        self.warnings.append(assumed("frames-extrapolated", location, what, count=beyond))
         return replace(sensor, frames=moved, points_frame=frame)

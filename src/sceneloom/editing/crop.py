@@ -14,7 +14,7 @@ from sceneloom.editing.cut_lines import cut_lines
 from sceneloom.editing.frame_change import KNOWN, FrameChange
 from sceneloom.editing.frame_of_annotations import frames_ns
 from sceneloom.editing.moved_clouds import chosen_frames
-from sceneloom.editing.record import skipped, with_notices, with_ours
+from sceneloom.editing.record import skipped, with_ours, with_warnings
 from sceneloom.editing.region import FrameChoice, Placed, Region, held_at
 from sceneloom.editing.sensor_frames import points_change
 from sceneloom.errors import OptionError
@@ -28,13 +28,13 @@ from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.labelled import Renumbering, renumbered
-from sceneloom.scene.notices import Notice
 from sceneloom.scene.part import chosen_interval, cut_scene
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.sensor_sources import sensor_source
 from sceneloom.scene.span import scene_period_ns
 from sceneloom.scene.types import Coordinates, Identifier, Key, PointsFrame, key_of
+from sceneloom.scene.warnings import DataWarning
 
 _CHOICES = ("a time (start, stop)", "a space (box, range)", "sensors", "sensors to do without", "labels")
 
@@ -61,7 +61,7 @@ def crop_scene(
 
     Args:
         scene: as it is.
-        start: seconds after the scene's first time stamp, None for the beginning.
+        start: seconds after the scene's first timestamp, None for the beginning.
         stop: seconds after it, exclusive, None for the end.
         box: least x, y, z and greatest x, y, z [m], the faces included.
         frame: along whose axes the box lies: "world", or of each frame's time "ego" or "sensor", where annotations and
@@ -70,9 +70,9 @@ def crop_scene(
         sensors: ids of the only sensors that stay; None for all.
         without: ids of sensors that go.
         labels: of the only annotations that stay, with their parents; None for all.
-        trajectory: name of the ego's way, where it is needed; None for the default.
+        trajectory: name of the ego trajectory, where it is needed; None for the default.
         heading: "motion" to derive orientations where the trajectory has positions only.
-        on_points: told of each frame that is read.
+        on_points: reported each frame that is read.
 
     Raises:
         OptionError: a value cannot be followed, there is nothing to do, or nothing is left.
@@ -82,7 +82,7 @@ def crop_scene(
     if frame not in tuple(PointsFrame):
         raise OptionError(f"frame {frame!r}; expected one of {', '.join(PointsFrame)}")
     gone = tuple(without)
-    if not gone and all(said is None for said in (start, stop, box, reach, sensors, labels)):
+    if not gone and all(stated is None for stated in (start, stop, box, reach, sensors, labels)):
         raise OptionError(f"nothing to crop by; expected one of {', '.join(_CHOICES)}")
     regions = _regions(PointsFrame(frame), box, reach)
     cut = scene
@@ -97,8 +97,8 @@ def crop_scene(
         return cut
     ego = _ego(cut, regions, trajectory, heading)
     cropped = _Crop(cut, ego, regions, on_points).cropped()
-    said = {"box": None if box is None else list(box), "frame": PointsFrame(frame).value, "range": reach}
-    return with_ours(cropped, cropped={name: value for name, value in said.items() if value is not None})
+    stated = {"box": None if box is None else list(box), "frame": PointsFrame(frame).value, "range": reach}
+    return with_ours(cropped, cropped={name: value for name, value in stated.items() if value is not None})
 
 
 def _regions(frame: PointsFrame, box: Sequence[float] | None, reach: float | None) -> tuple[Region, ...]:
@@ -112,7 +112,7 @@ def _regions(frame: PointsFrame, box: Sequence[float] | None, reach: float | Non
 def _ego(
     scene: Scene, regions: tuple[Region, ...], trajectory: str | None, heading: str | None
 ) -> EgoMotion | None:
-    """The ego's way, if something may need it."""
+    """The ego trajectory, if something may need it."""
     posed = [
         s
         for s in scene.sensors
@@ -134,7 +134,7 @@ class _Crop:
     regions: tuple[Region, ...]
     on_points: OnPoints | None
     changes: dict[Key, Renumbering] = field(default_factory=dict)
-    notices: list[Notice] = field(default_factory=list)
+    warnings: list[DataWarning] = field(default_factory=list)
 
     def cropped(self) -> Scene:
         sensors = tuple(self._sensor(sensor) for sensor in self.scene.sensors)
@@ -142,8 +142,10 @@ class _Crop:
             self._around(annotations_frame(self.scene)), frames_ns(self.scene), CuboidAngles.of(self.scene)
         )
         cut = with_annotations(self.scene, [crop(annotation) for annotation in self.scene.annotations])
-        annotations, told = renumbered(cut.annotations, self.changes)
-        return with_notices(replace(cut, sensors=sensors, annotations=annotations), (*self.notices, *told))
+        annotations, reported = renumbered(cut.annotations, self.changes)
+        return with_warnings(
+            replace(cut, sensors=sensors, annotations=annotations), (*self.warnings, *reported)
+        )
 
     def _sensor(self, sensor: Sensor) -> Sensor:
         if isinstance(sensor, LidarSensor):
@@ -160,9 +162,9 @@ class _Crop:
         placed = self._placed_points(sensor)
         numbers = _known(placed, sensor.frames.timestamps_ns)
         lost = len(sensor.frames) - len(numbers)
-        what = "frames at whose time the way of the ego is not known"
-        place = f"sensors[{sensor.id}].frames"
-        self.notices.append(skipped("frames-beyond-the-way", place, what, count=lost))
+        what = "frames at whose time the ego trajectory is not known"
+        location = f"sensors[{sensor.id}].frames"
+        self.warnings.append(skipped("frames-beyond-the-trajectory", location, what, count=lost))
         choice = FrameChoice(placed)
         self.changes[key_of(sensor.id)] = Renumbering(numbers, partial(_rows_of, sensor.frames, choice))
         frames = chosen_frames(sensor.frames, numbers)
@@ -177,7 +179,7 @@ class _Crop:
         )
 
     def _around(self, old: Coordinates) -> tuple[tuple[Placed, ...], ...]:
-        """The regions for places in the world or on the ego: around each sensor, where one is asked for."""
+        """The regions for locations in the world or on the ego: around each sensor, where one is asked for."""
         if all(region.frame is not PointsFrame.SENSOR for region in self.regions):
             return (tuple((region, self._change(old, region.frame, None)) for region in self.regions),)
         clouds = [s for s in self.scene.sensors if isinstance(s, LidarSensor | RadarSensor)]
@@ -207,7 +209,7 @@ class _Crop:
         return PoseSource(ego.path, RigidTransform.identity(), reach_ns)
 
     def _held_once(self, positions: Float32Array) -> BoolArray:
-        """Say which points of a map lie inside at any time."""
+        """Report which points of a map lie inside at any time."""
         inside = np.zeros(len(positions), np.bool_)
         for placed in self._around(Coordinates.WORLD):
             constant = all(change is None or change.is_constant for _, change in placed)

@@ -12,7 +12,7 @@ from sceneloom.editing.region import Placed, ever_held
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations.annotation import Annotation
 from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath
-from sceneloom.scene.annotations.keypoints import PointsAnnotation, places_of
+from sceneloom.scene.annotations.keypoints import PointsAnnotation, locations_of
 from sceneloom.scene.annotations.shapes import ShapeAnnotation
 from sceneloom.scene.at import cuboid_at, point_at, shape_at
 
@@ -36,16 +36,16 @@ class SpaceCrop:
         crop = next((crop for kind, crop in _CROPS.items() if isinstance(annotation, kind)), None)
         return annotation if crop is None else crop(self, annotation)
 
-    def looks(self, stamps_ns: Int64Array, *, stationary: bool) -> Int64Array:
+    def looks(self, timestamps_ns: Int64Array, *, stationary: bool) -> Int64Array:
         """The times at which a path is looked at."""
         times = self.times_ns
         if not stationary:
-            times = times[(times >= stamps_ns.min()) & (times <= stamps_ns.max())]
-        return np.union1d(stamps_ns, times)
+            times = times[(times >= timestamps_ns.min()) & (times <= timestamps_ns.max())]
+        return np.union1d(timestamps_ns, times)
 
-    def inside(self, times_ns: Int64Array, places: Float64Array) -> BoolArray:
-        """Say at which times a thing with vertices (M, V, 3) is inside."""
-        return ever_held(self.alternatives, times_ns, places)
+    def inside(self, times_ns: Int64Array, locations: Float64Array) -> BoolArray:
+        """Report at which times a thing with vertices (M, V, 3) is inside."""
+        return ever_held(self.alternatives, times_ns, locations)
 
 
 def _cropped_cuboid(crop: SpaceCrop, annotation: CuboidAnnotation) -> CuboidAnnotation | None:
@@ -59,11 +59,11 @@ def _cropped_cuboid(crop: SpaceCrop, annotation: CuboidAnnotation) -> CuboidAnno
         return None
     if stationary or len(inside) == len(times):
         return annotation
-    stamps_ns = path.timestamps_ns
+    timestamps_ns = path.timestamps_ns
     # one keyframe before and one after, so that nothing changes in between
-    first = max(int(np.searchsorted(stamps_ns, times[inside[0]], side="right")) - 1, 0)
-    last = min(int(np.searchsorted(stamps_ns, times[inside[-1]])), len(stamps_ns) - 1)
-    cut = CuboidPath(stamps_ns[first : last + 1], path.values[first : last + 1], path.extras)
+    first = max(int(np.searchsorted(timestamps_ns, times[inside[0]], side="right")) - 1, 0)
+    last = min(int(np.searchsorted(timestamps_ns, times[inside[-1]])), len(timestamps_ns) - 1)
+    cut = CuboidPath(timestamps_ns[first : last + 1], path.values[first : last + 1], path.extras)
     return replace(
         annotation,
         path=cut,
@@ -72,9 +72,9 @@ def _cropped_cuboid(crop: SpaceCrop, annotation: CuboidAnnotation) -> CuboidAnno
     )
 
 
-def _between(entry: Any, stamps_ns: Int64Array) -> Any:
+def _between(entry: Any, timestamps_ns: Int64Array) -> Any:
     """Of an activation or a projection what lies between the first and the last keyframe."""
-    kept = (entry.timestamps_ns >= stamps_ns[0]) & (entry.timestamps_ns <= stamps_ns[-1])
+    kept = (entry.timestamps_ns >= timestamps_ns[0]) & (entry.timestamps_ns <= timestamps_ns[-1])
     rows = np.flatnonzero(kept)
     chosen: dict[str, Any] = {"timestamps_ns": entry.timestamps_ns[rows]}
     for name in ("durations_ns", "cuboids", "boxes", "confirmed"):
@@ -87,17 +87,17 @@ def _between(entry: Any, stamps_ns: Int64Array) -> Any:
 
 
 def _cropped_shape(crop: SpaceCrop, annotation: ShapeAnnotation) -> ShapeAnnotation | None:
-    stamps_ns = annotation.path.timestamps_ns
-    if annotation.dimensions == 2 or len(stamps_ns) == 0:
+    timestamps_ns = annotation.path.timestamps_ns
+    if annotation.dimensions == 2 or len(timestamps_ns) == 0:
         return annotation
-    times = crop.looks(stamps_ns, stationary=bool(annotation.stationary))
+    times = crop.looks(timestamps_ns, stationary=bool(annotation.stationary))
     found = shape_at(annotation, times)
     widest = max((len(vertices) for vertices in found if vertices is not None), default=0)
-    places = np.full((len(times), widest, 3), np.nan)
-    for row, vertices in zip(places, found, strict=True):
+    locations = np.full((len(times), widest, 3), np.nan)
+    for row, vertices in zip(locations, found, strict=True):
         if vertices is not None:
             row[: len(vertices)] = vertices
-    return annotation if crop.inside(times, places).any() else None
+    return annotation if crop.inside(times, locations).any() else None
 
 
 def _cropped_points(crop: SpaceCrop, annotation: PointsAnnotation) -> PointsAnnotation | None:
@@ -105,8 +105,8 @@ def _cropped_points(crop: SpaceCrop, annotation: PointsAnnotation) -> PointsAnno
     placed = [p for p in annotation.paths if len(p.timestamps_ns) and p.values.shape[1] % 3 == 0]
     for path in placed:
         times = crop.looks(path.timestamps_ns, stationary=stationary)
-        places = places_of(point_at(path, times, stationary=stationary)[0])
-        if crop.inside(times, places).any():
+        locations = locations_of(point_at(path, times, stationary=stationary)[0])
+        if crop.inside(times, locations).any():
             return annotation
     return None if placed else annotation
 
@@ -114,4 +114,4 @@ def _cropped_points(crop: SpaceCrop, annotation: PointsAnnotation) -> PointsAnno
 _CROPS: Mapping[type, Callable[[SpaceCrop, Any], Annotation | None]] = MappingProxyType(
     {CuboidAnnotation: _cropped_cuboid, ShapeAnnotation: _cropped_shape, PointsAnnotation: _cropped_points}
 )
-"""How the annotations that have a place in space are cropped; the others stay."""
+"""How the annotations that have a location in space are cropped; the others stay."""

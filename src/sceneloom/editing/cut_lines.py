@@ -50,12 +50,12 @@ def _other_lines(kept: Mapping[str, Any], part: Interval | None) -> dict[str, An
         return {}
     seconds = anchors if isinstance(anchors, Mapping) else {}
     chosen = []
-    for place, text in enumerate(lines):
-        anchor = seconds.get(str(place))
+    for location, text in enumerate(lines):
+        anchor = seconds.get(str(location))
         time = anchor if anchor is not None else _seconds_of(text)
         if time is None or _is_inside(round(time * 1e9), part):
             chosen.append((text, anchor))
-    found = {str(place): anchor for place, (_, anchor) in enumerate(chosen) if anchor is not None}
+    found = {str(location): anchor for location, (_, anchor) in enumerate(chosen) if anchor is not None}
     return {_OTHER: [text for text, _ in chosen], **({_ANCHORS: found} if _ANCHORS in kept else {})}
 
 
@@ -67,8 +67,8 @@ def _stays(line: Any, there: set[str], part: Interval | None) -> bool:
 
 
 def _is_key_inside(key: str, part: Interval | None) -> bool:
-    stamp = key.partition("#")[0]
-    return part is None or (stamp.removeprefix("-").isdecimal() and _is_inside(int(stamp), part))
+    timestamp = key.partition("#")[0]
+    return part is None or (timestamp.removeprefix("-").isdecimal() and _is_inside(int(timestamp), part))
 
 
 def _is_inside(time_ns: int, part: Interval) -> bool:

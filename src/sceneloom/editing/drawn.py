@@ -1,4 +1,4 @@
-"""What is drawn into pictures, when the pictures get another lens: boxes, lines, areas and points follow."""
+"""What is drawn into images, when the images get another camera model: boxes, lines, areas and points follow."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -16,31 +16,31 @@ from sceneloom.scene.annotations.shapes import ShapeAnnotation, VertexPath
 from sceneloom.scene.types import Key, key_of
 
 CORNER = 0.5
-"""What is drawn counts from the picture's corner, pixels from the centre of the first one."""
+"""What is drawn counts from the image's corner, pixels from the centre of the first one."""
 
 _SIDE = 9
 
 
-class LensChange:
-    """From one lens to another.
+class CameraModelChange:
+    """From one camera model to another.
 
     Attributes:
-        lost: how many drawn things were left out, since the new lens does not see all of them, or the new picture
+        lost: how many drawn things were left out, since the new camera model does not see all of them, or the new image
             nothing.
     """
 
     def __init__(self, before: Camera, after: Camera) -> None:
-        """Hold both lenses."""
+        """Hold both camera models."""
         self._before, self._after = before, after
         self.lost = 0
 
-    def pixels(self, places: Float64Array) -> Float64Array:
-        """Move (N, 2) places in the corner convention; NaN where the new lens has none."""
-        rays: Float64Array = unproject(self._before, places - CORNER)
+    def pixels(self, locations: Float64Array) -> Float64Array:
+        """Move (N, 2) locations in the corner convention; NaN where the new camera model has none."""
+        rays: Float64Array = unproject(self._before, locations - CORNER)
         return project_unbounded(self._after, rays) + CORNER
 
     def shows(self, low: Float64Array, high: Float64Array) -> BoolArray:
-        """Whether the new picture shows anything from the least (N, 2) to the greatest (N, 2) places."""
+        """Whether the new image shows anything from the least (N, 2) to the greatest (N, 2) locations."""
         size = (self._after.width, self._after.height)
         inside: BoolArray = np.all((high > 0.0) & (low < size), axis=1)
         return inside
@@ -48,14 +48,14 @@ class LensChange:
     def boxes(self, boxes: Float64Array) -> Float64Array:
         """Move (N, 4) boxes `left top width height`: what bounds the moved outline.
 
-        NaN where a part has no place, or the new picture shows nothing of it.
+        NaN where a part has no location, or the new image shows nothing of it.
         """
         along = np.linspace(0.0, 1.0, _SIDE)
         outline = np.concatenate(
             [np.stack(pair, axis=1) for pair in _sides(along, np.zeros(_SIDE), np.ones(_SIDE))]
         )
-        places = boxes[:, None, :2] + outline[None] * boxes[:, None, 2:]
-        moved = self.pixels(places.reshape(-1, 2)).reshape(places.shape)
+        locations = boxes[:, None, :2] + outline[None] * boxes[:, None, 2:]
+        moved = self.pixels(locations.reshape(-1, 2)).reshape(locations.shape)
         low, high = moved.min(axis=1), moved.max(axis=1)
         low[~self.shows(low, high)] = np.nan
         self.lost += int((np.isnan(low).any(axis=1) & np.isfinite(boxes).all(axis=1)).sum())
@@ -68,17 +68,19 @@ def _sides(
     return (along, zeros), (along, ones), (zeros, along), (ones, along)
 
 
-def redrawn(annotations: tuple[Annotation, ...], changes: Mapping[Key, LensChange]) -> tuple[Annotation, ...]:
-    """Move everything that is drawn into pictures of the cameras whose lens changes.
+def redrawn(
+    annotations: tuple[Annotation, ...], changes: Mapping[Key, CameraModelChange]
+) -> tuple[Annotation, ...]:
+    """Move everything that is drawn into images of the cameras whose camera model changes.
 
-    Rows of paths that the new lens does not see whole, or the new picture not at all, are left out, and an annotation
-    of which nothing stays goes; places of projections become null.
+    Rows of paths that the new camera model does not see whole, or the new image not at all, are left out, and an
+    annotation of which nothing stays goes; locations of projections become null.
     """
     moved = (_moved(annotation, changes) for annotation in annotations)
     return tuple(annotation for annotation in moved if annotation is not None)
 
 
-def _moved(annotation: Annotation, changes: Mapping[Key, LensChange]) -> Annotation | None:
+def _moved(annotation: Annotation, changes: Mapping[Key, CameraModelChange]) -> Annotation | None:
     if isinstance(annotation, Box2DAnnotation):
         change = changes.get(key_of(annotation.sensor_id))
         return annotation if change is None else _moved_box(annotation, change)
@@ -96,7 +98,7 @@ def _moved(annotation: Annotation, changes: Mapping[Key, LensChange]) -> Annotat
     return annotation
 
 
-def _moved_box(annotation: Box2DAnnotation, change: LensChange) -> Box2DAnnotation | None:
+def _moved_box(annotation: Box2DAnnotation, change: CameraModelChange) -> Box2DAnnotation | None:
     path = annotation.path
     values = change.boxes(path.values)
     kept: BoolArray = np.all(np.isfinite(values), axis=1)
@@ -105,7 +107,7 @@ def _moved_box(annotation: Box2DAnnotation, change: LensChange) -> Box2DAnnotati
     return replace(annotation, path=BoxPath(path.timestamps_ns[kept], values[kept], path.extras))
 
 
-def _moved_shape(annotation: ShapeAnnotation, change: LensChange) -> ShapeAnnotation | None:
+def _moved_shape(annotation: ShapeAnnotation, change: CameraModelChange) -> ShapeAnnotation | None:
     path = annotation.path
     moved = [change.pixels(vertices) for vertices in path.vertices]
     kept = [_is_shown(vertices, change) for vertices in moved]
@@ -116,21 +118,21 @@ def _moved_shape(annotation: ShapeAnnotation, change: LensChange) -> ShapeAnnota
     return replace(annotation, path=VertexPath(path.timestamps_ns[np.array(kept)], vertices, path.extras))
 
 
-def _is_shown(vertices: Float64Array, change: LensChange) -> bool:
-    """Whether all vertices have a place, and the new picture may show some of what they bound."""
+def _is_shown(vertices: Float64Array, change: CameraModelChange) -> bool:
+    """Whether all vertices have a location, and the new image may show some of what they bound."""
     if not (len(vertices) and np.isfinite(vertices).all()):
         return not len(vertices)
     return bool(change.shows(vertices.min(axis=0)[None], vertices.max(axis=0)[None])[0])
 
 
-def _moved_projection(projection: Projection, changes: Mapping[Key, LensChange]) -> Projection:
+def _moved_projection(projection: Projection, changes: Mapping[Key, CameraModelChange]) -> Projection:
     change = changes.get(key_of(projection.sensor_id))
     if change is None or projection.boxes is None:
         return projection
     return replace(projection, boxes=change.boxes(projection.boxes))
 
 
-def _moved_point(projection: PointProjection, changes: Mapping[Key, LensChange]) -> PointProjection:
+def _moved_point(projection: PointProjection, changes: Mapping[Key, CameraModelChange]) -> PointProjection:
     change = changes.get(key_of(projection.sensor_id))
     if change is None or projection.points is None:
         return projection

@@ -1,4 +1,4 @@
-"""From one frame into another over time, by way of a frame that both are known in."""
+"""From one frame into another over time, through a frame that both are known in."""
 
 from dataclasses import dataclass, field
 
@@ -13,7 +13,7 @@ from sceneloom.geometry.rotations import (
     rotate_vectors,
 )
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath, PoseSamples
+from sceneloom.scene.poses import Poses, PoseSamples
 
 KNOWN = 1
 """Greatest coverage of a pose that is used: inside its path, or extrapolated within reach."""
@@ -30,7 +30,7 @@ class FrameChange:
     Attributes:
         hub_from_old: where the old frame is in the one between; None where it is that one.
         hub_from_new: the same of the new frame.
-        held: beyond the ends of a path its end poses hold, in place of nothing.
+        held: beyond the ends of a path its end poses hold, instead of nothing.
     """
 
     hub_from_old: PoseSource | None = None
@@ -41,18 +41,18 @@ class FrameChange:
     @classmethod
     def constant(cls, new_from_old: RigidTransform) -> "FrameChange":
         """The same change at all times."""
-        return cls(PoseSource(PosePath.identity(), new_from_old))
+        return cls(PoseSource(Poses.identity(), new_from_old))
 
     @property
     def is_constant(self) -> bool:
         """Whether it is the same at all times."""
-        return all(source.path.endless for source in self._sources)
+        return all(source.path.static for source in self._sources)
 
     @property
     def knots_ns(self) -> Int64Array:
         """Times (K,) int64 [ns], ascending, at which the paths behind it have poses."""
-        stamps = [source.path.timestamps_ns for source in self._sources if not source.path.endless]
-        return np.unique(np.concatenate(stamps)) if stamps else np.zeros(0, np.int64)
+        timestamps = [source.path.timestamps_ns for source in self._sources if not source.path.static]
+        return np.unique(np.concatenate(timestamps)) if timestamps else np.zeros(0, np.int64)
 
     @property
     def _sources(self) -> list[PoseSource]:
@@ -86,9 +86,9 @@ class FrameChange:
 
     def _of(self, source: PoseSource | None, timestamps_ns: Int64Array) -> PoseSamples:
         if source is None:
-            return PosePath.identity().interpolate(timestamps_ns)
+            return Poses.identity().interpolate(timestamps_ns)
         path = source.path
-        if self.held and not path.endless:
+        if self.held and not path.static:
             return source.at(np.clip(timestamps_ns, path.start_ns, path.stop_ns))
         return source.at(timestamps_ns)
 
@@ -97,13 +97,13 @@ class FrameChange:
         pose = self.at(np.array([timestamp_ns], np.int64))
         return RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
 
-    def places(self, timestamps_ns: Int64Array, places: FloatArray) -> Float64Array:
-        """Take places (M, ..., 3) [m] of the old frame into the new one, row k at time k; NaN where not known."""
+    def locations(self, timestamps_ns: Int64Array, locations: FloatArray) -> Float64Array:
+        """Take locations (M, ..., 3) [m] of the old frame into the new one, row k at time k; NaN where not known."""
         pose = self.at(timestamps_ns)
-        lead = (len(timestamps_ns), *(1,) * (np.ndim(places) - 2), 3)
-        turns = matrix_from_quaternion(pose.quaternions_xyzw)
-        turned = np.einsum("mij,m...j->m...i", turns, np.asarray(places, np.float64))
-        moved: Float64Array = turned + pose.positions.reshape(lead)
+        lead = (len(timestamps_ns), *(1,) * (np.ndim(locations) - 2), 3)
+        rotations = matrix_from_quaternion(pose.quaternions_xyzw)
+        rotated = np.einsum("mij,m...j->m...i", rotations, np.asarray(locations, np.float64))
+        moved: Float64Array = rotated + pose.positions.reshape(lead)
         return moved
 
     def poses(
@@ -117,24 +117,24 @@ class FrameChange:
             change.coverage,
         )
 
-    def path(self, path: PosePath, *, times_ns: Int64Array | None = None) -> PosePath | None:
+    def path(self, path: Poses, *, times_ns: Int64Array | None = None) -> Poses | None:
         """Give `new_from_body` of a path, at its own times; None where the change is known at none of them.
 
         Args:
             path: `old_from_body`.
-            times_ns: (M,) int64 [ns], ascending, the times to give in place of the path's own: what an endless path
+            times_ns: (M,) int64 [ns], ascending, the times to give instead of the path's own: what an static path
                 needs where the change is not constant.
         """
-        if path.endless and self.is_constant:
-            times_ns, endless = path.timestamps_ns, True
+        if path.static and self.is_constant:
+            times_ns, static = path.timestamps_ns, True
         else:
-            endless = False
+            static = False
         times = path.timestamps_ns if times_ns is None else times_ns
         old = path.interpolate(times) if times_ns is not None else None
         positions = path.positions if old is None else old.positions
-        turns = path.quaternions_xyzw if old is None else old.quaternions_xyzw
-        new = self.poses(times, positions, turns)
+        rotations = path.quaternions_xyzw if old is None else old.quaternions_xyzw
+        new = self.poses(times, positions, rotations)
         known = (new.coverage <= KNOWN) & np.isfinite(new.positions[:, 0])
         if not known.any():
             return None
-        return PosePath(times[known], new.positions[known], new.quaternions_xyzw[known], endless=endless)
+        return Poses(times[known], new.positions[known], new.quaternions_xyzw[known], static=static)

@@ -13,7 +13,7 @@ from sceneloom.editing.frame_change import KNOWN, FrameChange
 from sceneloom.editing.keyframes import AddedKeyframes, Keyframer, PathKey
 from sceneloom.editing.moved_adjustments import led_from
 from sceneloom.editing.moved_annotations import AnnotationMover
-from sceneloom.editing.record import assumed, ours_of, skipped, with_notices
+from sceneloom.editing.record import assumed, ours_of, skipped, with_warnings
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations.plain import PlainAnnotation
 from sceneloom.scene.cameras import CameraSensor
@@ -46,40 +46,40 @@ def annotations_moved(
     mover = AnnotationMover(keyframer, CuboidAngles.of(scene), partial(led_from, change))
     moved = mover.moved(scene.annotations)
     if entry is not None:
-        entry.extend(_entry(path, added) for path, added in keyframer.tally.added.items())
+        entry.extend(_entry(path, added) for path, added in keyframer.statistics.added.items())
     unknown = sum(isinstance(annotation, PlainAnnotation) for annotation in scene.annotations)
-    notices = (
+    warnings = (
         skipped(
-            "keyframes-beyond-the-way",
+            "keyframes-beyond-the-trajectory",
             "annotations",
-            "keyframes at whose time the way of the ego is not known",
-            count=keyframer.tally.left_out,
+            "keyframes at whose time the ego trajectory is not known",
+            count=keyframer.statistics.left_out,
         ),
         skipped(
-            "annotations-beyond-the-way",
+            "annotations-beyond-the-trajectory",
             "annotations",
-            "annotations at none of whose times the way of the ego is known",
+            "annotations at none of whose times the ego trajectory is known",
             count=len(scene.annotations) - len(moved),
         ),
         assumed(
             "annotations-not-moved",
             "annotations",
-            "annotations of unknown types: it is not known what in them has a place; left as they are",
+            "annotations of unknown types: it is not known what in them has a location; left as they are",
             count=unknown,
         ),
     )
-    return with_notices(replace(scene, annotations=moved), notices)
+    return with_warnings(replace(scene, annotations=moved), warnings)
 
 
 def frames_ns(scene: Scene) -> Int64Array:
-    """The times (N,) int64 [ns], ascending, of all sweeps, radar cycles and pictures of a scene."""
+    """The times (N,) int64 [ns], ascending, of all sweeps, radar cycles and images of a scene."""
     framed = [
         s
         for s in scene.sensors
         if isinstance(s, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor)
     ]
-    stamps = [frame_times(sensor) for sensor in framed]
-    return np.unique(np.concatenate(stamps)) if stamps else np.zeros(0, np.int64)
+    timestamps = [frame_times(sensor) for sensor in framed]
+    return np.unique(np.concatenate(timestamps)) if timestamps else np.zeros(0, np.int64)
 
 
 def _known(change: FrameChange, times_ns: Int64Array) -> Int64Array:
@@ -98,7 +98,7 @@ def _entry(path: PathKey, added: AddedKeyframes) -> dict[str, Any]:
 
 
 def added_before(scene: Scene) -> Mapping[PathKey, AddedKeyframes]:
-    """What bringing the scene onto the ego added, as far as the metadata tell it in a form that we know."""
+    """What bringing the scene onto the ego added, as far as the metadata report it in a form that we know."""
     entries = ours_of(scene).get(TO_EGO)
     found: dict[PathKey, AddedKeyframes] = {}
     for entry in entries if isinstance(entries, list) else []:

@@ -9,11 +9,11 @@ from sceneloom.editing.cloud_moves import CloudMoves
 from sceneloom.editing.frame_change import FrameChange
 from sceneloom.editing.frame_of_annotations import TO_EGO, added_before, annotations_moved
 from sceneloom.editing.odometry import with_odometry
-from sceneloom.editing.record import assumed, ours_of, with_notices, with_ours
+from sceneloom.editing.record import assumed, ours_of, with_ours, with_warnings
 from sceneloom.editing.sensor_frames import points_change, poses_in_world, poses_on_ego
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.ego_motion import ego_motion_as_given, is_computed, with_way_found
+from sceneloom.motion.ego_motion import ego_motion_as_given, is_computed, with_trajectory_estimated
 from sceneloom.scene.annotations_frame import ANNOTATIONS_FRAME, annotations_frame
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
@@ -39,28 +39,28 @@ def to_world(
 ) -> Scene:
     """Bring points, poses and annotations into the world, each frame and keyframe at its own time.
 
-    A frame moves as a whole: the motion during a sweep is not undone. Frames and keyframes at whose times the ego's
-    way is not known, nor within one sweep period of it, are left out.
+    A frame moves as a whole: the motion during a sweep is not undone. Frames and keyframes at whose times the ego
+    trajectory is not known, nor within one sweep period of it, are left out.
 
     Args:
         scene: as it is.
-        trajectory: name of the ego's way, "identity", "lidar" to find it from the sweeps, or None for the default.
+        trajectory: name of the ego trajectory, "identity", "lidar" to find it from the sweeps, or None for the default.
         heading: "motion" to derive orientations where the trajectory has positions only.
-        annotations_in: "world" or "ego", where the scene does not say in which frame its annotations are.
-        progress: told after each sweep that the way is found from.
+        annotations_in: "world" or "ego", where the scene does not state in which frame its annotations are.
+        progress: reported after each sweep that the trajectory is found from.
 
     Raises:
         PoseError: the poses that this needs are not known.
         OptionError: a value cannot be followed.
         DataError: a frame that this needs cannot be read.
     """
-    said = _annotations_in(scene, annotations_in)
-    needed = trajectory is not None or said is Coordinates.EGO or _rides_on_ego(scene)
+    stated = _annotations_in(scene, annotations_in)
+    needed = trajectory is not None or stated is Coordinates.EGO or _rides_on_ego(scene)
     ego = _found(scene, trajectory, heading, progress) if needed else None
     sensors = partial(_sensor_in_world, scene, ego, anew=trajectory is not None)
-    changed = _moved_sensors(_with_way(scene, ego), sensors)
-    if said is Coordinates.EGO and ego is not None:
-        changed = annotations_moved(changed, FrameChange(_way(scene, ego)), added_before(scene))
+    changed = _moved_sensors(_with_trajectory(scene, ego), sensors)
+    if stated is Coordinates.EGO and ego is not None:
+        changed = annotations_moved(changed, FrameChange(_trajectory(scene, ego)), added_before(scene))
     return with_ours(changed, **{ANNOTATIONS_FRAME: Coordinates.WORLD.value, TO_EGO: None})
 
 
@@ -72,7 +72,7 @@ def annotations_to_world(scene: Scene, *, trajectory: str | None = None, heading
     if annotations_frame(scene) is Coordinates.WORLD:
         return scene
     ego = _found(scene, trajectory, heading, None)
-    moved = annotations_moved(scene, FrameChange(_way(scene, ego)), added_before(scene))
+    moved = annotations_moved(scene, FrameChange(_trajectory(scene, ego)), added_before(scene))
     return with_ours(moved, **{ANNOTATIONS_FRAME: Coordinates.WORLD.value, TO_EGO: None})
 
 
@@ -86,17 +86,17 @@ def to_ego(
 ) -> Scene:
     """Bring points, poses and annotations onto the ego, each frame and keyframe at its own time.
 
-    An odometry sensor tells where the ego was. Annotations get keyframes at the times of frames at which they would
-    otherwise be further than 1 mm or 0.01 degrees off; what stands still in the world moves on the ego. `to_world`
+    An odometry sensor reports where the ego was. Annotations get keyframes at the times of frames at which they would
+    otherwise be further than 1 mm or 0.01 degrees off; what is stationary in the world moves on the ego. `to_world`
     takes these away again. Maps stay in the world, as the format has them. Arguments and errors as in `to_world`.
     """
-    said = _annotations_in(scene, annotations_in)
+    stated = _annotations_in(scene, annotations_in)
     ego = _found(scene, trajectory, heading, progress)
-    changed, odometry_id = with_odometry(_with_way(scene, ego), ego.path)
+    changed, odometry_id = with_odometry(_with_trajectory(scene, ego), ego.path)
     changed = _moved_sensors(changed, partial(_sensor_on_ego, scene, ego, odometry_id))
     entry: list[dict[str, Any]] = []
-    if said is Coordinates.WORLD:
-        changed = annotations_moved(changed, FrameChange(None, _way(scene, ego)), {}, entry)
+    if stated is Coordinates.WORLD:
+        changed = annotations_moved(changed, FrameChange(None, _trajectory(scene, ego)), {}, entry)
     elif isinstance(ours_of(scene).get(TO_EGO), list):
         entry = ours_of(scene)[TO_EGO]
     return with_ours(changed, **{ANNOTATIONS_FRAME: Coordinates.EGO.value, TO_EGO: entry or None})
@@ -115,11 +115,11 @@ def to_sensor(
     """
     needed = trajectory is not None or bool(scene.trajectories)
     ego = _found(scene, trajectory, heading, progress) if needed else None
-    return _moved_sensors(_with_way(scene, ego), partial(_points_in_sensor, scene, ego))
+    return _moved_sensors(_with_trajectory(scene, ego), partial(_points_in_sensor, scene, ego))
 
 
 def _rides_on_ego(scene: Scene) -> bool:
-    """Whether something has its place on the ego."""
+    """Whether something has its location on the ego."""
     posed = [
         s
         for s in scene.sensors
@@ -138,16 +138,16 @@ def _found(scene: Scene, trajectory: str | None, heading: str | None, progress: 
     return ego_motion_as_given(scene, name=trajectory, heading=heading, progress=progress)
 
 
-def _with_way(scene: Scene, ego: EgoMotion | None) -> Scene:
-    """The scene with the way in it, where it was found from the sweeps, and what is to be said of it."""
+def _with_trajectory(scene: Scene, ego: EgoMotion | None) -> Scene:
+    """The scene with the way in it, where it was found from the sweeps, and what is to be stated of it."""
     if ego is None:
         return scene
     if is_computed(scene, ego.name):
-        return with_way_found(scene, ego)
-    return replace(scene, notices=(*scene.notices, *ego.notices))
+        return with_trajectory_estimated(scene, ego)
+    return replace(scene, warnings=(*scene.warnings, *ego.warnings))
 
 
-def _way(scene: Scene, ego: EgoMotion) -> PoseSource:
+def _trajectory(scene: Scene, ego: EgoMotion) -> PoseSource:
     return PoseSource(ego.path, RigidTransform.identity(), scene_period_ns(scene))
 
 
@@ -158,8 +158,10 @@ def _moved_sensors(scene: Scene, move: Mover) -> Scene:
     """Move every sensor; labelled points follow their frames."""
     moves = CloudMoves()
     sensors = tuple(move(moves, sensor) for sensor in scene.sensors)
-    annotations, told = renumbered(scene.annotations, moves.frames)
-    return with_notices(replace(scene, sensors=sensors, annotations=annotations), (*moves.notices, *told))
+    annotations, reported = renumbered(scene.annotations, moves.frames)
+    return with_warnings(
+        replace(scene, sensors=sensors, annotations=annotations), (*moves.warnings, *reported)
+    )
 
 
 def _sensor_in_world(
@@ -186,8 +188,8 @@ def _sensor_on_ego(
     if isinstance(sensor, PlainSensor):
         return _left(moves, sensor)
     if isinstance(sensor, PointsSensor):
-        what = "a map has no time, so it has no place on the ego; it stays in the world"
-        moves.notices.append(assumed("map-in-world", f"sensors[{sensor.id}]", what))
+        what = "a map has no time, so it has no location on the ego; it stays in the world"
+        moves.warnings.append(assumed("map-in-world", f"sensors[{sensor.id}]", what))
         return sensor
     if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor):
         return sensor
@@ -214,8 +216,8 @@ def _points_in_sensor(scene: Scene, ego: EgoMotion | None, moves: CloudMoves, se
 
 
 def _left(moves: CloudMoves, sensor: PlainSensor) -> PlainSensor:
-    what = f"a sensor of type {sensor.type!r}: it is not known what in it has a place; left as it is"
-    moves.notices.append(assumed("sensor-not-moved", f"sensors[{sensor.id}]", what))
+    what = f"a sensor of type {sensor.type!r}: it is not known what in it has a location; left as it is"
+    moves.warnings.append(assumed("sensor-not-moved", f"sensors[{sensor.id}]", what))
     return sensor
 
 
@@ -239,9 +241,9 @@ def _parent(
     return odometry_id
 
 
-def _annotations_in(scene: Scene, said: Coordinates | str | None) -> Coordinates:
-    if said is None:
+def _annotations_in(scene: Scene, stated: Coordinates | str | None) -> Coordinates:
+    if stated is None:
         return annotations_frame(scene)
-    if said not in tuple(Coordinates):
-        raise OptionError(f"annotations in {said!r}; expected one of {', '.join(Coordinates)}")
-    return Coordinates(said)
+    if stated not in tuple(Coordinates):
+        raise OptionError(f"annotations in {stated!r}; expected one of {', '.join(Coordinates)}")
+    return Coordinates(stated)

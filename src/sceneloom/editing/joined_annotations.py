@@ -9,7 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.editing.joined_sensors import joined_path, new_rows
-from sceneloom.editing.sameness import is_same, said_of
+from sceneloom.editing.sameness import is_same, stated_of
 from sceneloom.errors import OptionError
 from sceneloom.scene.annotations.annotation import Annotation
 from sceneloom.scene.annotations.attributes import AttributePath
@@ -28,7 +28,7 @@ from sceneloom.scene.annotations.shapes import ShapeAnnotation
 from sceneloom.scene.types import key_of
 
 _ROWS = ("values", "vertices", "boxes", "cuboids", "points", "positions", "durations_ns", "confirmed")
-"""Fields of paths, activations and projections that have one entry per time stamp."""
+"""Fields of paths, activations and projections that have one entry per timestamp."""
 
 
 def joined_annotation(first: Annotation, second: Annotation, name: str) -> Annotation:
@@ -45,12 +45,12 @@ def joined_annotation(first: Annotation, second: Annotation, name: str) -> Annot
     joined: Any = join(first, second, name)
     if isinstance(first, LocalizationAdjustment | CameraCalibration):
         return joined  # type: ignore[no-any-return]
-    said: Any = second
-    return replace(joined, attributes=joined_attributes(joined.attributes, said.attributes))  # type: ignore[no-any-return]
+    stated: Any = second
+    return replace(joined, attributes=joined_attributes(joined.attributes, stated.attributes))  # type: ignore[no-any-return]
 
 
 def joined_rows(first: Any, second: Any) -> Any:
-    """Join what has time stamps and an entry of some fields for each; a field that one lacks is left out."""
+    """Join what has timestamps and an entry of some fields for each; a field that one lacks is left out."""
     rows = new_rows(first.timestamps_ns, second.timestamps_ns)
     chosen: dict[str, Any] = {
         "timestamps_ns": np.concatenate([first.timestamps_ns, second.timestamps_ns])[rows]
@@ -74,14 +74,14 @@ def joined_attributes(
     first: tuple[AttributePath, ...], second: tuple[AttributePath, ...]
 ) -> tuple[AttributePath, ...]:
     """Join attributes of one name, sensor and point; one whose values have no times each is that of the first."""
-    joined = {said_of(attribute): attribute for attribute in first}
+    joined = {stated_of(attribute): attribute for attribute in first}
     alone = []
     for attribute in second:
-        known = joined.get(said_of(attribute))
+        known = joined.get(stated_of(attribute))
         if known is None:
             alone.append(attribute)
         elif known.is_timed and attribute.is_timed:
-            joined[said_of(attribute)] = joined_rows(known, attribute)
+            joined[stated_of(attribute)] = joined_rows(known, attribute)
     return (*joined.values(), *alone)
 
 
@@ -95,7 +95,7 @@ def _entries(first: tuple[Any, ...], second: tuple[Any, ...]) -> tuple[Any, ...]
 
 
 def _joined_paths(first: Any, second: Any) -> Any:
-    """The path of both; of what stands still at one place in both parts that of the first."""
+    """The path of both; of what is stationary at one location in both parts that of the first."""
     still = all(getattr(part, "stationary", None) for part in (first, second))
     a, b = first.path, second.path
     there = all(is_same(getattr(a, name), getattr(b, name)) for name in _ROWS if hasattr(a, name))
@@ -138,10 +138,10 @@ def _labelled(
     del name
     joined = {(key_of(entry.sensor_id), entry.sensor_frame): entry for entry in first.labeled_points}
     for entry in second.labeled_points:
-        place = (key_of(entry.sensor_id), entry.sensor_frame)
-        known = joined.get(place)
+        location = (key_of(entry.sensor_id), entry.sensor_frame)
+        known = joined.get(location)
         ids = entry.point_ids if known is None else np.union1d(known.point_ids, entry.point_ids)
-        joined[place] = replace(entry, point_ids=ids.astype(np.uint32))
+        joined[location] = replace(entry, point_ids=ids.astype(np.uint32))
     return replace(first, labeled_points=tuple(joined.values()))
 
 
@@ -164,10 +164,10 @@ def _calibration(first: CameraCalibration, second: CameraCalibration, name: str)
     poses = first.poses if second.poses is None else second.poses
     if first.poses is not None and second.poses is not None:
         poses = joined_path(first.poses, second.poses, name)
-    said = ((a.sensor_id, a.intrinsics, a.time_offset_ns) for a in (first, second))
-    if not is_same(*said):
+    stated = ((a.sensor_id, a.intrinsics, a.time_offset_ns) for a in (first, second))
+    if not is_same(*stated):
         raise OptionError(
-            f"{name}: another camera, lens or time offset in one scene than in another; expected one"
+            f"{name}: another camera, camera model or time offset in one scene than in another; expected one"
         )
     return replace(first, poses=poses)
 

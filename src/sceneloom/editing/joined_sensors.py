@@ -17,7 +17,7 @@ from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
 from sceneloom.scene.plain import PlainSensor
-from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Sensor
 from sceneloom.scene.shooting import Shooting, shots_of, with_shots
 
@@ -34,11 +34,11 @@ class JoinedFrames(Generic[Item_co]):
 
     Attributes:
         parts: the two.
-        places: (N, 2) int64, of each frame its part and its number there.
+        locations: (N, 2) int64, of each frame its part and its number there.
     """
 
     parts: tuple[LazyFrames[Item_co], LazyFrames[Item_co]]
-    places: Int64Array
+    locations: Int64Array
 
     def __call__(self, k: int) -> Item_co:
         """Read frame `k`.
@@ -46,7 +46,7 @@ class JoinedFrames(Generic[Item_co]):
         Raises:
             DataError: it cannot be read.
         """
-        part, number = (int(place) for place in self.places[k])
+        part, number = (int(location) for location in self.locations[k])
         return self.parts[part][number]
 
 
@@ -55,28 +55,28 @@ class Joint:
     """How the frames of a second part go on from those of a first.
 
     Attributes:
-        places: (N, 2) int64, of each frame of the whole its part and its number there.
+        locations: (N, 2) int64, of each frame of the whole its part and its number there.
         first, second: (M,) int64, new number of each frame of a part.
         twice: how many frames are in both.
     """
 
-    places: Int64Array
+    locations: Int64Array
     first: Int64Array
     second: Int64Array
     twice: int
 
     @classmethod
     def of(cls, first_ns: Int64Array, second_ns: Int64Array, name: str) -> "Joint":
-        """Join by time stamps; frames of equal stamps are one.
+        """Join by timestamps; frames of equal timestamps are one.
 
         Raises:
             OptionError: frames of one part lie between those of the other.
         """
         alone = np.flatnonzero(~np.isin(second_ns, first_ns))
-        stamps = np.concatenate([first_ns, second_ns[alone]])
+        timestamps = np.concatenate([first_ns, second_ns[alone]])
         parts = np.concatenate([np.zeros(len(first_ns), np.int64), np.ones(len(alone), np.int64)])
         numbers = np.concatenate([np.arange(len(first_ns)), alone])
-        order = np.argsort(stamps, kind="stable")
+        order = np.argsort(timestamps, kind="stable")
         if np.count_nonzero(np.diff(parts[order])) > 1:
             raise OptionError(
                 f"{name}: the frames of the second part lie between those of the first; expected parts that follow "
@@ -89,13 +89,13 @@ class Joint:
         both = np.flatnonzero(np.isin(second_ns, first_ns))
         by_time = np.argsort(first_ns, kind="stable")
         second[both] = new[by_time[np.searchsorted(first_ns, second_ns[both], sorter=by_time)]]
-        places = np.stack([parts[order], numbers[order]], axis=1)
-        return cls(places, new[: len(first_ns)], second, len(both))
+        locations = np.stack([parts[order], numbers[order]], axis=1)
+        return cls(locations, new[: len(first_ns)], second, len(both))
 
     def frames(self, first: LazyFrames[Any], second: LazyFrames[Any]) -> LazyFrames[Any]:
         """The frames of the whole."""
-        stamps = [(first, second)[part].timestamps_ns[number] for part, number in self.places.tolist()]
-        return LazyFrames(np.array(stamps, np.int64), JoinedFrames((first, second), self.places))
+        timestamps = [(first, second)[part].timestamps_ns[number] for part, number in self.locations.tolist()]
+        return LazyFrames(np.array(timestamps, np.int64), JoinedFrames((first, second), self.locations))
 
 
 Joined = tuple[Sensor, Joint | None]
@@ -133,7 +133,7 @@ def _radar(first: RadarSensor, second: RadarSensor, name: str) -> Joined:
 
 
 def _cloud_joint(first: Any, second: Any, name: str) -> Joint:
-    """Join frames; those of equal stamps must have equal points."""
+    """Join frames; those of equal timestamps must have equal points."""
     if first.points_frame is not second.points_frame:
         raise OptionError(
             f"{name}: points in the {first.points_frame} frame in one scene and in the {second.points_frame} frame in "
@@ -141,10 +141,10 @@ def _cloud_joint(first: Any, second: Any, name: str) -> Joint:
         )
     joint = Joint.of(first.frames.timestamps_ns, second.frames.timestamps_ns, name)
     for k in np.flatnonzero(np.isin(second.frames.timestamps_ns, first.frames.timestamps_ns)).tolist():
-        part, number = joint.places[joint.second[k]].tolist()
+        part, number = joint.locations[joint.second[k]].tolist()
         if part == 0 and not _equal_points(first.frames[number], second.frames[k]):
-            stamp = second.frames.timestamps_ns[k]
-            raise OptionError(f"{name}: two frames at {stamp} ns whose points differ; expected one")
+            timestamp = second.frames.timestamps_ns[k]
+            raise OptionError(f"{name}: two frames at {timestamp} ns whose points differ; expected one")
     return joint
 
 
@@ -153,7 +153,7 @@ def _equal_points(a: LidarFrame | RadarFrame, b: LidarFrame | RadarFrame) -> boo
 
 
 def _camera(first: Shooting, second: Shooting, name: str) -> Joined:
-    """Join shots; those of equal stamps are one, though another encoding may have changed them."""
+    """Join shots; those of equal timestamps are one, though another encoding may have changed them."""
     shots, further = shots_of(first), shots_of(second)
     joint = Joint.of(shots.timestamps_ns, further.timestamps_ns, name)
     placed = _placed(first, second, name)
@@ -184,22 +184,22 @@ def _check_mounts(first: RigidTransform | None, second: RigidTransform | None, n
         raise OptionError(f"{name}: mounted otherwise in one scene than in another; expected one mounting")
 
 
-def joined_path(first: PosePath, second: PosePath, name: str) -> PosePath:
+def joined_path(first: Poses, second: Poses, name: str) -> Poses:
     """The poses of both; of two at one time that of the first.
 
     Raises:
         OptionError: one holds at all times and is not the same in both.
     """
-    if first.endless and second.endless:
+    if first.static and second.static:
         same = np.allclose(first.positions, second.positions, rtol=0, atol=MOUNT_TOLERANCE) and np.allclose(
             first.quaternions_xyzw, second.quaternions_xyzw, rtol=0, atol=MOUNT_TOLERANCE
         )
         if same:
             return first
-    if first.endless or second.endless:
-        raise OptionError(f"{name}: stands still in one scene, and elsewhere or moves in another")
+    if first.static or second.static:
+        raise OptionError(f"{name}: is stationary in one scene, and elsewhere or moves in another")
     rows = new_rows(first.timestamps_ns, second.timestamps_ns)
-    return PosePath(
+    return Poses(
         np.concatenate([first.timestamps_ns, second.timestamps_ns])[rows],
         np.concatenate([first.positions, second.positions])[rows],
         np.concatenate([first.quaternions_xyzw, second.quaternions_xyzw])[rows],
@@ -219,9 +219,9 @@ def joined_trajectory(first: Trajectory, second: Trajectory) -> Trajectory:
     """The poses of both; of two at one time that of the first, and only what both have."""
     rows = new_rows(first.timestamps_ns, second.timestamps_ns)
     names = ("positions", "quaternions_xyzw", "file_seconds", "covariances")
-    stamps = np.concatenate([first.timestamps_ns, second.timestamps_ns])[rows]
+    timestamps = np.concatenate([first.timestamps_ns, second.timestamps_ns])[rows]
     return Trajectory(
-        first.name, stamps, *(_both(getattr(first, name), getattr(second, name), rows) for name in names)
+        first.name, timestamps, *(_both(getattr(first, name), getattr(second, name), rows) for name in names)
     )
 
 

@@ -10,7 +10,7 @@ from sceneloom.arrays import Int64Array
 from sceneloom.editing.camera_index import recounted
 from sceneloom.editing.joined_annotations import joined_annotation, joined_attributes
 from sceneloom.editing.joined_sensors import Joint, joined_sensor, joined_trajectory
-from sceneloom.editing.record import OURS, assumed, ours_of, skipped, with_notices
+from sceneloom.editing.record import OURS, assumed, ours_of, skipped, with_warnings
 from sceneloom.editing.references import (
     NewIds,
     attributes_of,
@@ -34,10 +34,10 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor
 from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
-from sceneloom.scene.notices import Notice
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Identifier, Key, key_of
+from sceneloom.scene.warnings import DataWarning
 
 SHARED = (OdometrySensor, ImuSensor, GnssSensor, PointsSensor)
 """What several scenes of one drive may each bring along; where it is the same, it stands in the merged scene once."""
@@ -51,17 +51,17 @@ def merge_scenes(
 ) -> Scene:
     """Make one scene of several of one drive on one clock.
 
-    Scenes whose metadata say which world they were moved from are brought into the first one's. References follow the
-    ids of sensors and annotations that change, and points name the cameras by their new places. The ego's way, an IMU,
-    a receiver or a map that is the same in several scenes is taken once.
+    Scenes whose metadata state which world they were moved from are brought into the first one's. References follow the
+    ids of sensors and annotations that change, and points name the cameras by their new locations. The ego trajectory,
+    an IMU, a receiver or a map that is the same in several scenes is taken once.
 
     Args:
-        scenes: two or more; what differs and can stand once only is the first one's, with a notice.
-        rename: give new ids to sensors and annotations whose ids stand in an earlier scene, in place of refusing them.
+        scenes: two or more; what differs and can stand once only is the first one's, with a warning.
+        rename: give new ids to sensors and annotations whose ids stand in an earlier scene, instead of refusing them.
         force: merge scenes, too, that are of different drives by their cities, times, fixes or ego poses; each reason
-            is a notice then.
+            is a warning then.
         join: take sensors and annotations of equal ids for consecutive parts of one: frames, poses and paths go on;
-            frames with equal stamps and points are taken once.
+            frames with equal timestamps and points are taken once.
 
     Raises:
         OptionError: there are fewer than two, they are of different drives, or ids, worlds or parts do not go together.
@@ -76,17 +76,19 @@ def merge_scenes(
         if reasons and not force:
             raise OptionError(
                 f"{scene.source}: of another drive than {merged.source}: {'; '.join(reasons)}; expected parts of one "
-                "drive in one world; say `--force` to merge them all the same"
+                "drive in one world; state `--force` to merge them all the same"
             )
         unrelated = not reasons and nothing_relates(merged, placed)
         placed = in_words_of(placed, merged)
-        told = [assumed("different-drives", scene.source, f"merged all the same: {why}") for why in reasons]
+        reported = [
+            assumed("different-drives", scene.source, f"merged all the same: {why}") for why in reasons
+        ]
         if unrelated:
             what = (
                 "no city, satellite fixes or ego poses to compare with the others; taken to be of one drive"
             )
-            told.append(assumed("drives-unrelated", scene.source, what))
-        placed = with_notices(placed, told)
+            reported.append(assumed("drives-unrelated", scene.source, what))
+        placed = with_warnings(placed, reported)
         merged = _Merger(merged, rename=rename, join=join).with_scene(placed)
     return replace(
         merged,
@@ -110,7 +112,7 @@ class _Merger:
     sensor_ids: dict[Key, Identifier | None] = field(default_factory=dict)
     annotation_ids: dict[Key, Identifier | None] = field(default_factory=dict)
     joints: dict[Key, Joint] = field(default_factory=dict)
-    notices: list[Notice] = field(default_factory=list)
+    warnings: list[DataWarning] = field(default_factory=list)
 
     def with_scene(self, scene: Scene) -> Scene:
         self._choose_sensor_ids(scene)
@@ -120,10 +122,10 @@ class _Merger:
         moved = [self._follows(annotation, ids) for annotation in scene.annotations]
         first = self._first_annotations()
         annotations = self._annotations(scene, first, [found for found in moved if found is not None])
-        said = attributes_of(scene.attributes, ids)
-        attributes = joined_attributes(self.first.attributes, said)
+        stated = attributes_of(scene.attributes, ids)
+        attributes = joined_attributes(self.first.attributes, stated)
         extras, differing = merged_metadata(self.first.extras, scene.extras)
-        self._tell_differing("", (*contradicting(self.first.attributes, said), *differing))
+        self._report_differing("", (*contradicting(self.first.attributes, stated), *differing))
         metadata = self._metadata(scene, ids)
         merged = replace(
             self.first,
@@ -134,10 +136,10 @@ class _Merger:
             metadata=metadata,
             extras=MappingProxyType(extras),
         )
-        new = [notice for notice in scene.notices if notice not in self.first.notices]
-        return with_notices(merged, (*new, *self.notices))
+        new = [warning for warning in scene.warnings if warning not in self.first.warnings]
+        return with_warnings(merged, (*new, *self.warnings))
 
-    def _place(self, scene: Scene, kind: str, identifier: Identifier) -> str:
+    def _location(self, scene: Scene, kind: str, identifier: Identifier) -> str:
         return f"{scene.source}: {kind}[{identifier!r}]"
 
     def _choose_sensor_ids(self, scene: Scene) -> None:
@@ -150,7 +152,7 @@ class _Merger:
                 continue
             if not self.rename:
                 raise OptionError(
-                    f"{self._place(scene, 'sensors', sensor.id)}: this id stands in {self.first.source}, too; say "
+                    f"{self._location(scene, 'sensors', sensor.id)}: this id stands in {self.first.source}, too; state "
                     "`--rename` to give it another, or `--join` if the two are parts of one sensor"
                 )
             self.sensor_ids[key_of(sensor.id)] = _free(sensor.id, used)
@@ -160,9 +162,9 @@ class _Merger:
         known = {key_of(sensor.id): k for k, sensor in enumerate(self.first.sensors)}
         further = [sensor for sensor in renamed if key_of(sensor.id) not in known]
         cameras = [s for s in (*self.first.sensors, *further) if isinstance(s, CameraSensor)]
-        places = {key_of(camera.id): place for place, camera in enumerate(cameras)}
+        locations = {key_of(camera.id): location for location, camera in enumerate(cameras)}
         old = [camera for camera in renamed if isinstance(camera, CameraSensor)]
-        numbers = {k: places[key_of(camera.id)] for k, camera in enumerate(old)}
+        numbers = {k: locations[key_of(camera.id)] for k, camera in enumerate(old)}
         sensors = list(self.first.sensors)
         for sensor in renamed:
             counted = _recounted(sensor, numbers)
@@ -173,29 +175,29 @@ class _Merger:
                 sensors[k] = self._joined(scene, sensors[k], counted)
             else:
                 what = "the same in both scenes; taken once"
-                self.notices.append(assumed("same-sensor", f"sensors[{sensor.id}]", what))
+                self.warnings.append(assumed("same-sensor", f"sensors[{sensor.id}]", what))
         return tuple(sensors)
 
     def _joined(self, scene: Scene, first: Sensor, second: Sensor) -> Sensor:
-        place = self._place(scene, "sensors", second.id)
-        joined, joint = joined_sensor(first, second, place)
-        self._tell_differing(f"sensors[{second.id}].", differing_fields(first, second))
+        location = self._location(scene, "sensors", second.id)
+        joined, joint = joined_sensor(first, second, location)
+        self._report_differing(f"sensors[{second.id}].", differing_fields(first, second))
         if joint is not None:
             self.joints[key_of(second.id)] = joint
             what = "frames that are in both scenes; taken once"
-            self.notices.append(skipped("frames-twice", f"sensors[{second.id}]", what, count=joint.twice))
+            self.warnings.append(skipped("frames-twice", f"sensors[{second.id}]", what, count=joint.twice))
         if (
             isinstance(first, CameraSensor | DepthCameraSensor)
             and isinstance(joined, CameraSensor | DepthCameraSensor)
             and first.video is not joined.video
         ):
-            what = "the videos of parts cannot be joined; its pictures are taken one by one"
-            self.notices.append(assumed("video-in-pictures", f"sensors[{second.id}].video", what))
+            what = "the videos of parts cannot be joined; its images are taken one by one"
+            self.warnings.append(assumed("video-in-images", f"sensors[{second.id}].video", what))
         return joined
 
-    def _tell_differing(self, where: str, names: Iterable[str], *, code: str = "fields-differ") -> None:
+    def _report_differing(self, where: str, names: Iterable[str], *, code: str = "fields-differ") -> None:
         what = "differs between the scenes; that of the first is kept"
-        self.notices.extend(skipped(code, f"{where}{name}", what) for name in names)
+        self.warnings.extend(skipped(code, f"{where}{name}", what) for name in names)
 
     def _first_annotations(self) -> list[Annotation]:
         numbers = {key: joint.first for key, joint in self.joints.items()}
@@ -217,39 +219,40 @@ class _Merger:
             key = key_of(annotation.id)
             if key not in known:
                 continue
-            place = self._place(scene, "annotations", annotation.id)
+            location = self._location(scene, "annotations", annotation.id)
             if self.join and first[known[key]].type == annotation.type:
                 joined.add(key)
                 part = first[known[key]]
-                first[known[key]] = joined_annotation(part, annotation, place)
-                self._tell_differing(f"annotations[{annotation.id}].", differing_fields(part, annotation))
+                first[known[key]] = joined_annotation(part, annotation, location)
+                self._report_differing(f"annotations[{annotation.id}].", differing_fields(part, annotation))
             elif self.rename:
                 self.annotation_ids[key] = _free(annotation.id, used)
             else:
-                raise OptionError(f"{place}: this id stands in {self.first.source}, too; say `--rename`")
+                raise OptionError(f"{location}: this id stands in {self.first.source}, too; state `--rename`")
         ids = NewIds(self.annotation_ids)
         further = [with_annotation_ids(a, ids) for a in second if key_of(a.id) not in joined]
         return (*first, *(annotation for annotation in further if annotation is not None))
 
     def _trajectories(self, scene: Scene) -> Mapping[str, Trajectory]:
-        ways = dict(self.first.trajectories)
-        for name, way in scene.trajectories.items():
+        trajectories = dict(self.first.trajectories)
+        for name, trajectory in scene.trajectories.items():
             renamed = NewIds(self.sensor_ids)(name)
             new = name if renamed is None else str(renamed)
-            known = ways.get(new)
+            known = trajectories.get(new)
             if known is None:
-                ways[new] = replace(way, name=new)
+                trajectories[new] = replace(trajectory, name=new)
             elif self.join:
-                ways[new] = joined_trajectory(known, way)
-            elif not is_same(known, way):
+                trajectories[new] = joined_trajectory(known, trajectory)
+            elif not is_same(known, trajectory):
                 if not self.rename:
                     raise OptionError(
                         f"{scene.source}: trajectories[{name}]: another way of that name stands in "
-                        f"{self.first.source}; say `--rename` to give it another name, or `--join` if the two are parts"
+                        f"{self.first.source}; state `--rename` to give it another name, or `--join` if the two are "
+                        f"parts"
                     )
-                new = str(_free(name, {key_of(other) for other in ways}))
-                ways[new] = replace(way, name=new)
-        return ways
+                new = str(_free(name, {key_of(other) for other in trajectories}))
+                trajectories[new] = replace(trajectory, name=new)
+        return trajectories
 
     def _metadata(self, scene: Scene, ids: NewIds) -> Mapping[str, Any]:
         mine, other = ours_of(self.first), metadata_of(ours_of(scene), ids)
@@ -257,26 +260,26 @@ class _Merger:
         merged, differing = merged_metadata(free[0], free[1])
         ours, ours_differing = merged_metadata(mine, other)
         for name in _LISTED:
-            lists = [said[name] for said in (mine, other) if isinstance(said.get(name), list)]
+            lists = [stated[name] for stated in (mine, other) if isinstance(stated.get(name), list)]
             if len(lists) == 2:
                 ours[name] = [*lists[0], *(entry for entry in lists[1] if entry not in lists[0])]
         ours.update(_fusion(mine, other))
-        told = [
+        reported = [
             *differing,
             *(f"{OURS}.{name}" for name in ours_differing if name not in (*_LISTED, "fusion")),
         ]
-        self._tell_differing("metadata.", told, code="metadata-differ")
+        self._report_differing("metadata.", reported, code="metadata-differ")
         return MappingProxyType({**merged, **({OURS: ours} if ours else {})})
 
 
 def _fusion(mine: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
-    """What the first fusion said, with the cameras of both in the order that points name them by."""
-    said = [entry.get("fusion") for entry in (mine, other)]
-    if not all(isinstance(entry, Mapping) and isinstance(entry.get("cameras"), list) for entry in said):
+    """What the first fusion stated, with the cameras of both in the order that points name them by."""
+    stated = [entry.get("fusion") for entry in (mine, other)]
+    if not all(isinstance(entry, Mapping) and isinstance(entry.get("cameras"), list) for entry in stated):
         return {}
-    cameras = list(said[0]["cameras"])  # type: ignore[index]
-    cameras += [camera for camera in said[1]["cameras"] if camera not in cameras]  # type: ignore[index]
-    return {"fusion": {**said[0], "cameras": cameras}}  # type: ignore[dict-item]
+    cameras = list(stated[0]["cameras"])  # type: ignore[index]
+    cameras += [camera for camera in stated[1]["cameras"] if camera not in cameras]  # type: ignore[index]
+    return {"fusion": {**stated[0], "cameras": cameras}}  # type: ignore[dict-item]
 
 
 def _shared(known: Sensor, sensor: Sensor) -> bool:

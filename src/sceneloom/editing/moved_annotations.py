@@ -14,7 +14,7 @@ from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations.annotation import Annotation
 from sceneloom.scene.annotations.corrections import LocalizationAdjustment
 from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath
-from sceneloom.scene.annotations.keypoints import PointPath, PointProjection, PointsAnnotation, places_of
+from sceneloom.scene.annotations.keypoints import PointPath, PointProjection, PointsAnnotation, locations_of
 from sceneloom.scene.annotations.shapes import ShapeAnnotation, VertexPath
 from sceneloom.scene.at import cuboid_at, point_at, shape_at
 
@@ -70,14 +70,14 @@ def _moved_cuboid(mover: AnnotationMover, annotation: CuboidAnnotation) -> Cuboi
     path, keyframer, angles = annotation.path, mover.keyframer, mover.angles
     if len(path.timestamps_ns):
         own = keyframer.own_rows(key, path.timestamps_ns)
-        stamps_ns = path.timestamps_ns[own]
-        old = replace(annotation, path=CuboidPath(stamps_ns, path.values[own], path.extras))
+        timestamps_ns = path.timestamps_ns[own]
+        old = replace(annotation, path=CuboidPath(timestamps_ns, path.values[own], path.extras))
 
         def sample(times_ns: Int64Array) -> tuple[Float64Array, Float64Array]:
             rows = cuboid_at(old, times_ns, angles=angles)[0]
             return rows[:, None, 3:6], angles.quaternions(rows[:, 6:])
 
-        times_ns = keyframer.times(key, stamps_ns, stationary=bool(annotation.stationary), sample=sample)
+        times_ns = keyframer.times(key, timestamps_ns, stationary=bool(annotation.stationary), sample=sample)
         if len(times_ns) == 0:
             return None
         rows = cuboid_at(old, times_ns, angles=angles)[0]
@@ -102,26 +102,26 @@ def _moved_shape(mover: AnnotationMover, annotation: ShapeAnnotation) -> ShapeAn
     key = (type(annotation.id), annotation.id, 0)
     path, keyframer = annotation.path, mover.keyframer
     own = keyframer.own_rows(key, path.timestamps_ns)
-    stamps_ns = path.timestamps_ns[own]
+    timestamps_ns = path.timestamps_ns[own]
     old = replace(
-        annotation, path=VertexPath(stamps_ns, tuple(path.vertices[k] for k in own.tolist()), path.extras)
+        annotation, path=VertexPath(timestamps_ns, tuple(path.vertices[k] for k in own.tolist()), path.extras)
     )
     counts = {len(vertices) for vertices in old.path.vertices}
 
     def sample(times_ns: Int64Array) -> tuple[Float64Array, None]:
-        # vertices that come and go are at no place between keyframes
+        # vertices that come and go are at no location between keyframes
         if len(counts) > 1:
             return np.zeros((len(times_ns), 0, 3)), None
         found = shape_at(old, times_ns)
         nowhere = np.full((next(iter(counts)), 3), np.nan)
         return np.stack([nowhere if vertices is None else vertices for vertices in found]), None
 
-    times_ns = keyframer.times(key, stamps_ns, stationary=bool(annotation.stationary), sample=sample)
+    times_ns = keyframer.times(key, timestamps_ns, stationary=bool(annotation.stationary), sample=sample)
     if len(times_ns) == 0:
         return None
     found = [vertices for vertices in shape_at(old, times_ns) if vertices is not None]
     vertices = tuple(
-        mover.change.places(times_ns[k : k + 1], shape[None])[0] for k, shape in enumerate(found)
+        mover.change.locations(times_ns[k : k + 1], shape[None])[0] for k, shape in enumerate(found)
     )
     return replace(
         annotation,
@@ -158,23 +158,23 @@ def _moved_point(
     own = mover.keyframer.own_rows(key, path.timestamps_ns)
     old = replace(path, timestamps_ns=path.timestamps_ns[own], values=path.values[own])
 
-    def places(times_ns: Int64Array) -> Float64Array:
-        return places_of(point_at(old, times_ns, stationary=stationary)[0])
+    def locations(times_ns: Int64Array) -> Float64Array:
+        return locations_of(point_at(old, times_ns, stationary=stationary)[0])
 
     times_ns = mover.keyframer.times(
-        key, old.timestamps_ns, stationary=stationary, sample=lambda times: (places(times), None)
+        key, old.timestamps_ns, stationary=stationary, sample=lambda times: (locations(times), None)
     )
-    moved = mover.change.places(times_ns, places(times_ns))
+    moved = mover.change.locations(times_ns, locations(times_ns))
     return replace(path, timestamps_ns=times_ns, values=moved.reshape(len(times_ns), path.values.shape[1]))
 
 
 def _seen_point(mover: AnnotationMover, entry: PointProjection) -> PointProjection:
     if entry.positions is None:
         return entry
-    return replace(entry, positions=mover.change.places(entry.timestamps_ns, entry.positions))
+    return replace(entry, positions=mover.change.locations(entry.timestamps_ns, entry.positions))
 
 
 _MOVES: Mapping[type, Callable[[AnnotationMover, Any], Annotation | None]] = MappingProxyType(
     {CuboidAnnotation: _moved_cuboid, ShapeAnnotation: _moved_shape, PointsAnnotation: _moved_points}
 )
-"""How the annotations that have a place in space are moved; the others have none."""
+"""How the annotations that have a location in space are moved; the others have none."""

@@ -59,7 +59,7 @@ def _read(frames: LazyFrames[Cloud], numbers: Int64Array, k: int) -> Cloud:
 
 
 def moved_points(points: Points, new_from_old: RigidTransform) -> Points:
-    """Take the points of a frame into another frame; a radar's directions turn, too."""
+    """Take the points of a frame into another frame; a radar's directions rotate, too."""
     positions = moved_positions(points.positions, new_from_old)
     if isinstance(points, RadarPoints) and points.directions is not None:
         return replace(

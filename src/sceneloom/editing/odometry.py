@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from sceneloom.scene.motion import OdometrySensor
-from sceneloom.scene.poses import PosePath, same_way
+from sceneloom.scene.poses import Poses, same_direction
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier
 
@@ -11,19 +11,19 @@ EGO_ID = "ego"
 """Id of an odometry sensor that is made, if it is free."""
 
 
-def odometry_telling(scene: Scene, path: PosePath) -> OdometrySensor | None:
-    """The odometry sensor that tells this very path; None where there is none."""
+def odometry_telling(scene: Scene, path: Poses) -> OdometrySensor | None:
+    """The odometry sensor that reports this very path; None where there is none."""
     for sensor in scene.sensors:
-        if isinstance(sensor, OdometrySensor) and same_way(sensor.poses, path):
+        if isinstance(sensor, OdometrySensor) and same_direction(sensor.poses, path):
             return sensor
     return None
 
 
-def with_odometry(scene: Scene, path: PosePath) -> tuple[Scene, Identifier]:
-    """Give the scene with an odometry sensor that tells this path, and the sensor's id."""
-    told = odometry_telling(scene, path)
-    if told is not None:
-        return scene, told.id
+def with_odometry(scene: Scene, path: Poses) -> tuple[Scene, Identifier]:
+    """Give the scene with an odometry sensor that reports this path, and the sensor's id."""
+    reported = odometry_telling(scene, path)
+    if reported is not None:
+        return scene, reported.id
     sensor = OdometrySensor(free_id(scene, EGO_ID), path)
     return replace(scene, sensors=(*scene.sensors, sensor)), sensor.id
 

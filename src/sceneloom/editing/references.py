@@ -94,11 +94,11 @@ def _entries(entries: Iterable[Any], sensors: NewIds) -> tuple[Any, ...]:
 
 
 def _with_attributes(annotation: Any, sensors: NewIds) -> Any:
-    said: tuple[AttributePath, ...] = getattr(annotation, "attributes", ())
-    named = [attribute for attribute in said if attribute.sensor_id is not None]
+    stated: tuple[AttributePath, ...] = getattr(annotation, "attributes", ())
+    named = [attribute for attribute in stated if attribute.sensor_id is not None]
     if not named:
         return annotation
-    return replace(annotation, attributes=attributes_of(said, sensors))
+    return replace(annotation, attributes=attributes_of(stated, sensors))
 
 
 def attributes_of(attributes: Iterable[AttributePath], sensors: NewIds) -> tuple[AttributePath, ...]:
@@ -143,7 +143,7 @@ def with_sensor_parent(sensor: Sensor, ids: NewIds) -> Sensor:
 
 
 def metadata_of(ours: Mapping[str, Any], sensors: NewIds) -> dict[str, Any]:
-    """Give our metadata with sensors named by their new ids, without what is said of sensors that are gone."""
+    """Give our metadata with sensors named by their new ids, without what is stated for sensors that are gone."""
     return {name: _renamed(name, value, sensors) for name, value in ours.items()}
 
 
@@ -180,7 +180,7 @@ def _deskewed(value: Any, sensors: NewIds) -> Any:
 
 
 def _fusion(value: Any, sensors: NewIds) -> Any:
-    """What a fusion said, in which the order of `cameras` is what `camera_index` counts."""
+    """What a fusion stated, in which the order of `cameras` is what `camera_index` counts."""
     if not (isinstance(value, Mapping) and isinstance(value.get("cameras"), list)):
         return value
     return {**value, "cameras": _listed(value["cameras"], sensors)}

@@ -38,7 +38,7 @@ class Region:
             raise OptionError(f"range {self.reach}; expected a positive number of metres")
 
     def holds(self, points: FloatArray) -> BoolArray:
-        """Say which points (..., 3) [m] of the frame lie in it; one that is not finite lies nowhere."""
+        """Report which points (..., 3) [m] of the frame lie in it; one that is not finite lies nowhere."""
         inside: BoolArray = np.asarray(np.isfinite(points).all(axis=-1))
         if self.box is not None:
             inside &= (points >= self.box[:3]).all(axis=-1) & (points <= self.box[3:]).all(axis=-1)
@@ -48,7 +48,7 @@ class Region:
 
 
 Placed = tuple[Region, FrameChange | None]
-"""A region, and what takes places into its frame; None where they are in it."""
+"""A region, and what takes locations into its frame; None where they are in it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,9 +62,9 @@ class FrameChoice:
         return np.flatnonzero(held_at(self.regions, frame.timestamp_ns, frame.points.positions))
 
 
-def held_at(regions: tuple[Placed, ...], timestamp_ns: int, places: FloatArray) -> BoolArray:
-    """Say which places (N, 3) [m] lie in all regions at a time at which the changes are known."""
-    exact = np.asarray(places, np.float64)
+def held_at(regions: tuple[Placed, ...], timestamp_ns: int, locations: FloatArray) -> BoolArray:
+    """Report which locations (N, 3) [m] lie in all regions at a time at which the changes are known."""
+    exact = np.asarray(locations, np.float64)
     inside = np.ones(len(exact), np.bool_)
     for region, change in regions:
         inside &= region.holds(exact if change is None else change.transform(timestamp_ns).apply(exact))
@@ -72,26 +72,26 @@ def held_at(regions: tuple[Placed, ...], timestamp_ns: int, places: FloatArray) 
 
 
 def ever_held(
-    alternatives: tuple[tuple[Placed, ...], ...], times_ns: Int64Array, places: FloatArray
+    alternatives: tuple[tuple[Placed, ...], ...], times_ns: Int64Array, locations: FloatArray
 ) -> BoolArray:
-    """Say at which times a thing lies in all regions of any alternative.
+    """Report at which times a thing lies in all regions of any alternative.
 
     Args:
         alternatives: regions around the world, the ego, or one sensor each.
         times_ns: (M,) int64 [ns].
-        places: (M, V, 3) [m], of its V vertices at each time; NaN where it is not there.
+        locations: (M, V, 3) [m], of its V vertices at each time; NaN where it is not there.
 
     Returns:
         (M,) bool, where any vertex lies inside; not where a change is not known.
     """
     found = np.zeros(len(times_ns), np.bool_)
     for regions in alternatives:
-        inside = np.ones(places.shape[:2], np.bool_)
+        inside = np.ones(locations.shape[:2], np.bool_)
         for region, change in regions:
             if change is None:
-                inside &= region.holds(places)
+                inside &= region.holds(locations)
             else:
                 known = change.at(times_ns).coverage <= KNOWN
-                inside &= region.holds(change.places(times_ns, places)) & known[:, None]
+                inside &= region.holds(change.locations(times_ns, locations)) & known[:, None]
         found |= inside.any(axis=1)
     return found

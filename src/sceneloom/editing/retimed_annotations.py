@@ -7,11 +7,11 @@ from typing import Any, TypeVar
 import numpy as np
 
 from sceneloom.arrays import Int64Array, read_only
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.types import Key, key_of
 
 Right = Callable[[Int64Array], Int64Array]
-"""Gives the right times of stamps (…,) int64 [ns]."""
+"""Gives the right times of timestamps (…,) int64 [ns]."""
 
 Part = TypeVar("Part")
 
@@ -47,7 +47,7 @@ def _changed(name: str, value: Any, sensors: Mapping[Key, Right], right: Right |
         return None if right is None or len(value) == 0 else read_only(right(value))
     if name in _MOMENTS and isinstance(value, int):
         return None if right is None else int(right(np.array(value, np.int64)))
-    if isinstance(value, PosePath) and value.endless:
+    if isinstance(value, Poses) and value.static:
         return None
     if isinstance(value, tuple) and any(is_dataclass(item) or isinstance(item, tuple) for item in value):
         return tuple(_retimed_item(item, sensors, right) for item in value)

@@ -13,7 +13,9 @@ from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Key, key_of
 
 LINES, TEXTS, SHARED = "recording", "further_keys", "shared_lines"
-"""Where a scene keeps lines that say more than their samples, by stream and by time [ns] as text; and those of several
+"""Where a scene keeps lines that state more than their samples, by stream and by time [ns] as text.
+
+And those of several
 records, with stream and time of each."""
 
 
@@ -21,7 +23,7 @@ class Clock(Protocol):
     """What moves times."""
 
     def right(self, timestamps_ns: Int64Array) -> Int64Array:
-        """The right times of stamps [ns]."""
+        """The right times of timestamps [ns]."""
         ...
 
 
@@ -30,7 +32,7 @@ def retimed_lines(
 ) -> Mapping[str, Any]:
     """Give the scene's metadata with the keys of lines moved as their samples are.
 
-    Lines of several records of which one is moved are lines no longer: they would tell it twice.
+    Lines of several records of which one is moved are lines no longer: they would report it twice.
 
     Args:
         scene: as it is.
@@ -75,9 +77,9 @@ def streams_of(sensor: Sensor) -> list[str]:
 def _moved(lines: Mapping[str, Any], clock: Clock) -> dict[str, Any]:
     moved = {}
     for key, text in lines.items():
-        stamp, mark, count = key.partition("#")
-        if not stamp.removeprefix("-").isdecimal():
+        timestamp, mark, count = key.partition("#")
+        if not timestamp.removeprefix("-").isdecimal():
             continue
-        right = int(clock.right(np.array(int(stamp), np.int64)))
+        right = int(clock.right(np.array(int(timestamp), np.int64)))
         moved[f"{right}{mark}{count}"] = text
     return moved

@@ -18,7 +18,7 @@ from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath, Trajectory, same_way
+from sceneloom.scene.poses import Poses, Trajectory, same_direction
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.shooting import Shooting, shots_of, with_shots
 from sceneloom.scene.span import scene_period_ns
@@ -27,7 +27,7 @@ from sceneloom.scene.types import Key, key_of
 Cloud = TypeVar("Cloud", LidarFrame, RadarFrame)
 
 _SAME_CLOCK_NS = 10_000_000_000
-"""Point times farther from their sweep's stamp are not on its clock, and stay [ns]."""
+"""Point times farther from their sweep's timestamp are not on its clock, and stay [ns]."""
 
 _MEASURED = "measured_timestamps_ns"
 """The further array of deskewed points that holds times."""
@@ -38,7 +38,7 @@ class ClockCorrection:
     """What is taken off the times of a stream: t - offset - skew (t - offset - at).
 
     Attributes:
-        offset_ns: what the stream's stamps say too much, at `at_ns` [ns].
+        offset_ns: what the stream's timestamps state too much, at `at_ns` [ns].
         skew_ppm: how much too fast its clock runs [parts in a million].
         at_ns: on the right clock [ns].
     """
@@ -48,7 +48,7 @@ class ClockCorrection:
     at_ns: int = 0
 
     def right(self, timestamps_ns: Int64Array) -> Int64Array:
-        """The right times (…,) int64 [ns] of stamps of the stream, rounded to whole nanoseconds."""
+        """The right times (…,) int64 [ns] of timestamps of the stream, rounded to whole nanoseconds."""
         times = np.asarray(timestamps_ns, np.int64)
         whole_ns = round(self.offset_ns)
         drift = self.skew_ppm * 1e-6 * (times - whole_ns - self.at_ns)
@@ -56,7 +56,7 @@ class ClockCorrection:
         return right
 
     def right_ns(self, timestamp_ns: int) -> int:
-        """The right time of one stamp [ns]."""
+        """The right time of one timestamp [ns]."""
         return int(self.right(np.array(timestamp_ns, np.int64)))
 
 
@@ -68,7 +68,8 @@ def retimed_scene(
 ) -> Scene:
     """Give the scene with the clocks of some sensors and trajectories corrected.
 
-    All their times move: stamps, times of points, samples and fixes. Where a sensor is mounted on the ego, its poses
+    All their times move: timestamps, times of points, samples and fixes. Where a sensor is mounted on the ego, its
+        poses
     are taken anew from the default trajectory, at its right times. Annotations of one sensor go with that sensor,
     others with the first lidar, in whose sweeps such are drawn. Frames are read and moved when asked for.
 
@@ -87,15 +88,19 @@ def retimed_scene(
     for name in trajectories:
         if name not in scene.trajectories:
             raise OptionError(f"{scene.source}: no trajectory {name!r}")
-    ways = {
-        name: retimed_trajectory(way, trajectories[name]) if name in trajectories else way
-        for name, way in scene.trajectories.items()
+    new_trajectories = {
+        name: retimed_trajectory(trajectory, trajectories[name]) if name in trajectories else trajectory
+        for name, trajectory in scene.trajectories.items()
     }
     moved = [
         _RETIMED[type(sensor)](sensor, sensors[key_of(sensor.id)]) if key_of(sensor.id) in sensors else sensor
         for sensor in scene.sensors
     ]
-    changed = replace(scene, sensors=tuple(_along(moved, scene, ways, trajectories)), trajectories=ways)
+    changed = replace(
+        scene,
+        sensors=tuple(_along(moved, scene, new_trajectories, trajectories)),
+        trajectories=new_trajectories,
+    )
     placed = [
         _placed(sensor, changed)
         if key_of(sensor.id) in sensors or _default_moved(scene, trajectories)
@@ -124,9 +129,11 @@ def retimed_sensor(sensor: Sensor, correction: ClockCorrection) -> Sensor:
     return moved
 
 
-def retimed_trajectory(way: Trajectory, correction: ClockCorrection) -> Trajectory:
+def retimed_trajectory(trajectory: Trajectory, correction: ClockCorrection) -> Trajectory:
     """Give a trajectory with its times moved."""
-    return replace(way, timestamps_ns=read_only(correction.right(way.timestamps_ns)), file_seconds=None)
+    return replace(
+        trajectory, timestamps_ns=read_only(correction.right(trajectory.timestamps_ns)), file_seconds=None
+    )
 
 
 def _cloud(sensor: Any, correction: ClockCorrection) -> Any:
@@ -136,7 +143,7 @@ def _cloud(sensor: Any, correction: ClockCorrection) -> Any:
 
 def _camera(camera: Shooting, correction: ClockCorrection) -> Shooting:
     shots = shots_of(camera)
-    retimed = LazyFrames(correction.right(shots.timestamps_ns), RetimedPictures(shots, correction))
+    retimed = LazyFrames(correction.right(shots.timestamps_ns), RetimedImages(shots, correction))
     return with_shots(camera, retimed, camera.video)
 
 
@@ -189,35 +196,35 @@ class RetimedClouds(Generic[Cloud]):
         if _MEASURED in extras:
             extras[_MEASURED] = self._right(np.asarray(extras[_MEASURED]), frame.timestamp_ns)
         points = replace(points, extras=MappingProxyType(extras))
-        stamp_ns = self.correction.right_ns(frame.timestamp_ns)
+        timestamp_ns = self.correction.right_ns(frame.timestamp_ns)
         changed: Any = replace(
-            frame, timestamp_ns=stamp_ns, points=points, extras=_without_own_times(frame.extras)
+            frame, timestamp_ns=timestamp_ns, points=points, extras=_without_own_times(frame.extras)
         )
         return changed
 
-    def _right(self, times: Int64Array, stamp_ns: int) -> Int64Array:
-        far = np.abs(times - stamp_ns) > _SAME_CLOCK_NS
+    def _right(self, times: Int64Array, timestamp_ns: int) -> Int64Array:
+        far = np.abs(times - timestamp_ns) > _SAME_CLOCK_NS
         return read_only(np.where(far, times, self.correction.right(times)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RetimedPictures:
-    """Reads pictures or depth images and moves their times; what `LazyFrames` asks for."""
+class RetimedImages:
+    """Reads images or depth images and moves their times; what `LazyFrames` asks for."""
 
-    pictures: LazyFrames[Any]
+    images: LazyFrames[Any]
     correction: ClockCorrection
 
     def __call__(self, k: int) -> Any:
-        """Read picture `k`.
+        """Read image `k`.
 
         Raises:
             DataError: its record cannot be read.
         """
-        picture = self.pictures[k]
+        image = self.images[k]
         return replace(
-            picture,
-            timestamp_ns=self.correction.right_ns(picture.timestamp_ns),
-            extras=_without_own_times(picture.extras),
+            image,
+            timestamp_ns=self.correction.right_ns(image.timestamp_ns),
+            extras=_without_own_times(image.extras),
         )
 
 
@@ -227,13 +234,18 @@ def _without_own_times(extras: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _along(
-    sensors: list[Any], scene: Scene, ways: Mapping[str, Trajectory], corrected: Mapping[str, ClockCorrection]
+    sensors: list[Any],
+    scene: Scene,
+    new_trajectories: Mapping[str, Trajectory],
+    corrected: Mapping[str, ClockCorrection],
 ) -> list[Sensor]:
-    """Odometry sensors that tell the same way as a corrected trajectory go with it."""
+    """Odometry sensors that report the same way as a corrected trajectory go with it."""
     return [
-        replace(sensor, poses=ways[name].poses)
+        replace(sensor, poses=new_trajectories[name].poses)
         if isinstance(sensor, OdometrySensor)
-        and (name := next((n for n in corrected if same_way(sensor.poses, scene.trajectories[n])), None))
+        and (
+            name := next((n for n in corrected if same_direction(sensor.poses, scene.trajectories[n])), None)
+        )
         else sensor
         for sensor in sensors
     ]
@@ -243,13 +255,18 @@ def _placed(sensor: Sensor, scene: Scene) -> Sensor:
     """A mounted sensor with its poses along the default trajectory, at its right times."""
     if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor):
         return sensor
-    way = next(iter(scene.trajectories.values()), None)
-    if sensor.poses is None or sensor.mount is None or way is None or way.quaternions_xyzw is None:
+    trajectory = next(iter(scene.trajectories.values()), None)
+    if (
+        sensor.poses is None
+        or sensor.mount is None
+        or trajectory is None
+        or trajectory.quaternions_xyzw is None
+    ):
         return sensor
-    source = PoseSource(way.poses, sensor.mount, scene_period_ns(scene))
-    poses: PosePath | None
+    source = PoseSource(trajectory.poses, sensor.mount, scene_period_ns(scene))
+    poses: Poses | None
     if isinstance(sensor, CameraSensor):
-        poses = camera_path(source, sensor.pictures)
+        poses = camera_path(source, sensor.images)
     else:
         poses = sensor_path(source, sensor.frames.timestamps_ns)
     return replace(sensor, poses=poses)

@@ -9,7 +9,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.editing.frame_change import FrameChange
 from sceneloom.editing.moved_world import moved_world
-from sceneloom.editing.record import assumed, ours_of, with_notices, with_ours
+from sceneloom.editing.record import assumed, ours_of, with_ours, with_warnings
 from sceneloom.editing.sameness import is_same
 from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.geometry.geodesy import ecef_from_geodetic
@@ -26,14 +26,14 @@ from sceneloom.scene.span import frame_times
 from sceneloom.scene.types import Coordinates
 
 WORLD_FROM_FILE = "world_from_file"
-"""Our entry of the metadata with the transform that an earlier edit took off all places in the world."""
+"""Our entry of the metadata with the transform that an earlier edit took off all locations in the world."""
 
 _SAME_WORLD = 1e-9
 """Transforms that differ by no more are one [m], [rad]."""
 
 
 def in_world_of(scene: Scene, first: Scene) -> Scene:
-    """Give a scene in the world of another one, as far as their metadata tell how the two are related.
+    """Give a scene in the world of another one, as far as their metadata report how the two are related.
 
     Raises:
         DataError: the metadata of one hold no rigid transform where they should.
@@ -44,29 +44,29 @@ def in_world_of(scene: Scene, first: Scene) -> Scene:
     here = RigidTransform.identity() if mine is None else mine
     there = RigidTransform.identity() if other is None else other
     first_from_here = there.inverse() @ here
-    told = scene
+    reported = scene
     if mine is None or other is None:
         which = scene if mine is None else first
         what = "nothing says that its origin was moved; taken to be the world that the others were moved from"
-        told = with_notices(scene, [assumed("worlds-related", which.source, what)])
+        reported = with_warnings(scene, [assumed("worlds-related", which.source, what)])
     if np.abs(first_from_here.matrix - np.eye(4)).max() > _SAME_WORLD:
-        told = moved_world(told, FrameChange.constant(first_from_here))
+        reported = moved_world(reported, FrameChange.constant(first_from_here))
     entry = ours_of(first).get(WORLD_FROM_FILE)
-    return with_ours(told, **{WORLD_FROM_FILE: entry})
+    return with_ours(reported, **{WORLD_FROM_FILE: entry})
 
 
 _CITY_WORDS = frozenset({"city", "city_name", "location", "map_name"})
-"""Names of metadata that say where a drive was."""
+"""Names of metadata that state where a drive was."""
 _LONGEST_GAP_S = 3600.0
 """Parts of one drive are not further apart in time."""
 _FASTEST = 100.0
 """No vehicle is faster [m/s]."""
-_SAME_PLACE = 100.0
+_SAME_LOCATION = 100.0
 """How far apart fixes or poses of one ego may be at one time [m]: receivers and their antennas differ."""
 
 
 def different_drives(first: Scene, second: Scene) -> list[str]:
-    """Say why two scenes in one world are not of one drive; empty where nothing speaks against it."""
+    """Report why two scenes in one world are not of one drive; empty where nothing speaks against it."""
     reasons = []
     here, there = _cities(first.metadata), _cities(second.metadata)
     if here and there and here.isdisjoint(there):
@@ -86,7 +86,7 @@ def different_drives(first: Scene, second: Scene) -> list[str]:
 
 
 def nothing_relates(first: Scene, second: Scene) -> bool:
-    """Whether `different_drives` had nothing to compare but times, which of clocks that begin at 0 say nothing."""
+    """Whether `different_drives` had nothing to compare but times, which of clocks that begin at 0 state nothing."""
     pairs = (
         (_cities(first.metadata), _cities(second.metadata)),
         (_fixes(first), _fixes(second)),
@@ -96,7 +96,7 @@ def nothing_relates(first: Scene, second: Scene) -> bool:
 
 
 def _cities(metadata: Mapping[str, Any], depth: int = 0) -> set[str]:
-    """What metadata call the place, in words without case."""
+    """What metadata call the location, in words without case."""
     found: set[str] = set()
     for name, value in metadata.items():
         if isinstance(value, str) and value.strip() and name.lower() in _CITY_WORDS:
@@ -107,11 +107,17 @@ def _cities(metadata: Mapping[str, Any], depth: int = 0) -> set[str]:
 
 
 def _span_ns(scene: Scene) -> tuple[int, int] | None:
-    times = [stamps for sensor in scene.sensors if len(stamps := frame_times(sensor))]
-    times += [way.timestamps_ns for way in scene.trajectories.values() if len(way.timestamps_ns)]
+    times = [timestamps for sensor in scene.sensors if len(timestamps := frame_times(sensor))]
+    times += [
+        trajectory.timestamps_ns
+        for trajectory in scene.trajectories.values()
+        if len(trajectory.timestamps_ns)
+    ]
     if not times:
         return None
-    return min(int(stamps.min()) for stamps in times), max(int(stamps.max()) for stamps in times)
+    return min(int(timestamps.min()) for timestamps in times), max(
+        int(timestamps.max()) for timestamps in times
+    )
 
 
 def _duration(seconds: float) -> str:
@@ -119,7 +125,7 @@ def _duration(seconds: float) -> str:
 
 
 Track = tuple[Int64Array, Float64Array] | None
-"""Times (N,) and places (N, 3) [m]."""
+"""Times (N,) and locations (N, 3) [m]."""
 
 
 def _fixes(scene: Scene) -> Track:
@@ -135,11 +141,11 @@ def _fixes(scene: Scene) -> Track:
 
 def _ego(scene: Scene) -> Track:
     """The ego's trajectory, else that of the first sensor whose poses in the world are known, which is close to it."""
-    found = [(way.timestamps_ns, way.positions) for way in scene.trajectories.values()]
+    found = [(trajectory.timestamps_ns, trajectory.positions) for trajectory in scene.trajectories.values()]
     for one in scene.sensors:
         if isinstance(one, LidarSensor | RadarSensor | CameraSensor) and one.coordinates is Coordinates.WORLD:
             path = one.poses
-            found += [] if path is None or path.endless else [(path.timestamps_ns, path.positions)]
+            found += [] if path is None or path.static else [(path.timestamps_ns, path.positions)]
     if not found or not len(found[0][0]) or not np.isfinite(found[0][1]).all():
         return None
     return found[0]
@@ -149,25 +155,25 @@ def _apart(first: Track, second: Track) -> float | None:
     """How far apart two ways are where an ego cannot be on both [m]; None where it can."""
     if first is None or second is None:
         return None
-    (times, places), (other_times, other_places) = first, second
+    (times, locations), (other_times, other_locations) = first, second
     inside = (other_times >= times[0]) & (other_times <= times[-1])
     if inside.any():
         with np.errstate(over="ignore", invalid="ignore"):
             at = other_times[inside]
-            expected = np.column_stack([np.interp(at, times, places[:, axis]) for axis in range(3)])
-            apart = float(np.median(np.linalg.norm(other_places[inside] - expected, axis=1)))
-        return apart if apart > _SAME_PLACE else None
-    early, late = ((times, places), (other_times, other_places))
+            expected = np.column_stack([np.interp(at, times, locations[:, axis]) for axis in range(3)])
+            apart = float(np.median(np.linalg.norm(other_locations[inside] - expected, axis=1)))
+        return apart if apart > _SAME_LOCATION else None
+    early, late = ((times, locations), (other_times, other_locations))
     if other_times[-1] < times[0]:
         early, late = late, early
     with np.errstate(over="ignore"):
         apart = float(np.linalg.norm(late[1][0] - early[1][-1]))
     gap_s = (int(late[0][0]) - int(early[0][-1])) / 1e9
-    return apart if gap_s >= 0 and apart > _SAME_PLACE + _FASTEST * gap_s else None
+    return apart if gap_s >= 0 and apart > _SAME_LOCATION + _FASTEST * gap_s else None
 
 
 def world_from_file(scene: Scene) -> RigidTransform | None:
-    """The transform that was taken off a scene's places; None where none is named.
+    """The transform that was taken off a scene's locations; None where none is named.
 
     Raises:
         DataError: what is named is no rigid transform.
@@ -175,12 +181,12 @@ def world_from_file(scene: Scene) -> RigidTransform | None:
     named: Any = ours_of(scene).get(WORLD_FROM_FILE)
     if named is None:
         return None
-    place = f"metadata.sceneloom.{WORLD_FROM_FILE}"
+    location = f"metadata.sceneloom.{WORLD_FROM_FILE}"
     try:
         matrix: Float64Array = np.array(named, np.float64)
         return RigidTransform.nearest(matrix)[0]
     except (TypeError, ValueError, CalibrationError):
-        raise DataError(scene.source, place, f"{named!r}; expected a rigid 4x4 matrix") from None
+        raise DataError(scene.source, location, f"{named!r}; expected a rigid 4x4 matrix") from None
 
 
 def in_words_of(scene: Scene, first: Scene) -> Scene:
@@ -199,12 +205,12 @@ def in_words_of(scene: Scene, first: Scene) -> Scene:
     there = any(isinstance(annotation, CuboidAnnotation) for annotation in scene.annotations)
     if mine == theirs or not there:
         return scene
-    annotations = tuple(_said_otherwise(annotation, mine, theirs) for annotation in scene.annotations)
+    annotations = tuple(_stated_otherwise(annotation, mine, theirs) for annotation in scene.annotations)
     changed = replace(scene, annotations=annotations)
     return with_ours(changed, euler_unit=str(theirs.unit), euler_order=theirs.order)
 
 
-def _said_otherwise(annotation: Annotation, mine: CuboidAngles, theirs: CuboidAngles) -> Annotation:
+def _stated_otherwise(annotation: Annotation, mine: CuboidAngles, theirs: CuboidAngles) -> Annotation:
     if not isinstance(annotation, CuboidAnnotation):
         return annotation
     path = annotation.path
@@ -223,10 +229,10 @@ def _said_otherwise(annotation: Annotation, mine: CuboidAngles, theirs: CuboidAn
 
 
 def _rows(rows: Float64Array, mine: CuboidAngles, theirs: CuboidAngles) -> Float64Array:
-    said = rows.copy()
+    stated = rows.copy()
     there = np.isfinite(rows[:, 6:]).all(axis=1)
-    said[there, 6:] = theirs.from_quaternions(mine.quaternions(rows[there, 6:]))
-    return said
+    stated[there, 6:] = theirs.from_quaternions(mine.quaternions(rows[there, 6:]))
+    return stated
 
 
 def merged_metadata(first: Mapping[str, Any], second: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:

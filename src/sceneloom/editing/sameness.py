@@ -1,4 +1,4 @@
-"""Whether records of two scenes say the same, and in which fields they do not."""
+"""Whether records of two scenes state the same, and in which fields they do not."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -13,7 +13,7 @@ SAME_TOLERANCE = 1e-6
 
 
 def is_same(a: Any, b: Any) -> bool:
-    """Whether two values, records or arrays say the same, numbers within `SAME_TOLERANCE`."""
+    """Whether two values, records or arrays state the same, numbers within `SAME_TOLERANCE`."""
     if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
         return _same_arrays(np.asarray(a), np.asarray(b))
     if hasattr(a, "__dataclass_fields__"):
@@ -36,7 +36,7 @@ def _same_arrays(a: Any, b: Any) -> bool:
 
 _JOINED = frozenset(
     (
-        *("frames", "pictures", "video", "poses", "mount", "streams"),
+        *("frames", "images", "video", "poses", "mount", "streams"),
         *("timestamps_ns", "positions_lla", "accuracies", "vertical_accuracies", "file_seconds"),
         *("path", "paths", "activations", "projections", "labeled_points", "start_ns", "duration_ns"),
         "attributes",
@@ -55,17 +55,17 @@ def differing_fields(first: Any, second: Any) -> tuple[str, ...]:
 
 def contradicting(first: Iterable[AttributePath], second: Iterable[AttributePath]) -> tuple[str, ...]:
     """Name the attributes that two parts have both, without times by which they could go on, and that differ."""
-    known = {said_of(attribute): attribute for attribute in first}
+    known = {stated_of(attribute): attribute for attribute in first}
     return tuple(
         f"attributes[{attribute.name}]"
         for attribute in second
-        if said_of(attribute) in known
-        and not (attribute.is_timed and known[said_of(attribute)].is_timed)
-        and not is_same(known[said_of(attribute)], attribute)
+        if stated_of(attribute) in known
+        and not (attribute.is_timed and known[stated_of(attribute)].is_timed)
+        and not is_same(known[stated_of(attribute)], attribute)
     )
 
 
-def said_of(attribute: AttributePath) -> tuple[Any, ...]:
-    """What an attribute tells of: two of the same are one."""
+def stated_of(attribute: AttributePath) -> tuple[Any, ...]:
+    """What an attribute reports: two of the same are one."""
     sensor = None if attribute.sensor_id is None else key_of(attribute.sensor_id)
     return attribute.name, sensor, attribute.static, attribute.point_index

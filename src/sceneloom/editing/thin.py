@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import FloatArray, Int64Array
 from sceneloom.editing.chosen_points import CloudSensor, OnPoints, chosen_map, with_chosen_points
-from sceneloom.editing.record import with_notices, with_ours
+from sceneloom.editing.record import with_ours, with_warnings
 from sceneloom.editing.voxels import KEEPERS, NEAREST, evenly, one_per_cube
 from sceneloom.errors import OptionError
 from sceneloom.scene.cameras import CameraSensor
@@ -82,7 +82,7 @@ def thin_scene(
     """Give a scene with fewer points in its clouds, or fewer frames; points are chosen when frames are read.
 
     A point that stays keeps everything that is known of it, and labelled points follow: frames that have some are
-    read now. Points whose place is not finite go where `voxel` is given.
+    read now. Points whose location is not finite go where `voxel` is given.
 
     Args:
         scene: as it is.
@@ -92,7 +92,7 @@ def thin_scene(
         points: how many points of a frame, or of a map, stay at most.
         every: of lidars, radars and cameras only every so many-th frame stays, from the first.
         sensors: ids of the only sensors to thin; None for all.
-        on_points: told of each frame that is read.
+        on_points: reported each frame that is read.
 
     Raises:
         OptionError: a value cannot be followed, there is nothing to do, or no sensor has such an id.
@@ -113,11 +113,17 @@ def thin_scene(
         _thinned(sensor, thinning, every, changes, on_points) if key_of(sensor.id) in chosen else sensor
         for sensor in scene.sensors
     )
-    annotations, notices = renumbered(scene.annotations, changes)
-    said = {"voxel": voxel, "keep": keep if voxel else None, "share": share, "points": points, "every": every}
-    entry = {name: value for name, value in said.items() if value is not None}
+    annotations, warnings = renumbered(scene.annotations, changes)
+    stated = {
+        "voxel": voxel,
+        "keep": keep if voxel else None,
+        "share": share,
+        "points": points,
+        "every": every,
+    }
+    entry = {name: value for name, value in stated.items() if value is not None}
     changed = replace(scene, sensors=thinned, annotations=annotations)
-    return with_notices(with_ours(changed, thinned=entry), notices)
+    return with_warnings(with_ours(changed, thinned=entry), warnings)
 
 
 def _thinned(
@@ -161,7 +167,7 @@ def _thinned_cloud(
 
 
 def every_shot(camera: Shooting, every: int) -> Shooting:
-    """A camera with every so many-th of its pictures or depth images, from the first."""
+    """A camera with every so many-th of its images or depth images, from the first."""
     if every == 1:
         return camera
     thinned = chosen_shots(camera, slice(None, None, every))

@@ -1,4 +1,4 @@
-"""Scenes whose pictures are as a camera without distortion would have taken them."""
+"""Scenes whose images are as a camera without distortion would have taken them."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -8,18 +8,18 @@ from typing import Any
 from sceneloom.arrays import UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.undistortion import Undistortion, undistorted_camera
-from sceneloom.editing.chosen_cameras import chosen_cameras, lens_record
-from sceneloom.editing.drawn import LensChange, redrawn
-from sceneloom.editing.record import ours_of, skipped, with_notices, with_ours
-from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.editing.chosen_cameras import camera_model_record, chosen_cameras
+from sceneloom.editing.drawn import CameraModelChange, redrawn
+from sceneloom.editing.record import ours_of, skipped, with_ours, with_warnings
+from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, Key, key_of
 
-_LENSES_KEPT = 4
+_CAMERA_MODELS_KEPT = 4
 _OF_OLD_PIXELS = frozenset({"features"})
-"""Fields of single pictures that hold places in them."""
+"""Fields of single images that hold locations in them."""
 
 
 def undistort_scene(
@@ -30,42 +30,42 @@ def undistort_scene(
     width: int | None = None,
     height: int | None = None,
 ) -> Scene:
-    """Give the scene with pinholes for lenses; pictures are resampled when they are decoded.
+    """Give the scene with pinholes for camera models; images are resampled when they are decoded.
 
     Corrections are applied first. Poses and mountings stay.
-    What is drawn into the pictures follows. The lenses that took the pictures stand in
+    What is drawn into the images follows. The camera models that took the images stand in
     the metadata, as `sceneloom.undistorted`.
 
     Args:
         scene: as it is.
-        cameras: ids of the only cameras to change; None for all whose lens is not a pinhole already.
-        keep: 0 for pictures all of whose pixels the old ones show, 1 for ones that show all that the old ones do.
-        width, height: size of the new pictures [px]; None for that of the old ones.
+        cameras: ids of the only cameras to change; None for all whose camera model is not a pinhole already.
+        keep: 0 for images all of whose pixels the old ones show, 1 for ones that show all that the old ones do.
+        width, height: size of the new images [px]; None for that of the old ones.
 
     Raises:
         OptionError: a camera is not there, or a value cannot be followed.
-        CalibrationError: a lens cannot be computed with, or is none that a pinhole can stand for.
+        CalibrationError: a camera model cannot be computed with, or is none that a pinhole can stand for.
     """
     scene = scene.corrected()
     sensors: list[Any] = list(scene.sensors)
-    changes: dict[Key, LensChange] = {}
+    changes: dict[Key, CameraModelChange] = {}
     entries = list(ours_of(scene).get("undistorted") or ())
     for index, sensor in chosen_cameras(
         scene, cameras, unless="pinhole" if width is height is None else None
     ):
         target = undistorted_camera(sensor.camera, keep=keep, width=width, height=height)
         sensors[index] = _undistorted_camera_sensor(sensor, target)
-        changes[key_of(sensor.id)] = LensChange(sensor.camera, target)
-        entries.append({"sensor": sensor.id, "keep": keep, "camera": lens_record(sensor.camera)})
+        changes[key_of(sensor.id)] = CameraModelChange(sensor.camera, target)
+        entries.append({"sensor": sensor.id, "keep": keep, "camera": camera_model_record(sensor.camera)})
     annotations = redrawn(scene.annotations, changes)
     changed = replace(scene, sensors=tuple(sensors), annotations=annotations)
-    message = "what is drawn into pictures was left out where the pictures without distortion do not reach"
+    message = "what is drawn into images was left out where the images without distortion do not reach"
     lost = sum(change.lost for change in changes.values())
-    nothing = "every lens is a pinhole already; no picture was changed"
-    return with_notices(
+    nothing = "every camera model is a pinhole already; no image was changed"
+    return with_warnings(
         with_ours(changed, undistorted=entries or None),
         [
-            skipped("drawn-beyond-picture", "annotations", message, count=lost),
+            skipped("drawn-beyond-image", "annotations", message, count=lost),
             skipped("nothing-to-undistort", "sensors", nothing, count=int(not changes)),
             skipped("depth-not-undistorted", "sensors", "depth images stay as they are", count=_bent(scene)),
         ],
@@ -73,15 +73,18 @@ def undistort_scene(
 
 
 def _bent(scene: Scene) -> int:
-    """How many depth cameras have a lens that is no pinhole: a depth between two others is no depth of anything."""
+    """How many depth cameras have a camera model that is no pinhole.
+
+    A depth between two others is no depth of anything.
+    """
     found = [sensor for sensor in scene.sensors if isinstance(sensor, DepthCameraSensor)]
     return sum(sensor.camera.model != "pinhole" for sensor in found)
 
 
 def _undistorted_camera_sensor(sensor: CameraSensor, target: Camera) -> CameraSensor:
-    pictures = LazyFrames(sensor.pictures.timestamps_ns, _Undistorted(sensor.pictures, _Maps(target)))
+    images = LazyFrames(sensor.images.timestamps_ns, _Undistorted(sensor.images, _Maps(target)))
     return replace(
-        sensor, camera=target, pictures=pictures, video=None, extras=_without_distortion(sensor.extras)
+        sensor, camera=target, images=images, video=None, extras=_without_distortion(sensor.extras)
     )
 
 
@@ -96,14 +99,14 @@ def _without_distortion(extras: Mapping[str, Any]) -> Mapping[str, Any]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Maps:
-    """The maps from each lens of a camera to the new one; they are computed anew where they are unpickled."""
+    """The maps from each camera model of a camera to the new one; they are computed anew where they are unpickled."""
 
     target: Camera
     known: dict[Camera, Undistortion] = field(default_factory=dict)
 
     def of(self, camera: Camera) -> Undistortion:
         if camera not in self.known:
-            while len(self.known) >= _LENSES_KEPT:
+            while len(self.known) >= _CAMERA_MODELS_KEPT:
                 self.known.pop(next(iter(self.known)))
             self.known[camera] = Undistortion.between(camera, self.target)
         return self.known[camera]
@@ -114,18 +117,18 @@ class _Maps:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Undistorted:
-    """Reads pictures; what `LazyFrames` asks for."""
+    """Reads images; what `LazyFrames` asks for."""
 
-    pictures: LazyFrames[Picture]
+    images: LazyFrames[CameraImage]
     maps: _Maps
 
-    def __call__(self, k: int) -> Picture:
-        picture = self.pictures[k]
-        extras = {name: value for name, value in picture.extras.items() if name not in _OF_OLD_PIXELS}
+    def __call__(self, k: int) -> CameraImage:
+        image = self.images[k]
+        extras = {name: value for name, value in image.extras.items() if name not in _OF_OLD_PIXELS}
         return replace(
-            picture,
+            image,
             camera=self.maps.target,
-            decode=_Decode(picture, self.maps),
+            decode=_Decode(image, self.maps),
             encoded=None,
             extras=MappingProxyType(extras),
         )
@@ -133,8 +136,8 @@ class _Undistorted:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Decode:
-    picture: Picture
+    image: CameraImage
     maps: _Maps
 
     def __call__(self) -> UInt8Array:
-        return self.maps.of(self.picture.camera).apply(self.picture.rgb)
+        return self.maps.of(self.image.camera).apply(self.image.rgb)

@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.evaluate.association import Pairs, Poses
+from sceneloom.evaluate.association import MatchedPoses, Pairs
 from sceneloom.geometry.rotations import matrix_from_quaternion, multiply_quaternions, quaternion_from_matrix
 
 _POINT = 1e-12
@@ -18,10 +18,13 @@ _LINE = 1e-9
 """Ratio of the second spread to the first (squared lengths) below which positions lie on a line."""
 
 _WEIGHT = 1e-6
-"""Of orientations beside positions that leave a turn open: they decide that turn, and bend nothing else."""
+"""Of orientations beside positions that leave a rotation open: they decide that rotation, and bend nothing else."""
 
 _THIN, _SMALL = 0.01, 0.1
-"""Ratio of the second extent to the first, and extent [m], below which a fitted turn is told to be doubtful."""
+"""Ratio of the second extent to the first, and extent [m].
+
+Below which a fitted delta_rotation is reported to be doubtful.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,12 +43,12 @@ class Alignment:
     scale: float = 1.0
     doubts: tuple[str, ...] = ()
 
-    def apply(self, poses: Poses) -> Poses:
-        """The poses as the reference would tell them."""
+    def apply(self, poses: MatchedPoses) -> MatchedPoses:
+        """The poses as the reference would report them."""
         positions = self.scale * poses.positions @ self.rotation.T + self.translation
         if poses.quaternions_xyzw is None:
-            return Poses(positions, None)
-        return Poses(
+            return MatchedPoses(positions, None)
+        return MatchedPoses(
             positions, multiply_quaternions(quaternion_from_matrix(self.rotation), poses.quaternions_xyzw)
         )
 
@@ -81,7 +84,7 @@ def _nearest_rotation(matrix: Float64Array) -> Float64Array:
     return rotation
 
 
-def _mean_turn(pairs: Pairs) -> Float64Array | None:
+def _mean_rotation(pairs: Pairs) -> Float64Array | None:
     """Mean of the matrices that take each orientation of the estimate to the reference's, (3, 3), or None."""
     ours, theirs = pairs.estimate.quaternions_xyzw, pairs.reference.quaternions_xyzw
     if ours is None or theirs is None:
@@ -98,31 +101,31 @@ def _none(pairs: Pairs) -> Alignment:
 
 def _origin(pairs: Pairs) -> Alignment:
     """Lay the first pose onto the first pose."""
-    first, turn = pairs.estimate.positions[0], _mean_turn(_first(pairs, 1))
-    if turn is None:
+    first, delta_rotation = pairs.estimate.positions[0], _mean_rotation(_first(pairs, 1))
+    if delta_rotation is None:
         raise PoseError(
             "alignment 'origin' lays the first pose onto the first pose and needs orientations on both sides; "
-            "say `--align yaw` or `--align se3`"
+            "state `--align yaw` or `--align se3`"
         )
-    rotation = _nearest_rotation(turn)
+    rotation = _nearest_rotation(delta_rotation)
     return Alignment(rotation, pairs.reference.positions[0] - rotation @ first)
 
 
 def _yaw(pairs: Pairs) -> Alignment:
-    """Shift, and turn about the vertical: what cameras with an IMU leave open.
+    """Shift, and rotate about the vertical: what cameras with an IMU leave open.
 
     Source: Zhang and Scaramuzza 2018, "A Tutorial on Quantitative Trajectory Evaluation for Visual(-Inertial)
     Odometry", section IV: the angle whose rotation about z has the largest trace with the covariance.
     """
     covariance = _covariance(pairs.estimate.positions, pairs.reference.positions)
-    turn = _mean_turn(pairs)
+    delta_rotation = _mean_rotation(pairs)
     doubts: tuple[str, ...] = ()
     flat = covariance[:2, :2]
     extent = np.sqrt(_spread(pairs.reference.positions[:, :2]))
     if extent < _SMALL:
         doubts = (_kept_within(float(extent)),)
     if np.hypot(flat[0, 0] + flat[1, 1], flat[1, 0] - flat[0, 1]) <= _POINT:
-        flat = np.eye(2) if turn is None else turn[:2, :2]
+        flat = np.eye(2) if delta_rotation is None else delta_rotation[:2, :2]
     yaw = float(np.arctan2(flat[1, 0] - flat[0, 1], flat[0, 0] + flat[1, 1]))
     rotation = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
     shift = pairs.reference.positions.mean(axis=0) - rotation @ pairs.estimate.positions.mean(axis=0)
@@ -140,14 +143,14 @@ def _sim3(pairs: Pairs) -> Alignment:
 def _fitted(pairs: Pairs, *, with_scale: bool) -> Alignment:
     source, target = pairs.estimate.positions, pairs.reference.positions
     if with_scale and _spread(source) <= _POINT:
-        raise PoseError("the estimate stands still, so that it has no scale; say `--align se3`")
-    covariance, turn = _covariance(source, target), _mean_turn(pairs)
+        raise PoseError("the estimate is stationary, so that it has no scale; state `--align se3`")
+    covariance, delta_rotation = _covariance(source, target), _mean_rotation(pairs)
     sizes = np.linalg.svd(covariance, compute_uv=False)
     weighed = covariance
-    if turn is not None and sizes[0] <= _POINT:
-        weighed = turn
-    elif turn is not None and sizes[1] <= _LINE * sizes[0]:
-        weighed = covariance + _WEIGHT * sizes[0] * turn
+    if delta_rotation is not None and sizes[0] <= _POINT:
+        weighed = delta_rotation
+    elif delta_rotation is not None and sizes[1] <= _LINE * sizes[0]:
+        weighed = covariance + _WEIGHT * sizes[0] * delta_rotation
     rotation = _nearest_rotation(weighed)
     scale = float(np.trace(rotation.T @ covariance)) / _spread(source) if with_scale else 1.0
     shift = target.mean(axis=0) - scale * rotation @ source.mean(axis=0)
@@ -155,21 +158,22 @@ def _fitted(pairs: Pairs, *, with_scale: bool) -> Alignment:
 
 
 def _doubts(positions: Float64Array) -> tuple[str, ...]:
-    """What the shape of the way leaves open."""
+    """What the shape of the trajectory leaves open."""
     extents = np.sqrt(np.maximum(np.linalg.eigvalsh(np.atleast_2d(np.cov(positions.T, bias=True))), 0.0))
     if extents[2] < _SMALL:
         return (_kept_within(float(extents[2])),)
     if extents[1] < _THIN * extents[2]:
-        told = f"the reference is nearly straight ({extents[2]:.3g} m along, {extents[1]:.2g} m across)"
+        reported = f"the reference is nearly straight ({extents[2]:.3g} m along, {extents[1]:.2g} m across)"
         return (
-            f"{told}, so that its positions hardly tell the turn about that line; `--align yaw` needs none",
+            f"{reported}, so that its positions hardly report the rotation about that line; `--align yaw` needs none",
         )
     return ()
 
 
 def _kept_within(extent: float) -> str:
     return (
-        f"the reference keeps within {extent:.2g} m, so that its positions hardly tell the turn; `--align origin` "
+        f"the reference keeps within {extent:.2g} m, so that its positions hardly report the rotation; `--align "
+        f"origin` "
         "takes it from the first poses"
     )
 
@@ -210,7 +214,7 @@ def align_pairs(pairs: Pairs, kind: str, *, first: int | None = None) -> Alignme
     if count < _FEWEST[kind]:
         enough = [name for name, fewest in _FEWEST.items() if fewest <= count]
         raise PoseError(
-            f"{count} pairs of poses; alignment {kind!r} needs {_FEWEST[kind]}: say `--align {enough[-1]}`, or pair "
+            f"{count} pairs of poses; alignment {kind!r} needs {_FEWEST[kind]}: state `--align {enough[-1]}`, or pair "
             "more (`--tolerance`, `--align-first`)"
         )
     return _ALIGNING[kind](used)

@@ -12,14 +12,14 @@ from sceneloom.geometry.rotations import normalise_quaternion
 from sceneloom.scene.poses import Trajectory
 
 TOLERANCES_NS = {"interpolate": 100_000_000, "nearest": 10_000_000}
-"""By way of association, how far the nearest pose of the reference may be where nothing else is said [ns]."""
+"""By trajectory of association, how far the nearest pose of the reference may be where nothing else is stated [ns]."""
 
 _SHORTEST_GAP_NS = 1_000_000_000
 _GAP_SPACINGS = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Poses:
+class MatchedPoses:
     """One side of the pairs.
 
     Attributes:
@@ -30,10 +30,10 @@ class Poses:
     positions: Float64Array
     quaternions_xyzw: Float64Array | None
 
-    def at(self, rows: Int64Array | slice) -> "Poses":
+    def at(self, rows: Int64Array | slice) -> "MatchedPoses":
         """Some of them."""
         quaternions = self.quaternions_xyzw
-        return Poses(self.positions[rows], None if quaternions is None else quaternions[rows])
+        return MatchedPoses(self.positions[rows], None if quaternions is None else quaternions[rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,8 +46,8 @@ class Pairs:
     """
 
     timestamps_ns: Int64Array
-    estimate: Poses
-    reference: Poses
+    estimate: MatchedPoses
+    reference: MatchedPoses
 
     @property
     def seconds(self) -> Float64Array:
@@ -56,43 +56,45 @@ class Pairs:
 
     @property
     def distances(self) -> Float64Array:
-        """The way along the reference up to each pair, (N,) float64 [m]."""
-        return way_along(self.reference.positions)
+        """The trajectory along the reference up to each pair, (N,) float64 [m]."""
+        return trajectory_along(self.reference.positions)
 
 
-def way_along(positions: Float64Array) -> Float64Array:
-    """The way up to each of (N, 3) positions, (N,) float64 [m]."""
+def trajectory_along(positions: Float64Array) -> Float64Array:
+    """The trajectory up to each of (N, 3) positions, (N,) float64 [m]."""
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def checked_trajectory(way: Trajectory) -> Trajectory:
+def checked_trajectory(trajectory: Trajectory) -> Trajectory:
     """A trajectory that can be computed with, its orientations of length 1.
 
     Raises:
-        ArrayError: it is empty, its times do not rise, or a number is not finite or of no place.
+        ArrayError: it is empty, its times do not rise, or a number is not finite or of no location.
     """
-    if not len(way.timestamps_ns):
-        raise ArrayError(f"trajectory {way.name!r}: empty; expected at least one pose")
+    if not len(trajectory.timestamps_ns):
+        raise ArrayError(f"trajectory {trajectory.name!r}: empty; expected at least one pose")
     for name in ("positions", "quaternions_xyzw"):
-        values = getattr(way, name)
+        values = getattr(trajectory, name)
         if values is not None and not (np.abs(values) <= FARTHEST).all():
             row = int(np.flatnonzero(~(np.abs(values) <= FARTHEST).all(axis=1))[0])
             raise ArrayError(
-                f"trajectory {way.name!r}: {name}[{row}]: {values[row].tolist()}; expected finite numbers, metres "
+                f"trajectory {trajectory.name!r}: {name}[{row}]: {values[row].tolist()}; expected finite numbers, "
+                f"metres "
                 f"within ±{FARTHEST:g}"
             )
-    back = np.flatnonzero(way.timestamps_ns[1:] <= way.timestamps_ns[:-1])
+    back = np.flatnonzero(trajectory.timestamps_ns[1:] <= trajectory.timestamps_ns[:-1])
     if len(back):
         row = int(back[0]) + 1
         raise ArrayError(
-            f"trajectory {way.name!r}: timestamps_ns[{row}]: {way.timestamps_ns[row]}; expected rising times"
+            f"trajectory {trajectory.name!r}: timestamps_ns[{row}]: {trajectory.timestamps_ns[row]}; expected rising "
+            f"times"
         )
-    quaternions = way.quaternions_xyzw
+    quaternions = trajectory.quaternions_xyzw
     return Trajectory(
-        way.name,
-        way.timestamps_ns,
-        way.positions,
+        trajectory.name,
+        trajectory.timestamps_ns,
+        trajectory.positions,
         None if quaternions is None else normalise_quaternion(quaternions),
     )
 
@@ -124,7 +126,7 @@ def associate_poses(
     if how == "nearest":
         mutual = _nearest(times, reference.timestamps_ns)[nearest]
         rows = rows[mutual[rows] == rows]
-        found = Poses(reference.positions, reference.quaternions_xyzw).at(nearest[rows])
+        found = MatchedPoses(reference.positions, reference.quaternions_xyzw).at(nearest[rows])
     else:
         rows = rows[
             (times[rows] >= reference.timestamps_ns[0]) & (times[rows] <= reference.timestamps_ns[-1])
@@ -132,7 +134,7 @@ def associate_poses(
         found = _interpolated(reference, times[rows])
     if not len(rows):
         raise PoseError(_without_pairs(estimate, reference, int(away.min()), tolerance_ns))
-    return Pairs(times[rows], Poses(estimate.positions, estimate.quaternions_xyzw).at(rows), found)
+    return Pairs(times[rows], MatchedPoses(estimate.positions, estimate.quaternions_xyzw).at(rows), found)
 
 
 def _nearest(timestamps_ns: Int64Array, query_ns: Int64Array) -> Int64Array:
@@ -143,20 +145,23 @@ def _nearest(timestamps_ns: Int64Array, query_ns: Int64Array) -> Int64Array:
     return np.where(closer, before, after)
 
 
-def _interpolated(reference: Trajectory, times_ns: Int64Array) -> Poses:
+def _interpolated(reference: Trajectory, times_ns: Int64Array) -> MatchedPoses:
     quaternions = reference.quaternions_xyzw
-    turns = (
+    rotations = (
         np.tile([0.0, 0.0, 0.0, 1.0], (len(reference.timestamps_ns), 1))
         if quaternions is None
         else quaternions
     )
-    positions, turns, _ = interpolate_poses(reference.timestamps_ns, reference.positions, turns, times_ns)
-    return Poses(positions, None if quaternions is None else turns)
+    positions, rotations, _ = interpolate_poses(
+        reference.timestamps_ns, reference.positions, rotations, times_ns
+    )
+    return MatchedPoses(positions, None if quaternions is None else rotations)
 
 
 def _without_pairs(estimate: Trajectory, reference: Trajectory, away_ns: int, tolerance_ns: int) -> str:
     (a, b), (c, d) = (
-        (int(way.timestamps_ns[0]), int(way.timestamps_ns[-1])) for way in (estimate, reference)
+        (int(trajectory.timestamps_ns[0]), int(trajectory.timestamps_ns[-1]))
+        for trajectory in (estimate, reference)
     )
     spans = (
         f"no pose of {estimate.name!r} ({_text(a)} to {_text(b)} s) has a partner in {reference.name!r} "

@@ -6,7 +6,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.evaluate.alignment import Alignment
-from sceneloom.evaluate.association import Pairs, Poses
+from sceneloom.evaluate.association import MatchedPoses, Pairs
 from sceneloom.geometry.rotations import (
     angle_between,
     conjugate_quaternion,
@@ -15,63 +15,69 @@ from sceneloom.geometry.rotations import (
     nearest_rotation,
     quaternion_from_matrix,
 )
-from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
-_TURNED_DEG = 5.0
+_ROTATED_DEG = 5.0
 _STEADY = 0.25
-"""A mean turn of the device's axes beyond so many degrees, from which single ones stray by less than this share of it,
+"""A mean rotation of the device's axes beyond so many degrees.
+
+From which single ones stray by less than this share of it,
 is taken for another choice of axes."""
 
 
-def doubts_of(alignment: Alignment, pairs: Pairs, aligned: Poses) -> list[Notice]:
-    """What the shape of the way, missing orientations or other axes of the device do to the numbers."""
-    found = [_notice("doubtful-alignment", doubt) for doubt in alignment.doubts]
+def doubts_of(alignment: Alignment, pairs: Pairs, aligned: MatchedPoses) -> list[DataWarning]:
+    """What the shape of the trajectory, missing orientations or other axes of the device do to the numbers."""
+    found = [_warning("doubtful-alignment", doubt) for doubt in alignment.doubts]
     ours, theirs = aligned.quaternions_xyzw, pairs.reference.quaternions_xyzw
     if ours is None or theirs is None:
         side = "estimate" if ours is None else "reference"
         message = (
-            f"the {side} has no orientations: motions are compared in the aligned world, turns not at all"
+            f"the {side} has no orientations: motions are compared in the aligned world, rotates not at all"
         )
-        return [*found, _notice("no-orientations", message)]
-    turn, strays_deg = _turn_of_axes(ours, theirs)
-    # a way that hardly tells the alignment's turn tells nothing about that of the axes, either
-    if not found and turn > _TURNED_DEG and strays_deg < _STEADY * turn:
+        return [*found, _warning("no-orientations", message)]
+    rotation, strays_deg = _rotation_of_axes(ours, theirs)
+    # a trajectory that hardly reports the alignment's rotation states nothing about that of the axes, either
+    if not found and rotation > _ROTATED_DEG and strays_deg < _STEADY * rotation:
         message = (
-            f"the device's axes differ by a steady turn of {turn:.1f}° (single poses stray by {strays_deg:.2g}°): if "
-            "one side tells a camera's poses, say `--est-optical` or `--ref-optical`"
+            f"the device's axes differ by a steady rotation of {rotation:.1f}° (single poses stray by "
+            f"{strays_deg:.2g}°): if "
+            "one side reports a camera's poses, state `--est-optical` or `--ref-optical`"
         )
-        found.append(_notice("other-axes", message))
+        found.append(_warning("other-axes", message))
     return found
 
 
-def _turn_of_axes(ours: Float64Array, theirs: Float64Array) -> tuple[float, float]:
-    """The mean turn between the axes of both devices, and the mean angle by which single ones stray from it [deg]."""
-    turns = multiply_quaternions(conjugate_quaternion(ours), theirs)
-    mean, _ = nearest_rotation(matrix_from_quaternion(turns).mean(axis=0))
+def _rotation_of_axes(ours: Float64Array, theirs: Float64Array) -> tuple[float, float]:
+    """The mean rotation between the axes of both devices.
+
+    And the mean angle by which single ones stray from it [deg].
+    """
+    rotations = multiply_quaternions(conjugate_quaternion(ours), theirs)
+    mean, _ = nearest_rotation(matrix_from_quaternion(rotations).mean(axis=0))
     axes = quaternion_from_matrix(mean)
     angle = angle_between(axes, np.array([0.0, 0.0, 0.0, 1.0]))
-    return float(np.degrees(angle)), float(np.degrees(angle_between(turns, axes).mean()))
+    return float(np.degrees(angle)), float(np.degrees(angle_between(rotations, axes).mean()))
 
 
-def same_poses(estimate: Trajectory, reference: Trajectory) -> list[Notice]:
-    """Say that both are one trajectory, be it by one file or by a copy: its errors say nothing."""
+def same_poses(estimate: Trajectory, reference: Trajectory) -> list[DataWarning]:
+    """Report that both are one trajectory, be it by one file or by a copy: its errors state nothing."""
     pairs = [
         (getattr(estimate, name), getattr(reference, name))
         for name in ("timestamps_ns", "positions", "quaternions_xyzw")
     ]
     if not all(a is b or (a is not None and b is not None and np.array_equal(a, b)) for a, b in pairs):
         return []
-    return [_notice("same-poses", "estimate and reference are the same poses at the same times")]
+    return [_warning("same-poses", "estimate and reference are the same poses at the same times")]
 
 
-def unmeasured(relative: Mapping[str, object]) -> list[Notice]:
-    """The steps for which the way is too short."""
+def unmeasured(relative: Mapping[str, object]) -> list[DataWarning]:
+    """The steps for which the trajectory is too short."""
     missing = [delta for delta, errors in relative.items() if errors is None]
     if not missing:
         return []
-    return [_notice("no-steps", f"the way is too short for steps of {', '.join(missing)}")]
+    return [_warning("no-steps", f"the trajectory is too short for steps of {', '.join(missing)}")]
 
 
-def _notice(code: str, message: str) -> Notice:
-    return Notice(kind=NoticeKind.ASSUMED, code=code, place="", message=message)
+def _warning(code: str, message: str) -> DataWarning:
+    return DataWarning(kind=WarningKind.ASSUMED, code=code, location="", message=message)

@@ -38,7 +38,9 @@ def read_fused(path: Path) -> ObjectTable:
         try:
             record = parse_json(line)
         except DataError as error:
-            raise DataError(path, f"line {number}", f"{error.place or 'record'}: {error.problem}") from error
+            raise DataError(
+                path, f"line {number}", f"{error.location or 'record'}: {error.problem}"
+            ) from error
         if not isinstance(record, FusedDetections):
             raise DataError(path, f"line {number}", "is no record of fused detections (table 10)")
         if record.points_seq in tables:

@@ -19,7 +19,7 @@ from sceneloom.formats.kitti.detection_lists import DetectionList, read_boxes_2d
 from sceneloom.formats.kitti.labels import KittiLabels, read_labels
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.shared_options import open_scenes
-from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 LABEL_FOLDERS = ("label_02", "label_2", "data")
 """Folders inside a given one in which KITTI and those who evaluate by its rules keep labels and results."""
@@ -50,14 +50,14 @@ class BothSides:
         results, truth: by name of the sequence.
         similarities: those in which both sides can be compared.
         from_scenes: whether they are cuboids of scenes, whose classes are anybody's.
-        notices: what is to be known about them.
+        warnings: what is to be known about them.
     """
 
     results: ObjectSequences
     truth: ObjectSequences
     similarities: tuple[Similarity, ...]
     from_scenes: bool
-    notices: tuple[Notice, ...] = ()
+    warnings: tuple[DataWarning, ...] = ()
 
 
 def read_both(
@@ -77,8 +77,8 @@ def read_both(
 
     Args:
         results, truth: where they are.
-        sequences: those to take, leading zeros need not be said; of scenes the one of a data set. [default: all of the
-            truth]
+        sequences: those to take, leading zeros need not be stated; of scenes the one of a data set. [default: all of
+            the truth]
         lenient: skip faulty lines of lists, and open damaged drives.
         corrections: "apply" or "ignore", as of `open_scene`; of scenes only.
 
@@ -102,11 +102,11 @@ def read_both(
     _check_names(*sides, sequences, (results, truth))
     found, true = ({name: side[name] for name in sequences or sorted(sides[1])} for side in sides)
     _note_frames(found, true, ledger)
-    if _same_place(results, truth):
+    if _same_location(results, truth):
         ledger.note(
-            NoticeKind.ASSUMED, "truth-against-itself", str(results), "results and truth are the same files"
+            WarningKind.ASSUMED, "truth-against-itself", str(results), "results and truth are the same files"
         )
-    return BothSides(found, true, _comparable(found, true), _Kind.SCENE in kinds, ledger.notices)
+    return BothSides(found, true, _comparable(found, true), _Kind.SCENE in kinds, ledger.warnings)
 
 
 def classes_of(sides: BothSides, usual: Sequence[str]) -> tuple[str, ...]:
@@ -126,9 +126,9 @@ def check_classes(sides: BothSides, classes: Sequence[str]) -> None:
     there = {label.lower() for table in tables for label in table.labels}
     for label in classes:
         if label.lower() not in there:
-            told = ", ".join(sorted(there)) or "none"
+            reported = ", ".join(sorted(there)) or "none"
             raise OptionError(
-                f"class {label!r} occurs neither in the results nor in the truth, which have {told}"
+                f"class {label!r} occurs neither in the results nor in the truth, which have {reported}"
             )
 
 
@@ -139,8 +139,10 @@ def check_similarity(sides: BothSides, similarity: Similarity) -> None:
         OptionError: it has none.
     """
     if similarity not in sides.similarities:
-        told = ", ".join(sides.similarities) or "nothing: results and truth have no boxes in common"
-        raise OptionError(f"similarity {similarity.value!r}: one side has no such boxes; comparable: {told}")
+        reported = ", ".join(sides.similarities) or "nothing: results and truth have no boxes in common"
+        raise OptionError(
+            f"similarity {similarity.value!r}: one side has no such boxes; comparable: {reported}"
+        )
 
 
 def _kind_of(path: Path | str) -> _Kind:
@@ -162,7 +164,7 @@ def _kind_of(path: Path | str) -> _Kind:
 
 
 def _kind_of_files(files: Iterable[Path]) -> _Kind:
-    """Tell files of frames, whose lines begin with a class, from those of sequences by the first line of all."""
+    """Report files of frames, whose lines begin with a class, from those of sequences by the first line of all."""
     for file in files:
         with file_faults(file), open_file(file) as stream:
             word = next((line.split()[0] for line in stream if line.strip()), None)
@@ -181,15 +183,17 @@ def _read_scenes(
     results: Path | str, truth: Path | str, sequences: Sequence[str], ledger: Ledger, corrections: str
 ) -> tuple[ObjectSequences, ObjectSequences]:
     if len(sequences) > 1:
-        raise OptionError(f"sequences {', '.join(sequences)}: two scenes are compared; say one sequence")
+        raise OptionError(f"sequences {', '.join(sequences)}: two scenes are compared; state one sequence")
     chosen = {"sequence": sequences[0]} if sequences else {}
     with open_scenes(
         (results, truth), {"lenient": ledger.lenient, "corrections": corrections, **chosen}
     ) as opened:
         found, true = (scene.corrected() for scene in opened)
         for scene in (found, true):
-            for notice in scene.correction_notices:
-                ledger.note(notice.kind, notice.code, f"{scene.source}: {notice.place}", notice.message)
+            for warning in scene.correction_warnings:
+                ledger.note(
+                    warning.kind, warning.code, f"{scene.source}: {warning.location}", warning.message
+                )
         times_ns = labelled_times(true)
         return {OBJECTS: scene_objects(found, times_ns)}, {OBJECTS: scene_objects(true, times_ns)}
 
@@ -197,10 +201,10 @@ def _read_scenes(
 def _read_texts(
     results: Path, truth: Path, kinds: list[_Kind], wanted: frozenset[str], ledger: Ledger
 ) -> tuple[ObjectSequences, ObjectSequences]:
-    told = [kind for kind in kinds if kind in (_Kind.SEQUENCES, _Kind.FRAMES)]
-    if len(set(told)) > 1:
+    reported = [kind for kind in kinds if kind in (_Kind.SEQUENCES, _Kind.FRAMES)]
+    if len(set(reported)) > 1:
         raise OptionError(f"{results} is {kinds[0]}, {truth} is {kinds[1]}; expected the same on both sides")
-    by_frame = told[:1] == [_Kind.FRAMES]
+    by_frame = reported[:1] == [_Kind.FRAMES]
     if kinds[1] in (_Kind.LISTS, _Kind.FUSED):
         raise OptionError(f"{truth} is {kinds[1]}, which has no truth; expected KITTI's labels")
     readers = {
@@ -225,7 +229,7 @@ def _files_of(path: Path, wanted: frozenset[str]) -> list[Path]:
 
 
 def _as_named(truth: Path, sequences: Sequence[str]) -> tuple[str, ...]:
-    """Name sequences as the truth's files do, each once: leading zeros need not be said."""
+    """Name sequences as the truth's files do, each once: leading zeros need not be stated."""
     names = [file.stem for file in _files_of(truth, frozenset())]
     return tuple(dict.fromkeys((sequences_called(names, name) or [name])[-1] for name in sequences))
 
@@ -276,8 +280,8 @@ def _table_of_list(file: Path, ledger: Ledger) -> ObjectTable:
         in_space = next(line for line in stream if line.strip()).count(b",") > 5
     if in_space:
         found = read_boxes_3d_list(file, None, ledger)
-        heights, widths, lengths, right, down, forward, turns = found.values[:, 7:14].T
-        boxes = (forward, -right, heights / 2 - down, lengths, widths, heights, -turns - np.pi / 2)
+        heights, widths, lengths, right, down, forward, rotations = found.values[:, 7:14].T
+        boxes = (forward, -right, heights / 2 - down, lengths, widths, heights, -rotations - np.pi / 2)
         return _detections(found, found.values[:, 2:6], found.values[:, 6], np.column_stack(boxes))
     found = read_boxes_2d_list(file, None, ledger)
     return _detections(found, found.values[:, 1:5], found.values[:, 5], None)
@@ -311,7 +315,7 @@ def _check_names(
             raise DataError(path, "", problem)
 
 
-def _same_place(results: Path | str, truth: Path | str) -> bool:
+def _same_location(results: Path | str, truth: Path | str) -> bool:
     if isinstance(results, Path) and isinstance(truth, Path):
         return _folder_of(results).resolve() == _folder_of(truth).resolve()
     return results == truth
@@ -323,7 +327,7 @@ def _note_frames(found: ObjectSequences, true: ObjectSequences, ledger: Ledger) 
         beyond = np.unique(found[name].frames[found[name].frames > last])
         if len(beyond):
             ledger.note(
-                NoticeKind.ASSUMED,
+                WarningKind.ASSUMED,
                 "results-beyond-truth",
                 f"sequence {name}",
                 "results in frames after the last one of the truth count as false",
@@ -333,13 +337,13 @@ def _note_frames(found: ObjectSequences, true: ObjectSequences, ledger: Ledger) 
 
 def _comparable(found: ObjectSequences, true: ObjectSequences) -> tuple[Similarity, ...]:
     """The similarities for which both sides have boxes that are larger than nothing, or no rows at all."""
-    in_picture = all(_have_pictures(side) for side in (found, true))
+    in_image = all(_have_images(side) for side in (found, true))
     in_space = all(_have_space(side) for side in (found, true))
-    told = [Similarity.PICTURE] if in_picture else []
-    return (*told, *((Similarity.ABOVE, Similarity.SPACE, Similarity.DISTANCE) if in_space else ()))
+    reported = [Similarity.IMAGE] if in_image else []
+    return (*reported, *((Similarity.ABOVE, Similarity.SPACE, Similarity.DISTANCE) if in_space else ()))
 
 
-def _have_pictures(side: ObjectSequences) -> bool:
+def _have_images(side: ObjectSequences) -> bool:
     filled = [table for table in side.values() if len(table)]
     return not filled or any(
         (table.corners_xyxy[:, 2:] > table.corners_xyxy[:, :2]).all(axis=1).any()

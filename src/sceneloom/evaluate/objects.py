@@ -77,7 +77,7 @@ class ObjectTable:
         corners_xyxy: (N, 4) float64 [px], left, top, right and bottom edge, or None.
         boxes: (N, 7) float64, middle [m], length, width, height [m] and heading about z [rad] in an upright frame that
             results and truth share, or None.
-        truncations: (N,) float64, how much of each lies outside the picture, or None.
+        truncations: (N,) float64, how much of each lies outside the image, or None.
         occlusions: (N,) float64, KITTI's 0 to 3, or None.
         scores: (N,) float64, higher for surer, or None.
         covariances: (N, 7, 7) float64 of the columns of `boxes`, or None.
@@ -158,7 +158,7 @@ class ObjectTable:
         )
 
     def are(self, *labels: str) -> BoolArray:
-        """Say which rows are of one of these classes, (N,) bool."""
+        """Report which rows are of one of these classes, (N,) bool."""
         asked = {label.lower() for label in labels}
         return np.fromiter((label.lower() in asked for label in self.labels), np.bool_, len(self.labels))
 

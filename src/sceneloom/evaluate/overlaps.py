@@ -1,4 +1,4 @@
-"""How alike the objects of two tables are, in each frame: in the picture, from above, in space, by distance."""
+"""How alike the objects of two tables are, in each frame: in the image, from above, in space, by distance."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,8 +15,8 @@ from sceneloom.kernels import frame_overlaps, upright_overlaps
 class Similarity(StrEnum):
     """What says how alike two boxes are, 0 to 1."""
 
-    PICTURE = "2d"
-    """Intersection over union of the boxes of the picture."""
+    IMAGE = "2d"
+    """Intersection over union of the boxes of the image."""
     ABOVE = "bev"
     """Intersection over union of the boxes as seen from above."""
     SPACE = "3d"
@@ -59,7 +59,7 @@ class FramePairs:
         return cls(true_starts, found_starts, frame_overlaps.pair_starts(true_starts, found_starts))
 
     @property
-    def places(self) -> tuple[Int64Array, Int64Array, Int64Array]:
+    def locations(self) -> tuple[Int64Array, Int64Array, Int64Array]:
         """All three, as kernels take them."""
         return self.true_starts, self.found_starts, self.starts
 
@@ -67,7 +67,7 @@ class FramePairs:
 def similarities(
     truth: ObjectTable, found: ObjectTable, pairs: FramePairs, similarity: Similarity
 ) -> Float64Array:
-    """Say how alike the objects of each pair are.
+    """Report how alike the objects of each pair are.
 
     Args:
         truth, found: in order of frames.
@@ -87,13 +87,13 @@ def similarities(
 
 
 def covered_by(found: ObjectTable, regions: Float64Array, pairs: FramePairs) -> Float64Array:
-    """Say which share of each found box of the picture lies in each region of its frame, (P,) float64.
+    """Report which share of each found box of the image lies in each region of its frame, (P,) float64.
 
     Args:
         regions: (R, 4) [px], left, top, right, bottom; the rows of `pairs`.
     """
-    corners = _column(found, "corners_xyxy", Similarity.PICTURE, "the results")
-    return frame_overlaps.picture_shares(_plain(regions), corners, *pairs.places)
+    corners = _column(found, "corners_xyxy", Similarity.IMAGE, "the results")
+    return frame_overlaps.image_shares(_plain(regions), corners, *pairs.locations)
 
 
 def _column(objects: ObjectTable, name: str, similarity: Similarity, side: str) -> Float64Array:
@@ -108,24 +108,26 @@ def _plain(column: AnyArray) -> Float64Array:
     return np.require(column, np.float64, ["C", "W"])
 
 
-def _in_picture(truth: Float64Array, found: Float64Array, pairs: FramePairs) -> Float64Array:
-    return frame_overlaps.picture_overlaps(truth, found, *pairs.places)
+def _in_image(truth: Float64Array, found: Float64Array, pairs: FramePairs) -> Float64Array:
+    return frame_overlaps.image_overlaps(truth, found, *pairs.locations)
 
 
 def _from_above(truth: Float64Array, found: Float64Array, pairs: FramePairs) -> Float64Array:
-    return upright_overlaps.overlaps_from_above(truth, found, *pairs.places)
+    return upright_overlaps.overlaps_from_above(truth, found, *pairs.locations)
 
 
 def _in_space(truth: Float64Array, found: Float64Array, pairs: FramePairs) -> Float64Array:
-    return upright_overlaps.overlaps_in_space(truth, found, *pairs.places)
+    return upright_overlaps.overlaps_in_space(truth, found, *pairs.locations)
 
 
 def _near(truth: Float64Array, found: Float64Array, pairs: FramePairs) -> Float64Array:
-    return frame_overlaps.nearnesses(_plain(truth[:, :2]), _plain(found[:, :2]), *pairs.places, ZERO_DISTANCE)
+    return frame_overlaps.nearnesses(
+        _plain(truth[:, :2]), _plain(found[:, :2]), *pairs.locations, ZERO_DISTANCE
+    )
 
 
 _COMPARED: dict[Similarity, tuple[str, Callable[[Float64Array, Float64Array, FramePairs], Float64Array]]] = {
-    Similarity.PICTURE: ("corners_xyxy", _in_picture),
+    Similarity.IMAGE: ("corners_xyxy", _in_image),
     Similarity.ABOVE: ("boxes", _from_above),
     Similarity.SPACE: ("boxes", _in_space),
     Similarity.DISTANCE: ("boxes", _near),

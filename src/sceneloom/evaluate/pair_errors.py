@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from sceneloom.arrays import Float64Array
-from sceneloom.evaluate.association import Pairs, Poses
+from sceneloom.evaluate.association import MatchedPoses, Pairs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -14,7 +14,7 @@ class TrajectoryErrors:
         estimate_name, reference_name: of what was compared.
         pairs: poses as they were paired.
         aligned: (N,) poses of the estimate in the reference's world.
-        reference_way: (M, 3) float64 [m], all of the reference's positions.
+        reference_trajectory: (M, 3) float64 [m], all of the reference's positions.
         translation: (N,) float64 [m].
         rotation_deg: (N,) float64 [deg], or None.
     """
@@ -22,7 +22,7 @@ class TrajectoryErrors:
     estimate_name: str
     reference_name: str
     pairs: Pairs
-    aligned: Poses
-    reference_way: Float64Array
+    aligned: MatchedPoses
+    reference_trajectory: Float64Array
     translation: Float64Array
     rotation_deg: Float64Array | None

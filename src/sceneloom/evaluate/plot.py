@@ -1,4 +1,4 @@
-"""The errors of a trajectory in one picture: the ways from above, coloured by error, and the errors over time."""
+"""The errors of a trajectory in one image: the trajectories from above, coloured by error, and the errors over time."""
 
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ def _short(name: str) -> str:
 
 
 def check_plot(path: Path, *, overwrite: bool) -> Any:
-    """Refuse a picture that cannot be drawn or written, before anything is computed for it.
+    """Refuse an image that cannot be drawn or written, before anything is computed for it.
 
     Returns:
         matplotlib's class of figures.
@@ -71,7 +71,7 @@ def plot_errors(
 
 def _draw_map(figure: Any, axes: Any, errors: TrajectoryErrors) -> None:
     axes.plot(
-        *errors.reference_way[:, :2].T,
+        *errors.reference_trajectory[:, :2].T,
         color="0.6",
         linewidth=3,
         label=_short(errors.reference_name),
@@ -85,7 +85,9 @@ def _draw_map(figure: Any, axes: Any, errors: TrajectoryErrors) -> None:
         label=_short(errors.estimate_name),
         zorder=2,
     )
-    axes.plot(*errors.reference_way[0, :2], marker="s", color="black", linestyle="", label="start", zorder=3)
+    axes.plot(
+        *errors.reference_trajectory[0, :2], marker="s", color="black", linestyle="", label="start", zorder=3
+    )
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel="x [m]", ylabel="y [m]")
     axes.grid(visible=True, alpha=0.3)

@@ -1,4 +1,4 @@
-"""Errors of motions: over steps of time, way or poses (RPE), and over the segments of KITTI's benchmark."""
+"""Errors of motions: over steps of time, trajectory or poses (RPE), and over the segments of KITTI's benchmark."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import OptionError
-from sceneloom.evaluate.association import Pairs, Poses
+from sceneloom.evaluate.association import MatchedPoses, Pairs
 from sceneloom.evaluate.report import ErrorStatistics, KittiErrors, RelativeErrors, SegmentErrors
 from sceneloom.geometry.rotations import (
     angle_between,
@@ -44,7 +44,7 @@ def _by_time(pairs: Pairs, amount: float) -> Steps:
     return chosen, last[chosen]
 
 
-def _by_way(pairs: Pairs, amount: float) -> Steps:
+def _by_trajectory(pairs: Pairs, amount: float) -> Steps:
     """From each pair to the first that is more than so many metres further along the reference."""
     return _segments(pairs.distances, amount, 1)
 
@@ -57,14 +57,15 @@ def _by_count(pairs: Pairs, amount: float) -> Steps:
 
 
 _UNITS: Mapping[str, Callable[[Pairs, float], Steps]] = MappingProxyType(
-    {"s": _by_time, "m": _by_way, "f": _by_count}
+    {"s": _by_time, "m": _by_trajectory, "f": _by_count}
 )
 
 
 def _segments(distances: Float64Array, length: float, step: int) -> Steps:
     """Rows of first and last pose of the segments of a length.
 
-    Source: KITTI's development kit, evaluate_odometry: a segment ends at the first pose whose way exceeds that of its
+    Source: KITTI's development kit, evaluate_odometry: a segment ends at the first pose whose trajectory exceeds that
+        of its
     first by more than the length.
     """
     first = np.arange(0, len(distances), step)
@@ -91,14 +92,16 @@ def parse_delta(text: str) -> tuple[float, str]:
 def _motions(
     positions: Float64Array, quaternions_xyzw: Float64Array, steps: Steps
 ) -> tuple[Float64Array, Float64Array]:
-    """Shift and turn from the first to the last pose of each step, in the axes of the first."""
+    """Shift and rotate from the first to the last pose of each step, in the axes of the first."""
     first, last = steps
     back = conjugate_quaternion(quaternions_xyzw[first])
     shifts = rotate_vectors(back, positions[last] - positions[first])
     return shifts, multiply_quaternions(back, quaternions_xyzw[last])
 
 
-def step_errors(pairs: Pairs, aligned: Poses, steps: Steps) -> tuple[Float64Array, Float64Array | None]:
+def step_errors(
+    pairs: Pairs, aligned: MatchedPoses, steps: Steps
+) -> tuple[Float64Array, Float64Array | None]:
     """How far the motions of each step differ: lengths [m], and angles, None without orientations.
 
     With orientations, the error is (Q_i⁻¹ Q_j)⁻¹ (P_i⁻¹ P_j), Q the reference and P the estimate; without, the
@@ -111,13 +114,13 @@ def step_errors(pairs: Pairs, aligned: Poses, steps: Steps) -> tuple[Float64Arra
         first, last = steps
         lengths = np.linalg.norm(ours[last] - ours[first] - theirs[last] + theirs[first], axis=1)
         return lengths, None
-    shifts, turns = _motions(ours, aligned.quaternions_xyzw, steps)
-    true_shifts, true_turns = _motions(theirs, pairs.reference.quaternions_xyzw, steps)
-    # turning by Q⁻¹ does not change how long the difference is
-    return np.linalg.norm(shifts - true_shifts, axis=1), angle_between(turns, true_turns)
+    shifts, rotations = _motions(ours, aligned.quaternions_xyzw, steps)
+    true_shifts, true_rotations = _motions(theirs, pairs.reference.quaternions_xyzw, steps)
+    # rotating by Q⁻¹ does not change how long the difference is
+    return np.linalg.norm(shifts - true_shifts, axis=1), angle_between(rotations, true_rotations)
 
 
-def relative_errors(pairs: Pairs, aligned: Poses, delta: str) -> RelativeErrors | None:
+def relative_errors(pairs: Pairs, aligned: MatchedPoses, delta: str) -> RelativeErrors | None:
     """Errors over all steps of one kind, from each pose on; None where no step fits.
 
     Raises:
@@ -149,7 +152,7 @@ def relative_errors(pairs: Pairs, aligned: Poses, delta: str) -> RelativeErrors 
 
 
 def kitti_errors(
-    pairs: Pairs, aligned: Poses, *, lengths: Sequence[float] = KITTI_LENGTHS, step: int = KITTI_STEP
+    pairs: Pairs, aligned: MatchedPoses, *, lengths: Sequence[float] = KITTI_LENGTHS, step: int = KITTI_STEP
 ) -> KittiErrors | None:
     """Errors per length over segments of several lengths; None where there is none, or no orientations.
 

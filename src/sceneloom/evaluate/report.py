@@ -1,10 +1,10 @@
-"""What the comparison of a trajectory with a reference tells."""
+"""What the comparison of a trajectory with a reference reports."""
 
 import msgspec
 import numpy as np
 
 from sceneloom.arrays import FloatArray
-from sceneloom.scene.notices import Notice
+from sceneloom.scene.warnings import DataWarning
 
 
 class ErrorStatistics(msgspec.Struct, frozen=True, kw_only=True):
@@ -83,7 +83,7 @@ class RelativeErrors(msgspec.Struct, frozen=True, kw_only=True):
         seconds, metres: how long the steps are on the average, in time and along the reference.
         translation: [m].
         rotation_deg: [deg], None where one of both has no orientations.
-        translation_percent: mean error per way of the step [%], None where the reference stands.
+        translation_percent: mean error per trajectory of the step [%], None where the reference stands.
         rotation_deg_per_m: the same of the rotation [deg/m].
         translation_per_s: mean error per second [m/s].
         rotation_deg_per_s: the same of the rotation [deg/s].
@@ -143,8 +143,9 @@ class TrajectoryReport(msgspec.Struct, frozen=True, kw_only=True):
         alignment: how the estimate was laid onto the reference.
         absolute: errors at the same times.
         relative: errors of motions, by step.
-        kitti: KITTI's two numbers; None where the way is shorter than its shortest segment, or has no orientations.
-        notices: what is to be known about the numbers.
+        kitti: KITTI's two numbers; None where the trajectory is shorter than its shortest segment, or has no
+            orientations.
+        warnings: what is to be known about the numbers.
     """
 
     estimate: str
@@ -162,4 +163,4 @@ class TrajectoryReport(msgspec.Struct, frozen=True, kw_only=True):
     absolute: AbsoluteErrors
     relative: tuple[RelativeErrors, ...]
     kitti: KittiErrors | None
-    notices: tuple[Notice, ...] = ()
+    warnings: tuple[DataWarning, ...] = ()

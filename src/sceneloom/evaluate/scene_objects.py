@@ -18,14 +18,14 @@ from sceneloom.scene.span import frame_times
 from sceneloom.scene.types import Coordinates, SensorType
 
 SCORES = ("existence", "score", "confidence")
-"""Attributes of cuboids that say how sure they are; the first one that a cuboid has counts."""
+"""Attributes of cuboids that state how sure they are; the first one that a cuboid has counts."""
 
 NO_LABEL = "object"
 """The class of cuboids that name none."""
 
 
 def labelled_times(scene: Scene) -> Int64Array:
-    """Times at which objects of a scene are compared: of its first lidar's frames, else the stamps of its cuboids.
+    """Times at which objects of a scene are compared: of its first lidar's frames, else the timestamps of its cuboids.
 
     Returns:
         (F,) int64 [ns], rising.
@@ -33,14 +33,14 @@ def labelled_times(scene: Scene) -> Int64Array:
     for sensor in scene.sensors:
         if sensor.type == SensorType.LIDAR and len(frame_times(sensor)):
             return np.unique(frame_times(sensor))
-    stamps = [cuboid.path.timestamps_ns for cuboid in _cuboids(scene)]
-    return np.unique(np.concatenate([np.zeros(0, np.int64), *stamps]))
+    timestamps = [cuboid.path.timestamps_ns for cuboid in _cuboids(scene)]
+    return np.unique(np.concatenate([np.zeros(0, np.int64), *timestamps]))
 
 
 def scene_objects(scene: Scene, times_ns: Int64Array) -> ObjectTable:
     """Give the cuboids of a scene at times (F,) [ns], which become its frames; boxes are in the scene's world.
 
-    A cuboid is there from its first stamp to its last, a stationary one always.
+    A cuboid is there from its first timestamp to its last, a stationary one always.
 
     Raises:
         OptionError: the scene has no cuboids, or they are not in the world.
@@ -92,7 +92,7 @@ def _held_scores(cuboid: CuboidAnnotation) -> AttributePath | None:
 
 
 def _scores(held: AttributePath | None, times_ns: Int64Array) -> Float64Array:
-    """How sure a cuboid is at times (M,) [ns]: a value holds until the next; 1 of cuboids that say nothing."""
+    """How sure a cuboid is at times (M,) [ns]: a value holds until the next; 1 of cuboids that state nothing."""
     if held is None:
         return np.ones(len(times_ns))
     values = np.asarray(held.values, np.float64)

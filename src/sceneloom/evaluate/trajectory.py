@@ -11,12 +11,12 @@ from sceneloom.arrays import Float64Array
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.evaluate.alignment import Alignment, align_pairs
 from sceneloom.evaluate.association import (
+    MatchedPoses,
     Pairs,
-    Poses,
     associate_poses,
     checked_trajectory,
     covered_share,
-    way_along,
+    trajectory_along,
 )
 from sceneloom.evaluate.doubts import doubts_of, same_poses, unmeasured
 from sceneloom.evaluate.pair_errors import TrajectoryErrors
@@ -31,20 +31,20 @@ from sceneloom.geometry.rotations import (
     quaternion_from_matrix,
 )
 from sceneloom.scene.motion import GnssSensor
-from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.poses import Poses, Trajectory
 
 RPE_DELTAS = ("1s", "5m", "10m", "50m")
-"""Steps over which motions are compared where nothing else is said."""
+"""Steps over which motions are compared where nothing else is stated."""
 
-Way = Trajectory | TrajectoryFile | PosePath | str | Path
+SmoothedTrajectory = Trajectory | TrajectoryFile | Poses | str | Path
 """What can be compared: a trajectory, or a file or scene that holds one."""
 
 _FARTHEST_NS = 9_200_000_000_000_000_000
 
 
 def evaluate_trajectory(
-    estimate: Way,
-    reference: Way,
+    estimate: SmoothedTrajectory,
+    reference: SmoothedTrajectory,
     *,
     align: str = "se3",
     align_first: int | None = None,
@@ -57,29 +57,29 @@ def evaluate_trajectory(
     plot: str | Path | None = None,
     overwrite: bool = False,
 ) -> TrajectoryReport:
-    """Say how far a trajectory is from a reference.
+    """Report how far a trajectory is from a reference.
 
     Args:
         estimate: what is judged.
         reference: what is taken for the truth.
         align: how the estimate is laid onto the reference first: "none", "origin" (first pose on first pose), "yaw"
-            (shift and heading), "se3" (shift and turn), "sim3" (and scale).
+            (shift and heading), "se3" (shift and rotate), "sim3" (and scale).
         align_first: by how many pairs from the first on; None: by all.
         associate: "interpolate" takes the reference between its poses at the estimate's times, "nearest" its own poses.
         tolerance: how far the reference's nearest pose may be [s]; None: 0.1 where interpolated, else 0.01.
         offset_ns: added to the estimate's times [ns].
         start, stop: compare this part only [s], counted from the reference's first pose.
         rpe_deltas: steps over which motions are compared: seconds, metres or poses, "1s", "10m", "1f".
-        plot: a picture to write: the ways from above, errors over time.
-        overwrite: whether a picture that exists may be replaced.
+        plot: an image to write: the trajectories from above, errors over time.
+        overwrite: whether an image that exists may be replaced.
 
     Raises:
         OptionError: an argument is wrong.
         PoseError: the two do not overlap in time, or too little for the alignment.
         ArrayError: a trajectory holds a number that is not finite, or its times do not rise.
         DataError: a file is wrong.
-        OutputError: the picture exists, or cannot be written.
-        MissingExtraError: what draws the picture is not installed.
+        OutputError: the image exists, or cannot be written.
+        MissingExtraError: what draws the image is not installed.
 
     Source: Sturm et al. 2012 for both errors, Zhang and Scaramuzza 2018 for alignments, KITTI's development kit.
     """
@@ -100,13 +100,15 @@ def evaluate_trajectory(
         deltas=rpe_deltas,
     )
     same = same_poses(ours.trajectory, theirs.trajectory)
-    report = structs.replace(report, notices=(*ours.notices, *theirs.notices, *same, *report.notices))
+    report = structs.replace(report, warnings=(*ours.warnings, *theirs.warnings, *same, *report.warnings))
     if plot is not None:
         plot_errors(errors, report, Path(plot), overwrite=overwrite)
     return report
 
 
-def _both(estimate: Way, reference: Way) -> tuple[TrajectoryFile, TrajectoryFile]:
+def _both(
+    estimate: SmoothedTrajectory, reference: SmoothedTrajectory
+) -> tuple[TrajectoryFile, TrajectoryFile]:
     """The two trajectories; fixes are seen from the other's origin, where that is known."""
     ours, theirs = _content(estimate), _content(reference)
     if ours.fixes is not None and theirs.origin_lla is not None:
@@ -118,11 +120,11 @@ def _both(estimate: Way, reference: Way) -> tuple[TrajectoryFile, TrajectoryFile
 
 def _seen_from(content: TrajectoryFile, fixes: GnssSensor, origin_lla: Float64Array) -> TrajectoryFile:
     there = of_fixes(fixes, origin_lla=origin_lla, name=content.trajectory.name)
-    return replace(there, notices=content.notices)
+    return replace(there, warnings=content.warnings)
 
 
-def _content(way: Way) -> TrajectoryFile:
-    return read_trajectory_file(way) if isinstance(way, str | Path) else content_of(way)
+def _content(trajectory: SmoothedTrajectory) -> TrajectoryFile:
+    return read_trajectory_file(trajectory) if isinstance(trajectory, str | Path) else content_of(trajectory)
 
 
 def _compared(
@@ -159,23 +161,23 @@ def _compared(
         seconds=float(pairs.seconds[-1]),
         coverage=covered_share(estimate.timestamps_ns, reference.timestamps_ns),
         path_length=float(pairs.distances[-1]),
-        estimate_path_length=float(way_along(pairs.estimate.positions)[-1]),
+        estimate_path_length=float(trajectory_along(pairs.estimate.positions)[-1]),
         alignment=_alignment_report(alignment, align, used),
         absolute=absolute,
         relative=tuple(errors for errors in relative.values() if errors is not None),
         kitti=kitti_errors(pairs, aligned),
-        notices=(*doubts_of(alignment, pairs, aligned), *unmeasured(relative)),
+        warnings=(*doubts_of(alignment, pairs, aligned), *unmeasured(relative)),
     )
     return report, errors
 
 
-def _shifted(way: Trajectory, offset_ns: int) -> Trajectory:
-    ends = [int(way.timestamps_ns[row]) + offset_ns for row in (0, -1)]
+def _shifted(trajectory: Trajectory, offset_ns: int) -> Trajectory:
+    ends = [int(trajectory.timestamps_ns[row]) + offset_ns for row in (0, -1)]
     if max(map(abs, ends)) > _FARTHEST_NS:
         raise OptionError(
-            f"offset {offset_ns / 1e9:g} s; with it the times of {way.name!r} are beyond the year 2261"
+            f"offset {offset_ns / 1e9:g} s; with it the times of {trajectory.name!r} are beyond the year 2261"
         )
-    return replace(way, timestamps_ns=way.timestamps_ns + offset_ns)
+    return replace(trajectory, timestamps_ns=trajectory.timestamps_ns + offset_ns)
 
 
 def _within(
@@ -190,18 +192,18 @@ def _within(
     return _cut(estimate, first, end), _cut(reference, first, end)
 
 
-def _cut(way: Trajectory, start_ns: int, stop_ns: int) -> Trajectory:
-    inside = (way.timestamps_ns >= start_ns) & (way.timestamps_ns < stop_ns)
+def _cut(trajectory: Trajectory, start_ns: int, stop_ns: int) -> Trajectory:
+    inside = (trajectory.timestamps_ns >= start_ns) & (trajectory.timestamps_ns < stop_ns)
     if not inside.any():
-        a, b = (int(way.timestamps_ns[row]) / 1e9 for row in (0, -1))
+        a, b = (int(trajectory.timestamps_ns[row]) / 1e9 for row in (0, -1))
         raise PoseError(
-            f"{way.name!r} ({a:.9g} to {b:.9g} s) has no pose from {start_ns / 1e9:.9g} to {stop_ns / 1e9:.9g} s"
+            f"{trajectory.name!r} ({a:.9g} to {b:.9g} s) has no pose from {start_ns / 1e9:.9g} to {stop_ns / 1e9:.9g} s"
         )
-    quaternions = way.quaternions_xyzw
+    quaternions = trajectory.quaternions_xyzw
     return Trajectory(
-        way.name,
-        way.timestamps_ns[inside],
-        way.positions[inside],
+        trajectory.name,
+        trajectory.timestamps_ns[inside],
+        trajectory.positions[inside],
         None if quaternions is None else quaternions[inside],
     )
 
@@ -213,7 +215,7 @@ def _nanoseconds(name: str, seconds: float) -> int:
 
 
 def _absolute(
-    estimate: Trajectory, reference: Trajectory, pairs: Pairs, aligned: Poses
+    estimate: Trajectory, reference: Trajectory, pairs: Pairs, aligned: MatchedPoses
 ) -> tuple[AbsoluteErrors, TrajectoryErrors]:
     away = aligned.positions - pairs.reference.positions
     lengths = np.linalg.norm(away, axis=1)
@@ -223,13 +225,13 @@ def _absolute(
     errors = TrajectoryErrors(
         estimate.name, reference.name, pairs, aligned, reference.positions, lengths, degrees
     )
-    told = AbsoluteErrors(
+    reported = AbsoluteErrors(
         translation=ErrorStatistics.of(lengths),
         horizontal=ErrorStatistics.of(np.hypot(away[:, 0], away[:, 1])),
         vertical=ErrorStatistics.of(np.abs(away[:, 2])),
         rotation_deg=None if degrees is None else ErrorStatistics.of(degrees),
     )
-    return told, errors
+    return reported, errors
 
 
 def _alignment_report(alignment: Alignment, kind: str, poses: int) -> AlignmentReport:

@@ -18,29 +18,29 @@ class ByteStream(io.RawIOBase):
 
     def __init__(self, content: Bytes) -> None:
         """Begin at the first byte."""
-        self.content, self.place = content, 0
+        self.content, self.location = content, 0
 
     def readable(self) -> bool:
-        """Say yes."""
+        """Report yes."""
         return True
 
     def seekable(self) -> bool:
-        """Say yes."""
+        """Report yes."""
         return True
 
     def readinto(self, buffer: Any) -> int:
         """Copy the next bytes into the buffer."""
-        piece = self.content[self.place : self.place + len(buffer)]
+        piece = self.content[self.location : self.location + len(buffer)]
         buffer[: len(piece)] = piece
-        self.place += len(piece)
+        self.location += len(piece)
         return len(piece)
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         """Move to a byte."""
-        base = {os.SEEK_SET: 0, os.SEEK_CUR: self.place, os.SEEK_END: len(self.content)}[whence]
-        self.place = max(0, base + offset)
-        return self.place
+        base = {os.SEEK_SET: 0, os.SEEK_CUR: self.location, os.SEEK_END: len(self.content)}[whence]
+        self.location = max(0, base + offset)
+        return self.location
 
     def tell(self) -> int:
         """The byte that is read next."""
-        return self.place
+        return self.location

@@ -6,7 +6,7 @@ from typing import Any
 
 from sceneloom.errors import PoseError
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.loss import Fate, Loss
+from sceneloom.formats.loss import Loss, Support
 from sceneloom.motion.ego_motion import (
     check_odometry,
     computed_name,
@@ -17,13 +17,13 @@ from sceneloom.motion.ego_motion import (
 from sceneloom.motion.gnss_receivers import gnss_receivers
 from sceneloom.motion.trajectories import GNSS, IDENTITY, LIDAR
 from sceneloom.scene.ego import EgoMotion
-from sceneloom.scene.notices import NoticeKind
-from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene
+from sceneloom.scene.warnings import WarningKind
 
 
-def default_poses(trajectories: Mapping[Any, Trajectory], place: str, ledger: Ledger) -> PosePath | None:
-    """Give `world_from_ego` of the first trajectory; None, with a notice at `place`, where it has no orientations.
+def default_poses(trajectories: Mapping[Any, Trajectory], location: str, ledger: Ledger) -> Poses | None:
+    """Give `world_from_ego` of the first trajectory; None, with a warning at `location`, where it has no orientations.
 
     None as well where there is no trajectory.
     """
@@ -34,7 +34,7 @@ def default_poses(trajectories: Mapping[Any, Trajectory], place: str, ledger: Le
         message = (
             f"trajectory {default.name!r} holds positions without orientations, so the sensors have no poses"
         )
-        ledger.note(NoticeKind.SKIPPED, "orientations-missing", place, message)
+        ledger.note(WarningKind.SKIPPED, "orientations-missing", location, message)
         return None
     return default.poses
 
@@ -52,7 +52,7 @@ def ego_in_world(scene: Scene, *, name: str | None = None) -> tuple[EgoMotion, l
     """Give the ego's trajectory to a target that needs it; what is computed or assumed is reported.
 
     By default the scene's first trajectory that has orientations; without one "gnss" is computed, else "lidar"; where
-    neither can be, the ego is taken to stand. What reads the sweeps tells its progress as they are read.
+    neither can be, the ego is taken to stand. What reads the sweeps reports its progress as they are read.
 
     Args:
         scene: what is written.
@@ -65,13 +65,13 @@ def ego_in_world(scene: Scene, *, name: str | None = None) -> tuple[EgoMotion, l
     Raises:
         OptionError: there is no trajectory of that name.
         PoseError: the named one has no orientations or cannot be computed; or poses lead to an ego of which the scene
-            does not say where it was.
+            does not state where it was.
         DataError: a sweep cannot be read.
     """
     if name is not None:
         ego = find_ego_motion(scene, name=name)
         if ego.name == IDENTITY and name not in scene.trajectories:
-            return ego, [standing_ego()]
+            return ego, [stationary_ego()]
         return ego, [_computed(computed_name(scene, name) or name)] if is_computed(scene, name) else []
     for trajectory in scene.trajectories.values():
         if trajectory.quaternions_xyzw is not None:
@@ -85,22 +85,22 @@ def ego_in_world(scene: Scene, *, name: str | None = None) -> tuple[EgoMotion, l
         except PoseError as error:
             faults.append(str(error).removeprefix(f"{scene.source}: "))
             continue
-        if any(notice.code == "odometry-without-motion" for notice in ego.notices):
+        if any(warning.code == "odometry-without-motion" for warning in ego.warnings):
             faults.append("no two sweeps could be compared")
             continue
         return ego, [_computed(computed)]
-    return find_ego_motion(scene, name=IDENTITY), [standing_ego(*faults)]
+    return find_ego_motion(scene, name=IDENTITY), [stationary_ego(*faults)]
 
 
 def _computed(name: str) -> Loss:
-    return Loss(field="trajectories.positions", what=_COMPUTED[name], fate=Fate.APPROXIMATED)
+    return Loss(field="trajectories.positions", what=_COMPUTED[name], support=Support.APPROXIMATED)
 
 
-def standing_ego(*faults: str) -> Loss:
-    """What every target that places things in the world reports of a drive whose trajectory is not known.
+def stationary_ego(*faults: str) -> Loss:
+    """What every target that locations things in the world reports of a drive whose trajectory is not known.
 
     Args:
         faults: why it could not be computed.
     """
     what = "; ".join(("not known: the ego is taken to stand at the world's origin", *faults))
-    return Loss(field="trajectories.positions", what=what, fate=Fate.APPROXIMATED)
+    return Loss(field="trajectories.positions", what=what, support=Support.APPROXIMATED)

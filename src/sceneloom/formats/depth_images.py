@@ -9,7 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import Float32Array, check_array
 from sceneloom.errors import ArrayError, DataError
-from sceneloom.formats.encoded_pictures import open_image
+from sceneloom.formats.encoded_images import open_image
 from sceneloom.formats.output import replacing
 
 _STEPS_PER_METRE = 256
@@ -56,7 +56,7 @@ def read_depth_png(path: Path) -> Float32Array:
         with open_image(path, ("PNG",)) as image:
             if not image.mode.startswith("I"):
                 raise DataError(
-                    path, "", f"a picture of mode {image.mode}; expected depths of 16 bits a pixel"
+                    path, "", f"an image of mode {image.mode}; expected depths of 16 bits a pixel"
                 )
             return np.asarray(image, np.float32) / np.float32(_STEPS_PER_METRE)
     except (OSError, SyntaxError, ValueError) as error:

@@ -16,7 +16,7 @@ def drives_of(path: Path, *, read_as: str | None = None) -> Sequence[Path | str]
 
     Returns:
         of each its own folder, or the name that the option `sequence` of its format takes. Empty where the path is one
-        drive, or not known as a data set; opening it tells more.
+        drive, or not known as a data set; opening it reports more.
     """
     if not path.is_dir():
         return ()

@@ -1,4 +1,4 @@
-"""What is wrong at a place of a file, and the ledger that keeps every such fault."""
+"""What is wrong at a location of a file, and the ledger that keeps every such fault."""
 
 import re
 from collections import Counter
@@ -11,8 +11,8 @@ from sceneloom.formats.ledger import Ledger
 MALFORMED = "malformed"
 """The code of a fault that has no code of its own."""
 
-MOST_PLACES = 1000
-"""So many faults of one code a ledger keeps with their places; further ones are counted."""
+MOST_LOCATIONS = 1000
+"""So many faults of one code a ledger keeps with their locations; further ones are counted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,9 +23,9 @@ class PlacedFault:
         path: where (`sensors[3].frames[12].points.colors` of a header, `data.jsonl: line 12` of a folder).
         problem: what, with the value and what was expected.
         code: the kind of fault, kebab case.
-        mended: whether it was brought into order on reading.
+        repaired: whether it was brought into order on reading.
         vital: whether no scene can do without the part that is at fault.
-        item: number of the item that fills the place, where it is an array of a scene file.
+        item: number of the item that fills the location, where it is an array of a scene file.
         count: how many faults it stands for.
         costs: what cannot be read because of it, for people (`frame 12 of lidar 'top'`); empty where that is not known.
     """
@@ -33,7 +33,7 @@ class PlacedFault:
     path: str
     problem: str
     code: str = MALFORMED
-    mended: bool = False
+    repaired: bool = False
     vital: bool = False
     item: int | None = None
     count: int = 1
@@ -54,13 +54,13 @@ class _Further:
 
 
 class FaultLedger(Ledger):
-    """A ledger that passes over faults and keeps each with its place; of very many, it counts those beyond."""
+    """A ledger that passes over faults and keeps each with its location; of very many, it counts those beyond."""
 
     def __init__(self, folder: object) -> None:
         """Begin with none.
 
         Args:
-            folder: what is read; places are told from there on.
+            folder: what is read; locations are distinguished from there on.
         """
         super().__init__(lenient=True)
         self._kept: list[PlacedFault] = []
@@ -72,7 +72,7 @@ class FaultLedger(Ledger):
         """Keep a fault."""
         del count
         self._counts[code] += 1
-        if self._counts[code] <= MOST_PLACES:
+        if self._counts[code] <= MOST_LOCATIONS:
             self._kept.append(placed(error, code, self._folder))
             return
         further = self._further.setdefault(code, _Further(0, error))
@@ -95,24 +95,24 @@ class FaultLedger(Ledger):
 
 
 def placed(error: SceneloomError, code: str, folder: str) -> PlacedFault:
-    """An error as a fault, its file told from the folder on."""
+    """An error as a fault, its file distinguished from the folder on."""
     if isinstance(error, DataError):
         file = _from(folder, error.file)
-        return PlacedFault(": ".join(filter(None, (file, error.place))), error.problem, code)
+        return PlacedFault(": ".join(filter(None, (file, error.location))), error.problem, code)
     text = str(error)
     if not text.startswith(f"{folder}/"):
         return PlacedFault("", text, code)
-    place = _PLACE.match(text.removeprefix(f"{folder}/"))
-    if place is None:
+    location = _LOCATION.match(text.removeprefix(f"{folder}/"))
+    if location is None:
         return PlacedFault("", text.removeprefix(f"{folder}/"), code)
-    return PlacedFault(place[0].removesuffix(": "), text.removeprefix(f"{folder}/{place[0]}"), code)
+    return PlacedFault(location[0].removesuffix(": "), text.removeprefix(f"{folder}/{location[0]}"), code)
 
 
 def _from(folder: str, file: str) -> str:
-    """A file told from the folder on; lidar files are known by where links lead."""
+    """A file distinguished from the folder on; lidar files are known by where links lead."""
     links_resolved = f"{Path(folder).resolve()}/"
     return file.removeprefix(folder if file.startswith(folder) else links_resolved).lstrip("/")
 
 
-_PLACE = re.compile(r"(?:(?:line \d+|[^\s:]+): )+")
+_LOCATION = re.compile(r"(?:(?:line \d+|[^\s:]+): )+")
 """File, line and path with which a message begins."""

@@ -14,14 +14,14 @@ _EMPTY = "%"
 
 
 def file_stem(identifier: Identifier) -> str:
-    """Turn an id into a part of a file name; what a file name cannot hold is written as %XX."""
+    """Rotate an id into a part of a file name; what a file name cannot hold is written as %XX."""
     stem = quote(str(identifier), safe=" ()+,=@").replace("~", "%7E")
     stem = f"%2E{stem[1:]}" if stem.startswith(".") else stem or _EMPTY
     return stem if len(stem) <= _LONGEST else f"{stem[:_LONGEST]}~{crc32(stem.encode()):08x}"
 
 
 def file_stems(identifiers: Iterable[Identifier]) -> list[str]:
-    """Turn ids into parts of file names that differ from each other, in upper or lower case, too."""
+    """Rotate ids into parts of file names that differ from each other, in upper or lower case, too."""
     stems: list[str] = []
     taken: dict[str, int] = {}
     for stem in map(file_stem, identifiers):

@@ -1,4 +1,4 @@
-"""Files of a drive: opened only where they are regular files, and never taken for larger than their bytes say.
+"""Files of a drive: opened only where they are regular files, and never taken for larger than their bytes state.
 
 Every reader opens its files with `open_file` or `read_bytes`, or asks `check_regular` before a library opens one by its
 path: a named pipe would be waited for without end, a device gives bytes without end. What a file declares is checked
@@ -18,7 +18,7 @@ from typing import BinaryIO
 from sceneloom.errors import DataError
 
 LARGEST_READ = 1 << 32
-"""Longest file that is read whole: a sweep, a picture, a table, a text [bytes]. Videos, bags, `.sfs` files and the
+"""Longest file that is read whole: a sweep, an image, a table, a text [bytes]. Videos, bags, `.sfs` files and the
 lines of recordings are read piece by piece, and may be of any length."""
 
 LARGEST_RATIO = 100
@@ -31,12 +31,12 @@ ALWAYS_UNPACKED = 1 << 26
 """Up to so many bytes anything compressed may become, however short it is: constant values compress very well."""
 
 MOST_PIXELS = 1 << 27
-"""Most pixels of a picture, by its head, before it is decoded: 16384 x 8192."""
+"""Most pixels of an image, by its head, before it is decoded: 16384 x 8192."""
 
 LARGEST_HOLES = 1000
 """How many times as long as its stored bytes a file of more than `LARGEST_READ` bytes may be: who reads on to the end
-of a longer one finds nothing for hours. Files of which next to nothing is said to be stored are elsewhere, on a tape or
-in a store, and pass."""
+of a longer one finds nothing for hours. Files of which next to nothing is stated to be stored are elsewhere, on a tape
+or in a store, and pass."""
 
 _PAGE = 4096
 _KINDS = {
@@ -57,14 +57,14 @@ def check_regular(path: Path) -> None:
     """
     status = path.stat()
     _check_mode(path, status.st_mode)
-    stored = (getattr(status, "st_blocks", None) or 0) * 512  # remote files tell none
+    stored = (getattr(status, "st_blocks", None) or 0) * 512  # remote files report none
     if status.st_size > LARGEST_READ and _PAGE <= stored < status.st_size / LARGEST_HOLES:
         problem = f"is {status.st_size} bytes long, of which {stored} are stored; expected a file without such holes"
         raise OSError(errno.EINVAL, problem, str(path))
 
 
 def why_no_file(path: Path) -> str:
-    """Why there is no file to be read at a path: "no such file", or what is there in its place."""
+    """Why there is no file to be read at a path: "no such file", or what is there in its location."""
     try:
         check_regular(path)
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
@@ -82,13 +82,13 @@ def open_file(path: Path, *, buffering: int = -1) -> BinaryIO:
     """
     check_regular(path)
     if type(path) is not type(Path()):
-        # files of remote folders open in their own way, and are regular ones
+        # files of remote folders open in their own trajectory, and are regular ones
         return path.open("rb", buffering)
 
     def opened(name: str, _: int) -> int:
         descriptor = os.open(name, _FLAGS)
         try:
-            # what has taken the file's place in between is not waited for
+            # what has taken the file's location in between is not waited for
             _check_mode(path, os.fstat(descriptor).st_mode)
         except OSError:
             os.close(descriptor)
@@ -111,7 +111,7 @@ def _check_mode(path: Path, mode: int) -> None:
 
 @contextmanager
 def file_faults(path: Path) -> Iterator[None]:
-    """Turn what the operating system says of a file into a DataError."""
+    """Rotate what the operating system says of a file into a DataError."""
     try:
         yield
     except OSError as error:
@@ -163,12 +163,12 @@ def most_unpacked(packed: int) -> int:
     return max(ALWAYS_UNPACKED, LARGEST_RATIO * packed)
 
 
-def check_unpacked(path: object, place: str, packed: int, unpacked: int) -> None:
+def check_unpacked(path: object, location: str, packed: int, unpacked: int) -> None:
     """Refuse compressed bytes that declare to become far more than data of sensors do.
 
     Args:
         path: the file, for the message.
-        place: where in it, for the message.
+        location: where in it, for the message.
         packed: how many bytes they are [bytes].
         unpacked: how many they declare to become [bytes].
 
@@ -177,14 +177,14 @@ def check_unpacked(path: object, place: str, packed: int, unpacked: int) -> None
     """
     most = most_unpacked(packed)
     if unpacked > most:
-        raise DataError(path, place, f"{packed} bytes that unpack to {unpacked}; expected {most} at most")
+        raise DataError(path, location, f"{packed} bytes that unpack to {unpacked}; expected {most} at most")
 
 
-def check_pixels(path: object, place: str, width: int, height: int) -> None:
-    """Refuse a picture that is larger than those of cameras, before it is decoded.
+def check_pixels(path: object, location: str, width: int, height: int) -> None:
+    """Refuse an image that is larger than those of cameras, before it is decoded.
 
     Raises:
         DataError: it has more than `MOST_PIXELS` pixels.
     """
     if width * height > MOST_PIXELS:
-        raise DataError(path, place, f"{width}x{height} pixels; expected {MOST_PIXELS} pixels at most")
+        raise DataError(path, location, f"{width}x{height} pixels; expected {MOST_PIXELS} pixels at most")

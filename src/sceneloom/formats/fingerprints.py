@@ -16,13 +16,13 @@ _LATE: dict[str, tuple[str, float]] = {}
 _LOCK = Lock()
 
 
-def fingerprint(place: str) -> str:
-    """Tell a file or folder from what it was at another time.
+def fingerprint(location: str) -> str:
+    """Report a file or folder from what it was at another time.
 
-    Behind a URL the mark that the server gives a content counts in place of the time.
+    Behind a URL the mark that the server gives a content counts instead of the time.
 
     Args:
-        place: its path or URL.
+        location: its path or URL.
 
     Returns:
         "" where it is not there or refused, or where the server gives no marks: nobody knows then whether it changed.
@@ -30,31 +30,31 @@ def fingerprint(place: str) -> str:
     Raises:
         DataError: the server of a URL does not answer, which may pass.
     """
-    told = blake2b(digest_size=16)
+    reported = blake2b(digest_size=16)
     try:
-        for name, size, mark in _remote_files(place) if is_url(place) else _files(Path(place)):
-            told.update(f"{name}\0{size}\0{mark}\n".encode("utf-8", "surrogateescape"))
+        for name, size, mark in _remote_files(location) if is_url(location) else _files(Path(location)):
+            reported.update(f"{name}\0{size}\0{mark}\n".encode("utf-8", "surrogateescape"))
     except OSError:
         return ""
-    return told.hexdigest()
+    return reported.hexdigest()
 
 
-def late_fingerprint(place: str) -> str:
+def late_fingerprint(location: str) -> str:
     """Do as `fingerprint`, but of a data set whose files take long to look at, give for a while what was found before.
 
     One that is older than the reading of a drive lets the drive count as changed at worst. It is given twenty times as
     long as it took, so that the drives of a data set, each read for itself, wait little for it.
     """
     with _LOCK:
-        found, until = _LATE.get(place, ("", 0.0))
+        found, until = _LATE.get(location, ("", 0.0))
         begun = time.monotonic()
         if begun < until:
             return found
-        found = fingerprint(place)
+        found = fingerprint(location)
         spent = time.monotonic() - begun
         _LATE.clear()
         if spent > _LONG_SECONDS:
-            _LATE[place] = found, begun + _LASTING * spent
+            _LATE[location] = found, begun + _LASTING * spent
         return found
 
 
@@ -73,12 +73,12 @@ def _remote_files(url: str) -> list[tuple[str, int, str]]:
 
 
 def _files(path: Path) -> Iterator[tuple[str, int, int]]:
-    for name, entry in _places(path):
+    for name, entry in _locations(path):
         status = entry.stat()
         yield name, status.st_size, status.st_mtime_ns
 
 
-def _places(path: Path) -> list[tuple[str, Path]]:
+def _locations(path: Path) -> list[tuple[str, Path]]:
     if not path.is_dir():
         return [(path.name, path)]
     found = []

@@ -9,7 +9,7 @@ from sceneloom.errors import DataError
 
 
 class Identity(Protocol):
-    """What tells a file, wherever it is, from one that takes its place."""
+    """What reports a file, wherever it is, from one that takes its location."""
 
     @property
     def name(self) -> str:

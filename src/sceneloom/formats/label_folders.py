@@ -1,4 +1,4 @@
-"""Folders of label images: one image for each picture of each camera, named by the picture's number or time."""
+"""Folders of label images: one image for each image of each camera, named by the image's number or time."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -30,9 +30,9 @@ class LabelFolder:
 
     Attributes:
         folder: where they are.
-        names: what each number means, as far as it is said.
+        names: what each number means, as far as it is stated.
         used: how many images were read.
-        missing: how many pictures had none.
+        missing: how many images had none.
     """
 
     folder: Path
@@ -46,17 +46,17 @@ class LabelFolder:
         """Find the images: in a folder for each camera, by its id; of a single camera also in the folder itself.
 
         Raises:
-            DataError: there is no image for any picture, or a name is neither the number nor the time of a picture.
+            DataError: there is no image for any image, or a name is neither the number nor the time of an image.
         """
         if not folder.is_dir():
             raise DataError(folder, "", "no such folder; expected one of label images")
         found = cls(folder, _names(folder / NAMES_FILE))
         stems = file_stems([camera.id for camera in cameras])
         for camera, stem in zip(cameras, stems, strict=True):
-            place = folder / stem
-            if not place.is_dir() and len(cameras) == 1:
-                place = folder
-            images = sorted(place.glob("*.png")) if place.is_dir() else []
+            location = folder / stem
+            if not location.is_dir() and len(cameras) == 1:
+                location = folder
+            images = sorted(location.glob("*.png")) if location.is_dir() else []
             found._files.update(_matched(images, camera))
         if not found._files:
             expected = ", ".join(f"{stem}/<number or time>.png" for stem in stems)
@@ -66,11 +66,11 @@ class LabelFolder:
         return found
 
     def image(self, camera: CameraSensor, number: int, size_px: tuple[int, int]) -> UInt16Array | None:
-        """Read the image of a picture, (H, W) uint16; None where there is none, which is counted.
+        """Read the image of an image, (H, W) uint16; None where there is none, which is counted.
 
         Args:
-            camera: of the picture.
-            number: of the picture.
+            camera: of the image.
+            number: of the image.
             size_px: width and height that it must have.
 
         Raises:
@@ -82,7 +82,9 @@ class LabelFolder:
             return None
         labels = read_label_png(path)
         if labels.shape != (size_px[1], size_px[0]):
-            problem = f"{labels.shape[1]}x{labels.shape[0]} pixels; expected {size_px[0]}x{size_px[1]}, the picture's"
+            problem = (
+                f"{labels.shape[1]}x{labels.shape[0]} pixels; expected {size_px[0]}x{size_px[1]}, the image's"
+            )
             raise DataError(path, "", problem)
         self.used += 1
         return labels
@@ -98,36 +100,36 @@ def _names(path: Path) -> dict[int, str]:
 
 
 def _matched(images: Sequence[Path], camera: CameraSensor) -> dict[tuple[Identifier, int], Path]:
-    """The images of a camera by the numbers of its pictures; all names are numbers, or all are times."""
-    stamps_ns = camera.pictures.timestamps_ns
+    """The images of a camera by the numbers of its images; all names are numbers, or all are times."""
+    timestamps_ns = camera.images.timestamps_ns
     whole = {path for path in images if _WHOLE.fullmatch(path.stem)}
-    numbered = all(int(path.stem) < len(stamps_ns) for path in whole)
+    numbered = all(int(path.stem) < len(timestamps_ns) for path in whole)
     found: dict[tuple[Identifier, int], Path] = {}
     for path in images:
-        number = int(path.stem) if numbered and path in whole else _by_time(path, stamps_ns)
+        number = int(path.stem) if numbered and path in whole else _by_time(path, timestamps_ns)
         if (camera.id, number) in found:
             other = found[camera.id, number].name
-            raise DataError(path, "", f"is for picture {number}, as {other} is; expected one image for each")
+            raise DataError(path, "", f"is for image {number}, as {other} is; expected one image for each")
         found[camera.id, number] = path
     return found
 
 
-def _by_time(path: Path, stamps_ns: Int64Array) -> int:
-    """The number of the picture whose time a name says: nanoseconds or microseconds, or seconds with a point."""
+def _by_time(path: Path, timestamps_ns: Int64Array) -> int:
+    """The number of the image whose time a name says: nanoseconds or microseconds, or seconds with a point."""
     if _SECONDS.fullmatch(path.stem):
         whole, _, part = path.stem.partition(".")
-        told = [int(whole) * 1_000_000_000 + int(part.ljust(9, "0"))]
+        reported = [int(whole) * 1_000_000_000 + int(part.ljust(9, "0"))]
     elif _WHOLE.fullmatch(path.stem):
-        told = [int(path.stem), int(path.stem) * 1_000]
+        reported = [int(path.stem), int(path.stem) * 1_000]
     else:
-        told = []
-    for time_ns in told:
-        if len(stamps_ns) and time_ns < 2**62:
-            number = int(np.argmin(np.abs(stamps_ns - time_ns)))
-            if abs(int(stamps_ns[number]) - time_ns) <= _NEAR_NS:
+        reported = []
+    for time_ns in reported:
+        if len(timestamps_ns) and time_ns < 2**62:
+            number = int(np.argmin(np.abs(timestamps_ns - time_ns)))
+            if abs(int(timestamps_ns[number]) - time_ns) <= _NEAR_NS:
                 return number
-    span = f"{stamps_ns.min()} to {stamps_ns.max()} ns" if len(stamps_ns) else "none"
+    span = f"{timestamps_ns.min()} to {timestamps_ns.max()} ns" if len(timestamps_ns) else "none"
     problem = (
-        f"named for no picture; expected a number from 0 to {len(stamps_ns) - 1}, or a time of one ({span})"
+        f"named for no image; expected a number from 0 to {len(timestamps_ns) - 1}, or a time of one ({span})"
     )
     raise DataError(path, "", problem)

@@ -6,7 +6,7 @@ import numpy as np
 
 from sceneloom.arrays import UInt16Array, check_array
 from sceneloom.errors import DataError
-from sceneloom.formats.encoded_pictures import open_image
+from sceneloom.formats.encoded_images import open_image
 from sceneloom.formats.output import replacing
 
 _NUMBERS = {"1", "L", "P", "I", "I;16", "I;16B", "I;16L"}

@@ -5,27 +5,27 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from sceneloom.errors import DataError, SceneloomError
-from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 
 @dataclass(slots=True)
 class _Entry:
-    kind: NoticeKind
+    kind: WarningKind
     code: str
-    place: str
+    location: str
     message: str
     count: int
 
 
 class Ledger:
-    """Collects notices; a fault is raised, or counted and passed over in a lenient reading.
+    """Collects warnings; a fault is raised, or counted and passed over in a lenient reading.
 
     Attributes:
         lenient: whether faults are passed over.
     """
 
     def __init__(self, *, lenient: bool) -> None:
-        """Begin with no notices."""
+        """Begin with no warnings."""
         self.lenient = lenient
         self._entries: dict[str, _Entry] = {}
 
@@ -33,15 +33,17 @@ class Ledger:
         """Raise the error, or count it as something left out.
 
         Args:
-            code: kind of fault, kebab case; faults of one code become one notice that quotes the first.
-            error: names file, place, value and what was expected.
+            code: kind of fault, kebab case; faults of one code become one warning that quotes the first.
+            error: names file, location, value and what was expected.
             count: how many things a lenient reading leaves out for it.
         """
         if not self.lenient:
             raise error
-        place = ": ".join(filter(None, (error.file, error.place))) if isinstance(error, DataError) else ""
+        location = (
+            ": ".join(filter(None, (error.file, error.location))) if isinstance(error, DataError) else ""
+        )
         problem = error.problem if isinstance(error, DataError) else str(error)
-        self._add(code, NoticeKind.SKIPPED, code, place, f"left out: {problem}", count)
+        self._add(code, WarningKind.SKIPPED, code, location, f"left out: {problem}", count)
 
     def refuse(self, code: str, error: SceneloomError) -> None:
         """Raise the error even in a lenient reading: what the rest means depends on the part that is at fault.
@@ -53,12 +55,12 @@ class Ledger:
         del code
         raise error
 
-    def note(self, kind: NoticeKind, code: str, place: str, message: str, *, count: int = 1) -> None:
-        """Add a notice; of several with one message the first one's place is kept, and the counts are added."""
-        self._add(f"{code}: {message}", kind, code, place, message, count)
+    def note(self, kind: WarningKind, code: str, location: str, message: str, *, count: int = 1) -> None:
+        """Add a warning; of several with one message the first one's location is kept, and the counts are added."""
+        self._add(f"{code}: {message}", kind, code, location, message, count)
 
-    def _add(self, key: str, kind: NoticeKind, code: str, place: str, message: str, count: int) -> None:
-        entry = self._entries.setdefault(key, _Entry(kind, code, place, message, 0))
+    def _add(self, key: str, kind: WarningKind, code: str, location: str, message: str, count: int) -> None:
+        entry = self._entries.setdefault(key, _Entry(kind, code, location, message, 0))
         entry.count += count
 
     @contextmanager
@@ -67,15 +69,19 @@ class Ledger:
         try:
             yield
         except SceneloomError as error:
-            error.remember(self.notices)
+            error.remember(self.warnings)
             raise
 
     @property
-    def notices(self) -> tuple[Notice, ...]:
-        """All notices, in the order in which they first came up."""
+    def warnings(self) -> tuple[DataWarning, ...]:
+        """All warnings, in the order in which they first came up."""
         return tuple(
-            Notice(
-                kind=entry.kind, code=entry.code, place=entry.place, message=entry.message, count=entry.count
+            DataWarning(
+                kind=entry.kind,
+                code=entry.code,
+                location=entry.location,
+                message=entry.message,
+                count=entry.count,
             )
             for entry in self._entries.values()
         )

@@ -1,11 +1,11 @@
-"""What there is to say of each format, for people who choose one."""
+"""What there is to state of each format, for people who choose one."""
 
 import msgspec
 
 from sceneloom.errors import OptionError
-from sceneloom.formats.holdings import holding_of
 from sceneloom.formats.loss import Holding, Supports
 from sceneloom.formats.spec import FormatSpec
+from sceneloom.formats.supported_fields import holding_of
 from sceneloom.formats.table import all_formats, format_named, format_names
 from sceneloom.formats.trajectories.content import TrajectoryForm
 from sceneloom.formats.trajectories.table import TRAJECTORY_FORMS
@@ -39,8 +39,8 @@ def list_formats() -> tuple[FormatListing, ...]:
     )
 
 
-def list_holdings(name: str) -> dict[str, Holding]:
-    """Say what becomes of each field of the model in a format that is written; nothing for one that is only read.
+def list_supported_fields(name: str) -> dict[str, Holding]:
+    """Report what becomes of each field of the model in a format that is written; nothing for one that is only read.
 
     Fields that the format says nothing of are left out; what depends on the scene shows in the report of a conversion.
 

@@ -6,15 +6,15 @@ from enum import StrEnum
 import msgspec
 
 
-class Fate(StrEnum):
+class Support(StrEnum):
     """What becomes of a field of the scene in a target."""
 
     KEPT = "kept"
     """Read back, it is the same."""
     CONVERTED = "converted"
-    """Said in another way (other units, types, frames), with no more error than the rounding of that."""
+    """Stated in another way (other units, types, frames), with no more error than the rounding of that."""
     APPROXIMATED = "approximated"
-    """Replaced by something near, such as another model of the lens or a compressed picture."""
+    """Replaced by something near, such as another model of the camera model or a compressed image."""
     DROPPED = "dropped"
     """Not in the target."""
 
@@ -23,33 +23,33 @@ class Holding(msgspec.Struct, frozen=True):
     """What a format makes of one field of the scene, whatever the scene.
 
     Attributes:
-        fate: what becomes of it.
+        support: what becomes of it.
         how: how it is converted or approximated, or why it is dropped, for a person; empty if it is kept.
     """
 
-    fate: Fate
+    support: Support
     how: str = ""
 
 
 Supports = Mapping[str, Holding]
 """Names of fields, or beginnings of them that end at a dot, and what becomes of these; "" is for all the rest."""
 
-KEPT = Holding(Fate.KEPT)
+KEPT = Holding(Support.KEPT)
 
 
 def converted(how: str) -> Holding:
-    """A field that is said in another way."""
-    return Holding(Fate.CONVERTED, how)
+    """A field that is stated in another way."""
+    return Holding(Support.CONVERTED, how)
 
 
 def approximated(how: str) -> Holding:
     """A field that is replaced by something near."""
-    return Holding(Fate.APPROXIMATED, how)
+    return Holding(Support.APPROXIMATED, how)
 
 
 def dropped(why: str) -> Holding:
-    """A field that the format has no place for."""
-    return Holding(Fate.DROPPED, why)
+    """A field that the format has no field for."""
+    return Holding(Support.DROPPED, why)
 
 
 class Loss(msgspec.Struct, frozen=True, kw_only=True):
@@ -57,12 +57,12 @@ class Loss(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         field: name of the field out of `MODEL_FIELDS`, or a beginning of it where all below is meant; the id of the
-            sensor or annotation may stand in place of its kind (`sensors[top].frames[].points.intensities`), the name
+            sensor or annotation may stand instead of its kind (`sensors[top].frames[].points.intensities`), the name
             of a trajectory and keys may be in it (`trajectories[vio].covariances`, `metadata.weather`).
         what: what happened to it, for a person ("rounded to microseconds, at most 0.5 µs").
         count: how many values or objects it happened to.
         kept: where the exact value stands in the target all the same ("metadata.sceneloom.imu"), or None.
-        fate: what became of it.
+        support: what became of it.
         largest_error: how far the worst value is off, in the unit that `what` names; None where that means nothing.
     """
 
@@ -70,7 +70,7 @@ class Loss(msgspec.Struct, frozen=True, kw_only=True):
     what: str
     count: int = 1
     kept: str | None = None
-    fate: Fate = Fate.DROPPED
+    support: Support = Support.DROPPED
     largest_error: float | None = None
 
 
@@ -87,10 +87,10 @@ class LossReport(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, losses: Iterable[Loss]) -> "LossReport":
-        """Collect losses; those of one field and kind are added up, and the largest error of them is told."""
-        together: dict[tuple[str, str, str | None, Fate], Loss] = {}
+        """Collect losses; those of one field and kind are added up, and the largest error of them is reported."""
+        together: dict[tuple[str, str, str | None, Support], Loss] = {}
         for loss in losses:
-            key = (loss.field, loss.what, loss.kept, loss.fate)
+            key = (loss.field, loss.what, loss.kept, loss.support)
             earlier = together.get(key)
             together[key] = loss if earlier is None else joined(earlier, loss)
         return cls(tuple(together.values()))

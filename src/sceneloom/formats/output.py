@@ -5,7 +5,8 @@ so on where other processes write to the same target. It is locked by its proces
 process has died is taken away by the next run that writes to the target, which first completes what that process had
 begun, so that at every instant the old output or the new one is whole:
 
-- A file takes its place by one rename. So does a folder that replaces another where the system can exchange two names
+- A file takes its location by one rename. So does a folder that replaces another where the system can exchange two
+names
   (Linux); elsewhere the old folder is at `.NAME.sceneloom/replaced` between two renames, and is put back from there.
 - Several files that belong together are listed in `.NAME.sceneloom/ready` once all are written, and then moved. Those
   that a killed process left in `.NAME.sceneloom/files` are moved by the next run.
@@ -51,7 +52,7 @@ class Source:
         _SOURCES.add(self)
 
     def release(self) -> None:
-        """Say that it is not being read any more."""
+        """Report that it is not being read any more."""
         _SOURCES.discard(self)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -150,7 +151,7 @@ def check_output(target: Path, *, overwrite: bool) -> None:
     except OSError as error:
         raise OutputError(f"{target}: cannot be written: {error.strerror}") from error
     if there and not overwrite:
-        raise OutputError(f"{target}: exists already; choose another name or say `--overwrite`")
+        raise OutputError(f"{target}: exists already; choose another name or state `--overwrite`")
     if there and not (target.is_file() or target.is_dir()):
         raise OutputError(f"{target}: is neither a file nor a folder and is left alone; choose another name")
     if target.is_file():
@@ -185,12 +186,12 @@ def _check_not_read(target: Path, *, whole: bool = False) -> None:
 
 def _read_by(target: Path, *, whole: bool) -> Path | None:
     """What is being read and would be replaced: any file of a folder that is read counts as read."""
-    place = Path(os.path.realpath(target))
+    location = Path(os.path.realpath(target))
     for source in list(_SOURCES):
         read = Path(os.path.realpath(source.path))
-        if read == place or _same(read, place):
+        if read == location or _same(read, location):
             return source.path
-        if (whole and place in read.parents) or (read in place.parents and read.is_dir()):
+        if (whole and location in read.parents) or (read in location.parents and read.is_dir()):
             return source.path
     return None
 
@@ -204,12 +205,12 @@ def _same(one: Path, other: Path) -> bool:
 
 @contextmanager
 def replacing(target: Path, *, overwrite: bool, folder: FolderKind | None = None) -> Iterator[Path]:
-    """Give a path beside the target to write to; on success it takes the target's place, on failure it goes.
+    """Give a path beside the target to write to; on success it takes the target's location, on failure it goes.
 
     Args:
         target: where the output shall be in the end.
         overwrite: whether something there may be replaced.
-        folder: give an empty folder in place of a file; only one of that kind is replaced.
+        folder: give an empty folder instead of a file; only one of that kind is replaced.
 
     Raises:
         OutputError: the target exists, cannot be written, is being read, or holds something else.
@@ -232,7 +233,7 @@ def replacing(target: Path, *, overwrite: bool, folder: FolderKind | None = None
 
 @contextmanager
 def replacing_together(targets: Sequence[Path], *, overwrite: bool) -> Iterator[tuple[Path, ...]]:
-    """Give paths to write files of one folder to that belong together: all of them take their places, or none does.
+    """Give paths to write files of one folder to that belong together: all of them take their locations, or none does.
 
     Raises:
         OutputError: a target exists, cannot be written or is being read.
@@ -266,15 +267,15 @@ def _check_folder(target: Path, kind: FolderKind) -> None:
         ) from error
 
 
-def _check_still_free(place: Path, *, overwrite: bool) -> None:
-    """Look again before the output takes its place: another program may have been quicker."""
-    if not overwrite and place.exists():
-        raise _taken(place)
+def _check_still_free(location: Path, *, overwrite: bool) -> None:
+    """Look again before the output takes its location: another program may have been quicker."""
+    if not overwrite and location.exists():
+        raise _taken(location)
 
 
-def _taken(place: Path) -> OutputError:
+def _taken(location: Path) -> OutputError:
     return OutputError(
-        f"{place}: was made by another program meanwhile; choose another name or say `--overwrite`"
+        f"{location}: was made by another program meanwhile; choose another name or state `--overwrite`"
     )
 
 
@@ -288,7 +289,7 @@ def _rename_to_free(draft: Path, target: Path) -> None:
 
 
 def _replace_folder(draft: Path, target: Path, workplace: Path) -> None:
-    """Put a folder in the place of another; where that takes two renames, a next run finds the old one."""
+    """Put a folder in the position of another; where that takes two renames, a next run finds the old one."""
     if not os.path.lexists(target):
         draft.rename(target)
     elif not exchange(draft, target):
@@ -297,7 +298,7 @@ def _replace_folder(draft: Path, target: Path, workplace: Path) -> None:
 
 
 def exchange(one: Path, other: Path) -> bool:
-    """Exchange two names at once; say false, and do nothing, where the system cannot."""
+    """Exchange two names at once; state false, and do nothing, where the system cannot."""
     return not _renameat2(one, other, _EXCHANGE)
 
 
@@ -330,7 +331,7 @@ def filling(folder: Path, *, overwrite: bool) -> Iterator[Path]:
     Files that were in the folder before stay, but for those of the same name.
 
     Raises:
-        OutputError: the folder has something in it and `overwrite` is not said, or it cannot be written.
+        OutputError: the folder has something in it and `overwrite` is not stated, or it cannot be written.
     """
     _recover(folder)
     if folder.exists() and not folder.is_dir():
@@ -343,7 +344,7 @@ def filling(folder: Path, *, overwrite: bool) -> Iterator[Path]:
 
 @contextmanager
 def on_trial(target: Path, *, overwrite: bool) -> Iterator[tuple[Path, Callable[[], bool]]]:
-    """Give a path to write an output to that may still be refused, and what puts it in the target's place.
+    """Give a path to write an output to that may still be refused, and what puts it in the target's location.
 
     The path has the target's name in a folder beside it; what else is written into that folder goes with it. The
     function says false, and does nothing, where the target is a folder: only its format knows whether that may be
@@ -373,29 +374,29 @@ def _move_all(workplace: Path, folder: Path, *, overwrite: bool) -> None:
     if not os.path.lexists(folder):
         _rename_to_free(drafts, folder)
         return
-    for draft, place in _moves(drafts, folder):
-        if place.exists():
-            _check_still_free(place, overwrite=overwrite)
-            if draft.is_dir() or place.is_dir():
+    for draft, location in _moves(drafts, folder):
+        if location.exists():
+            _check_still_free(location, overwrite=overwrite)
+            if draft.is_dir() or location.is_dir():
                 raise OutputError(
-                    f"{place}: is in the way; expected a {'folder' if draft.is_dir() else 'file'}"
+                    f"{location}: is in the way; expected a {'folder' if draft.is_dir() else 'file'}"
                 )
-            _check_not_read(place)
+            _check_not_read(location)
     (workplace / _LISTING).write_text(os.path.relpath(folder, workplace), "utf-8", "surrogateescape")
     (workplace / _LISTING).rename(workplace / _READY)
-    for draft, place in _moves(drafts, folder):
-        draft.replace(place)
+    for draft, location in _moves(drafts, folder):
+        draft.replace(location)
     (workplace / _READY).unlink()
 
 
 def _moves(drafts: Path, folder: Path) -> Iterator[tuple[Path, Path]]:
     """What is moved, and to where: files, and folders that are not there yet."""
     for draft in sorted(drafts.iterdir()):
-        place = folder / draft.name
-        if draft.is_dir() and place.is_dir():
-            yield from _moves(draft, place)
+        location = folder / draft.name
+        if draft.is_dir() and location.is_dir():
+            yield from _moves(draft, location)
         else:
-            yield draft, place
+            yield draft, location
 
 
 def _go_on(workplace: Path) -> None:
@@ -403,9 +404,9 @@ def _go_on(workplace: Path) -> None:
     ready = workplace / _READY
     since = ready.stat().st_mtime
     folder = Path(os.path.normpath(workplace / ready.read_text("utf-8", "surrogateescape")))
-    for draft, place in _moves(workplace / _FILES, folder):
-        if not place.exists() or place.stat().st_mtime <= since:
-            draft.replace(place)
+    for draft, location in _moves(workplace / _FILES, folder):
+        if not location.exists() or location.stat().st_mtime <= since:
+            draft.replace(location)
     ready.unlink()
 
 
@@ -492,7 +493,7 @@ def _is_at(lock: int, path: Path) -> bool:
 
 @cache
 def _machine() -> bytes:
-    """What tells a running system from all others; containers on one share it, and see each other's locks."""
+    """What reports a running system from all others; containers on one share it, and see each other's locks."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_bytes().strip()
     except OSError:
@@ -547,7 +548,7 @@ def _clear(workplace: Path, target: Path) -> None:
             _go_on(workplace)
     except OSError as error:
         raise OutputError(
-            f"{target}: what an interrupted run wrote is in {workplace} and cannot be put in its place: "
+            f"{target}: what an interrupted run wrote is in {workplace} and cannot be put in its location: "
             f"{error.strerror or error}; move it by hand, or delete that folder"
         ) from error
     shutil.rmtree(workplace, ignore_errors=True)

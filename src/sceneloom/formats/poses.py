@@ -10,7 +10,7 @@ GREATEST_NORM_ERROR = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Poses:
+class PoseRows:
     """Poses of a body in a world, one per line of a file.
 
     Attributes:

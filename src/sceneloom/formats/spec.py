@@ -47,7 +47,7 @@ class FormatSpec:
         write_options: as `read_options`.
         output_check: `"module:function"` of `(path)`, which refuses harmful outputs; "" if there is none.
         supports: what becomes of each field of a scene that is written, whatever the scene, by names of `MODEL_FIELDS`
-            or beginnings of them; what depends on the scene is told by the losses of `write`.
+            or beginnings of them; what depends on the scene is known by the losses of `write`.
         holds_corrections: whether corrections are written as annotations.
         along_trajectory: whether `write` takes the name of the ego's trajectory as `trajectory`.
         extra: the extra that reader and writer need; "" if none.
@@ -93,7 +93,7 @@ class FormatSpec:
 
         Args:
             path: a file or folder.
-            options: those of `read_options`; None for what is not said.
+            options: those of `read_options`; None for what is not stated.
 
         Raises:
             UnknownOptionError: an option is unknown.
@@ -118,12 +118,12 @@ class FormatSpec:
         )
 
     def write(self, scene: "Scene", path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
-        """Write beside the target, then rename; say what the format could not hold.
+        """Write beside the target, then rename; state what the format could not hold.
 
         Raises:
             UnknownOptionError: an option is unknown.
             OptionError: the format is only read, or cannot hold something.
-            DataError: a frame or picture cannot be read.
+            DataError: a frame or image cannot be read.
             OutputError: the output exists, or cannot be written.
             MissingExtraError: what writes its files is not installed.
         """
@@ -136,7 +136,7 @@ class FormatSpec:
         return report
 
     def check_output(self, path: Path) -> None:
-        """Refuse a place where an output would do harm.
+        """Refuse a location where an output would do harm.
 
         Raises:
             OutputError: the path is one.

@@ -19,9 +19,9 @@ from sceneloom.formats.spec import FormatSpec, first_bytes
 from sceneloom.formats.urls import is_url, path_or_url
 from sceneloom.lazy import imported
 from sceneloom.redaction import redacted
-from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.scene import Corrections, Scene
 from sceneloom.scene.types import key_of
+from sceneloom.scene.warnings import DataWarning, WarningKind
 from sceneloom.stages import stage
 
 
@@ -231,7 +231,7 @@ def find_format(path: Path) -> FormatSpec:
     raise UnknownFormatError(
         path,
         "",
-        f"more than one reader claims this: {names}; say which it is (`--read-as {claims[0].name}`, "
+        f"more than one reader claims this: {names}; state which it is (`--input-format {claims[0].name}`, "
         "format= in Python), or take them apart into folders of their own",
     )
 
@@ -241,8 +241,8 @@ def _guesses(path: Path) -> list[str]:
     if _is_empty(path):
         return ["it is empty"]
     near = {form.name: form.near_miss(path) for form in map(format_named, FORMATS) if form.reads}
-    told = [f"{name}? {guess}" for name, guess in near.items() if guess]
-    return told or _inside(path)
+    reported = [f"{name}? {guess}" for name, guess in near.items() if guess]
+    return reported or _inside(path)
 
 
 def _is_empty(path: Path) -> bool:
@@ -312,7 +312,7 @@ def open_scene(
             ranges, files of folders fetched when they are opened, and other files at once, into a temporary folder,
             which is removed when the scene is closed.
         format: the format's name, where the content should not decide.
-        start, stop: seconds after the scene's first time stamp between which it counts, as of `editing.crop_scene`;
+        start, stop: seconds after the scene's first timestamp between which it counts, as of `editing.crop_scene`;
             None for the beginning and the end.
         corrections: "apply" or "ignore": what is done with the scene's camera calibrations and localization adjustments
             by everything that computes with it (`Scene.corrected`). Here they stay as they are.
@@ -328,20 +328,20 @@ def open_scene(
     return scene if scene.corrections is chosen else replace(scene, corrections=chosen)
 
 
-def chosen_corrections(said: str) -> Corrections:
+def chosen_corrections(stated: str) -> Corrections:
     """What is done with corrections, by its name.
 
     Raises:
         OptionError: there is no such choice.
     """
     try:
-        return Corrections(said)
+        return Corrections(stated)
     except ValueError as error:
-        raise OptionError(f"corrections {said!r}; expected one of {', '.join(Corrections)}") from error
+        raise OptionError(f"corrections {stated!r}; expected one of {', '.join(Corrections)}") from error
 
 
 def scene_for(form: FormatSpec, scene: Scene) -> Scene:
-    """Give the scene that a format is to write: with its corrections applied where the format has no place for them."""
+    """Give the scene that a format is to write: with its corrections applied where the format has no field for them."""
     return scene if form.holds_corrections else scene.corrected()
 
 
@@ -360,7 +360,7 @@ def write_in(form: FormatSpec, scene: Scene, path: Path, **options: Any) -> Loss
     losses = [
         Loss(
             field=f"annotations.{correction.type}",
-            what="left out: not applied, and the format has no place for it",
+            what="left out: not applied, and the format has no field for it",
         )
         for correction in lost
     ]
@@ -389,16 +389,16 @@ def _whole_scene(path: str | Path, format: str | None, options: dict[str, Any]) 
     if isinstance(where, str) and not _read_by_ranges(where, format):
         return _fetched_scene(where, format, options)
     with stage("opening"):
-        form, place = format_and_place(path, format=format)
-        return opened_by(form, place, **options)
+        form, location = format_and_location(path, format=format)
+        return opened_by(form, location, **options)
 
 
-def opened_by(form: FormatSpec, place: Path | str, **options: Any) -> Scene:
+def opened_by(form: FormatSpec, location: Path | str, **options: Any) -> Scene:
     """Open a scene with its format; until it is closed, no output replaces what it is read from."""
-    scene = form.open(place, **options)
-    if isinstance(place, str):
+    scene = form.open(location, **options)
+    if isinstance(location, str):
         return scene
-    return replace(scene, on_close=partial(_close_both, scene.on_close, Source(place).release))
+    return replace(scene, on_close=partial(_close_both, scene.on_close, Source(location).release))
 
 
 def _read_by_ranges(url: str, format: str | None) -> bool:
@@ -421,16 +421,16 @@ def _fetched_scene(url: str, format: str | None, options: dict[str, Any]) -> Sce
         if isinstance(error, SceneloomError):
             error.rename(str(fetched.path), url.rstrip("/"))
         raise
-    told = Notice(
-        kind=NoticeKind.ASSUMED,
+    reported = DataWarning(
+        kind=WarningKind.ASSUMED,
         code="fetched",
-        place=redacted(url),
-        message=fetched.told(),
+        location=redacted(url),
+        message=fetched.reported(),
     )
     return replace(
         scene,
         source=redacted(url),
-        notices=(*scene.notices, told),
+        warnings=(*scene.warnings, reported),
         on_close=partial(_close_both, scene.on_close, fetched.remove),
     )
 
@@ -440,7 +440,7 @@ def _close_both(close: Callable[[], None], remove: Callable[[], None]) -> None:
     remove()
 
 
-def format_and_place(path: str | Path, *, format: str | None = None) -> tuple[FormatSpec, Any]:
+def format_and_location(path: str | Path, *, format: str | None = None) -> tuple[FormatSpec, Any]:
     """Find the format of a path or URL, and what it opens: a `Path`, or the URL as text.
 
     Raises:
@@ -477,7 +477,7 @@ def format_for_output(path: Path) -> FormatSpec:
         return found[0]
     if found:
         names = " or ".join(f"`--to {form.name}`" for form in found)
-        raise OptionError(f"{path}: suffix {path.suffix!r} belongs to several formats; say {names}")
+        raise OptionError(f"{path}: suffix {path.suffix!r} belongs to several formats; state {names}")
     known = ", ".join(
         f"{name} ({' '.join(s or 'folder' for s in format_named(name).suffixes)})"
         for name in written_formats()
@@ -488,11 +488,11 @@ def format_for_output(path: Path) -> FormatSpec:
 
 
 _OF_FOLDERS = "recording"
-"""What a folder that is to be written becomes where nothing else is said."""
+"""What a folder that is to be written becomes where nothing else is stated."""
 
 
 def check_scene_output(path: Path, *, overwrite: bool) -> None:
-    """Refuse a place that a scene cannot be written to, before much is done.
+    """Refuse a location that a scene cannot be written to, before much is done.
 
     Raises:
         OutputError: it exists, or is one where an output of its format would do harm.
@@ -508,7 +508,7 @@ def write_scene(
 ) -> LossReport:
     """Write a scene in the format that the path's suffix, or `format`, names; a URL of a store may stand for the path.
 
-    Where the format has no place for corrections, they are applied (`Scene.corrected`).
+    Where the format has no field for corrections, they are applied (`Scene.corrected`).
 
     Raises:
         OutputError: the output exists, or cannot be written.

@@ -121,7 +121,7 @@ def _brought(fusion_type: FusionType) -> tuple[EntryPoint, ...]:
 
 _SIGNATURES: Mapping[FusionType, str] = MappingProxyType(
     {
-        FusionType.SENSOR_DATA: "(points_world, requests, visibility, *, way=None) -> ColouredPoints",
+        FusionType.SENSOR_DATA: "(points_world, requests, visibility, *, trajectory=None) -> ColouredPoints",
         FusionType.DETECTIONS: "(pair) -> FusedBoxes",
     }
 )
@@ -154,12 +154,12 @@ class _Checked:
         try:
             signature = inspect.signature(inner)
             if fusion_type is FusionType.SENSOR_DATA:
-                signature.bind(None, None, None, way=None)
+                signature.bind(None, None, None, trajectory=None)
             else:
                 signature.bind(None)
         except TypeError as error:
             raise OptionError(f"algorithm {name}: {error}; {expected}") from None
-        except ValueError:  # compiled functions tell no signature
+        except ValueError:  # compiled functions report no signature
             pass
         return cls(fusion_type, function, name)
 
@@ -186,7 +186,7 @@ class _Checked:
             raise self._returned(found, "sceneloom.colouring.ColouredPoints")
         if len(found.views) != len(requests):
             raise OptionError(
-                f"algorithm {self.name}: {len(found.views)} views of {len(requests)} pictures; expected one of each, "
+                f"algorithm {self.name}: {len(found.views)} views of {len(requests)} images; expected one of each, "
                 "in the order of the requests"
             )
         count = len(points_world)

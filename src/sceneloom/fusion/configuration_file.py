@@ -48,10 +48,10 @@ class ConfigurationFile:
             DataError: something is refused.
         """
         for k, row in enumerate(self.added):
-            place = f"added[{k}]"
-            self._check(place, fusion.add_property(row["name"], row.get("description", ""), row["type"]))
+            location = f"added[{k}]"
+            self._check(location, fusion.add_property(row["name"], row.get("description", ""), row["type"]))
             if "value" in row:
-                self._check(f"{place}.value", fusion.set_property(row["name"], row["value"]))
+                self._check(f"{location}.value", fusion.set_property(row["name"], row["value"]))
         for name, value in self.properties.items():
             self._check(f"properties.{name}", fusion.set_property(name, value))
         if self.sensors:
@@ -60,9 +60,9 @@ class ConfigurationFile:
             outcome = fusion.set_calibration(entry.data, camera_id=entry.camera_id, lidar_id=entry.lidar_id)
             self._check(f"calibrations[{k}]", outcome)
 
-    def _check(self, place: str, outcome: Outcome) -> None:
+    def _check(self, location: str, outcome: Outcome) -> None:
         if not outcome:
-            raise DataError(self.path, place, outcome.reason)
+            raise DataError(self.path, location, outcome.reason)
 
 
 def read_configuration_file(path: Path | str, *, further: tuple[str, ...] = ()) -> ConfigurationFile:
@@ -115,18 +115,18 @@ def _properties(path: Path, table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _added(path: Path, k: int, row: Any) -> Mapping[str, Any]:
-    place = f"added[{k}]"
+    location = f"added[{k}]"
     if not isinstance(row, dict):
-        raise DataError(path, place, f"{row!r}; expected a table")
+        raise DataError(path, location, f"{row!r}; expected a table")
     for name in row:
         if name not in _ADDED:
-            raise DataError(path, f"{place}.{name}", f"unknown; expected one of {', '.join(_ADDED)}")
+            raise DataError(path, f"{location}.{name}", f"unknown; expected one of {', '.join(_ADDED)}")
     for name in ("name", "type"):
         if name not in row:
-            raise DataError(path, f"{place}.{name}", "missing; expected as clause 5.3 has it")
+            raise DataError(path, f"{location}.{name}", "missing; expected as clause 5.3 has it")
     for name in ("name", "description", "type"):
         if not isinstance(row.get(name, ""), str):
-            raise DataError(path, f"{place}.{name}", f"{row[name]!r}; expected a string")
+            raise DataError(path, f"{location}.{name}", f"{row[name]!r}; expected a string")
     return MappingProxyType(row)
 
 
@@ -135,7 +135,7 @@ def _sensors(path: Path, table: dict[str, Any]) -> str:
     try:
         parse_sensors(text)
     except DataError as error:
-        raise DataError(path, ".".join(filter(None, ("sensors", error.place))), error.problem) from error
+        raise DataError(path, ".".join(filter(None, ("sensors", error.location))), error.problem) from error
     return text
 
 
@@ -145,7 +145,7 @@ def _calibrations(path: Path, rows: Any) -> tuple[CalibrationEntry, ...]:
         try:
             entry = entry_of(row, f"[{k}]")
         except DataError as error:
-            raise DataError(path, f"calibrations{error.place}", error.problem) from error
+            raise DataError(path, f"calibrations{error.location}", error.problem) from error
         except CalibrationError as error:
             raise DataError(path, f"calibrations[{k}]", str(error)) from error
         if any((entry.camera_id, entry.lidar_id) == (known.camera_id, known.lidar_id) for known in entries):

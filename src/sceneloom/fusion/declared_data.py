@@ -14,8 +14,8 @@ def is_identity(matrix: Float64Array) -> bool:
     return bool(matrix[0, 0] == matrix[1, 1] == matrix[2, 2] == 1.0)
 
 
-def turned(vectors: Float32Array, matrix: Float64Array) -> Float32Array:
-    """Take (N, 3) vectors into other axes by a signed permutation, exactly; the same array where nothing turns."""
+def rotated(vectors: Float32Array, matrix: Float64Array) -> Float32Array:
+    """Take (N, 3) vectors into other axes by a signed permutation, exactly; the same array where nothing rotates."""
     if is_identity(matrix):
         return vectors
     columns = np.abs(matrix).argmax(axis=1)
@@ -25,7 +25,7 @@ def turned(vectors: Float32Array, matrix: Float64Array) -> Float32Array:
 
 def standard_frame(frame: LidarFrame, standard_from_declared: Float64Array) -> LidarFrame:
     """Take a sweep out of its declared frame."""
-    positions = turned(frame.points.positions, standard_from_declared)
+    positions = rotated(frame.points.positions, standard_from_declared)
     if positions is frame.points.positions:
         return frame
     return replace(frame, points=replace(frame.points, positions=positions))
@@ -38,7 +38,7 @@ def standard_boxes(boxes: Boxes3d, standard_from_declared: Float64Array) -> Boxe
     vectors = boxes.velocity_vectors
     return replace(
         boxes,
-        centers=turned(boxes.centers, standard_from_declared),
-        directions=turned(boxes.directions, standard_from_declared),
-        velocity_vectors=None if vectors is None else turned(vectors, standard_from_declared),
+        centers=rotated(boxes.centers, standard_from_declared),
+        directions=rotated(boxes.directions, standard_from_declared),
+        velocity_vectors=None if vectors is None else rotated(vectors, standard_from_declared),
     )

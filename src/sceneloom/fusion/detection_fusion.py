@@ -1,4 +1,4 @@
-"""Detection fusion: the boxes of a sweep and those of the pictures that belong to it become objects."""
+"""Detection fusion: the boxes of a sweep and those of the images that belong to it become objects."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from sceneloom.arrays import Float32Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections.results import DetectionAlgorithm, DetectionPair, FusedBoxes
 from sceneloom.fusion.pairing import Pairing, Waiting
-from sceneloom.fusion.sensors import KnownCamera, KnownLidar, standing
+from sceneloom.fusion.sensors import KnownCamera, KnownLidar, stationary
 from sceneloom.geometry.interpolation import OUT_OF_REACH
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.detections import Boxes2D, Boxes3D
@@ -21,12 +21,12 @@ from sceneloom.scene.types import NO_FIELDS, Identifier
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenBoxes:
-    """The boxes of a picture, and the lens that it was seen through.
+    """The boxes of an image, and the camera model that it was seen through.
 
     Attributes:
-        boxes: in the picture.
-        camera: the lens.
-        mount: `ego_from_camera` where this picture has a mounting of its own, else None.
+        boxes: in the image.
+        camera: the camera model.
+        mount: `ego_from_camera` where this image has a mounting of its own, else None.
         extras: further fields, by name.
     """
 
@@ -37,7 +37,7 @@ class SeenBoxes:
 
     @property
     def timestamp_ns(self) -> int:
-        """Of the picture [ns]."""
+        """Of the image [ns]."""
         return self.boxes.timestamp_ns
 
 
@@ -46,38 +46,39 @@ BoxPairing = Pairing[Boxes3D, SeenBoxes]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FusedDetectionFrame:
-    """The objects of one pair of a sweep and a picture.
+    """The objects of one pair of a sweep and an image.
 
     Attributes:
         lidar_id, camera_id: the sensors.
         index: number of the list of boxes in its lidar.
         timestamp_ns: of the sweep [ns].
-        picture_timestamp_ns: of the picture [ns].
+        image_timestamp_ns: of the image [ns].
         fused: the objects.
-        camera: the lens of the picture.
-        camera_from_lidar: takes the lidar's frame at the time of the sweep into the camera's at that of the picture.
-        last: whether no other picture of the same sweep comes after it.
-        standing: whether it was fused as if the ego had not moved, because its way did not reach or was not to count.
-        sweep_extras, picture_extras: further fields of the boxes of the sweep and of the picture.
+        camera: the camera model of the image.
+        camera_from_lidar: takes the lidar's frame at the time of the sweep into the camera's at that of the image.
+        last: whether no other image of the same sweep comes after it.
+        stationary: whether it was fused as if the ego had not moved, because its trajectory did not reach or was not to
+            count.
+        sweep_extras, image_extras: further fields of the boxes of the sweep and of the image.
     """
 
     lidar_id: Identifier
     camera_id: Identifier
     index: int
     timestamp_ns: int
-    picture_timestamp_ns: int
+    image_timestamp_ns: int
     fused: FusedBoxes
     camera: Camera
     camera_from_lidar: RigidTransform
     last: bool = True
-    standing: bool = False
+    stationary: bool = False
     sweep_extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
-    picture_extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+    image_extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
 
 @dataclass(slots=True)
 class BoxFusion:
-    """Fuses the boxes of sweeps with those of pictures.
+    """Fuses the boxes of sweeps with those of images.
 
     Attributes:
         lidars, cameras: what is known of the sensors.
@@ -87,7 +88,7 @@ class BoxFusion:
     cameras: Mapping[Identifier, KnownCamera]
 
     def fuse(self, waiting: Waiting[Boxes3D], pairing: BoxPairing) -> Iterator[FusedDetectionFrame]:
-        """Fuse the boxes of a sweep with those of each picture that belongs to it."""
+        """Fuse the boxes of a sweep with those of each image that belongs to it."""
         algorithm: DetectionAlgorithm = waiting.algorithm
         seen_by = list(self._seen_by(waiting, pairing))
         points = None
@@ -105,15 +106,15 @@ class BoxFusion:
                 seen.camera,
                 camera_from_lidar,
                 last=number == len(seen_by),
-                standing=stands,
+                stationary=stands,
                 sweep_extras=waiting.extras,
-                picture_extras=seen.extras,
+                image_extras=seen.extras,
             )
 
     def _seen_by(
         self, waiting: Waiting[Boxes3D], pairing: BoxPairing
     ) -> Iterator[tuple[Identifier, SeenBoxes, RigidTransform, bool]]:
-        """The boxes of each picture of a sweep, `camera_from_lidar`, and whether the ego is taken to stand still."""
+        """The boxes of each image of a sweep, `camera_from_lidar`, and whether the ego is taken to are stationary."""
         lidar = self.lidars[waiting.lidar_id]
         for camera in self.cameras.values():
             seen = pairing.partner(waiting, camera.id)
@@ -134,10 +135,10 @@ def _points_lidar(lidar: KnownLidar, time_ns: int) -> Float32Array | None:
     frame = lidar.sweep_at(time_ns)
     if frame is None or len(frame.points) == 0:
         return None
-    positions, source, place = frame.points.positions, lidar.source, lidar.place or lidar.source
-    if place is None or source is place or (source is not None and source.mount is place.mount):
+    positions, source, location = frame.points.positions, lidar.source, lidar.location or lidar.source
+    if location is None or source is location or (source is not None and source.mount is location.mount):
         return np.ascontiguousarray(positions)
-    world_from_lidar = _at(place, time_ns)
+    world_from_lidar = _at(location, time_ns)
     world_from_points = RigidTransform.identity() if source is None else _at(source, time_ns)
     if world_from_lidar is None or world_from_points is None:
         return None
@@ -147,12 +148,12 @@ def _points_lidar(lidar: KnownLidar, time_ns: int) -> Float32Array | None:
 def _camera_from_lidar(
     lidar: KnownLidar, camera: KnownCamera, reference_ns: int, seen: SeenBoxes, *, still: bool
 ) -> RigidTransform | None:
-    """Give the transform between a sweep and a picture of another time; None where the ego's way does not reach."""
-    place = lidar.place or lidar.source
-    sources = (standing(place), standing(camera.source)) if still else (place, camera.source)
+    """Give the transform between a sweep and an image of another time; None where the ego trajectory does not reach."""
+    location = lidar.location or lidar.source
+    sources = (stationary(location), stationary(camera.source)) if still else (location, camera.source)
     if sources[0] is None or sources[1] is None:
         return None
-    if sources[0].path is sources[1].path and sources[0].path.endless:
+    if sources[0].path is sources[1].path and sources[0].path.static:
         return _between_mounts(sources[1].mounted(seen.mount).mount, sources[0].mount)
     world_from_lidar = _at(sources[0], reference_ns)
     world_from_camera = _at(sources[1].mounted(seen.mount), seen.timestamp_ns)

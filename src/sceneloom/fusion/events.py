@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sceneloom.fusion.admitted import Admitted
+from sceneloom.fusion.accepted import Accepted
 from sceneloom.fusion.counters import Counters
 from sceneloom.fusion.found_objects import FoundObjects
 from sceneloom.fusion.messages.records import ResultRecord, SentRecord
@@ -21,7 +21,7 @@ class Result:
         number: among the results of its type, from 0 on; a gap where results were dropped.
         record: of table 9, or the records of table 10 of one pair.
         configuration: the properties in force when its sweep came; all calibrations among them.
-        found: of records of table 10 in the process that fused them, what they tell.
+        found: of records of table 10 in the process that fused them, what they report.
     """
 
     number: int
@@ -48,34 +48,34 @@ class Dropped:
     """A record that had been taken and was dropped before it was fused, because too many waited.
 
     Attributes:
-        admitted: the record.
+        accepted: the record.
     """
 
-    admitted: Admitted
+    accepted: Accepted
 
 
-Event = Admitted | Refused | Dropped | Moved | Flushed | Result
-"""What an observer is told, in the order in which it counts."""
+Event = Accepted | Refused | Dropped | Moved | Flushed | Result
+"""What an observer is reported, in the order in which it counts."""
 
 Observer = Callable[[Event], None]
 
 
 class Announcer:
-    """Tells an observer what happens, one call at a time, from any thread.
+    """Reports an observer what happens, one call at a time, from any thread.
 
     Attributes:
         observed: whether somebody looks on.
     """
 
     def __init__(self, observer: Observer | None, counters: Counters) -> None:
-        """Tell an observer, or nobody; an observer that fails is counted."""
+        """Report an observer, or nobody; an observer that fails is counted."""
         self.observed = observer is not None
         self._observer = observer
         self._counters = counters
         self._telling = threading.Lock()
 
-    def tell(self, event: Event) -> None:
-        """Tell what happened."""
+    def notify(self, event: Event) -> None:
+        """Report what happened."""
         if self._observer is None:
             return
         with self._telling:

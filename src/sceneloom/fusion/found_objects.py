@@ -1,4 +1,4 @@
-"""What the records of table 10 tell, for those in the same process who go on from there."""
+"""What the records of table 10 report, for those in the same process who go on from there."""
 
 from dataclasses import dataclass
 
@@ -10,12 +10,13 @@ from sceneloom.geometry.rigid import RigidTransform
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundObjects:
-    """The objects of a sweep and a picture, and where the lidar was.
+    """The objects of a sweep and an image, and where the lidar was.
 
     Attributes:
         frame: the objects, in the lidar's frame of the standard axes.
-        world_from_lidar: at the time of the sweep; the identity where the way of the vehicle did not count.
-        origin: (3,) float64 [m], where that world's origin is in the world of the vehicle's way: it goes along with it.
+        world_from_lidar: at the time of the sweep; the identity where the ego trajectory did not count.
+        origin: (3,) float64 [m], where that world's origin is in the world of the vehicle's trajectory: it goes along
+            with it.
         setting: the configuration in force when the sweep came.
     """
 

@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from sceneloom.errors import CalibrationError, OptionError, SceneloomError
-from sceneloom.fusion.admitted import Admitted, WholeRecord
+from sceneloom.fusion.accepted import Accepted, WholeRecord
 from sceneloom.fusion.algorithms import FusionType, algorithm
 from sceneloom.fusion.calibration.declared import check_calibration
 from sceneloom.fusion.calibration.entries import (
@@ -19,25 +19,25 @@ from sceneloom.fusion.calibration.entries import (
     parse_calibrations,
 )
 from sceneloom.fusion.calibration.table import CalibrationTable
+from sceneloom.fusion.collection import Collection
 from sceneloom.fusion.counters import Counters
 from sceneloom.fusion.events import Announcer, Observer, Refused, Result
-from sceneloom.fusion.gathering import Gathering
-from sceneloom.fusion.intake import Intake, RefusedError, check_headings
 from sceneloom.fusion.ledger import Ledger
 from sceneloom.fusion.messages.boxes import Box2d, Box3d, Boxes2d, Boxes3d
 from sceneloom.fusion.messages.calibration_data import CalibrationData
 from sceneloom.fusion.messages.records import SentRecord, kind_of
-from sceneloom.fusion.motion import RecentWay
-from sceneloom.fusion.outbox import Outbox
+from sceneloom.fusion.motion import RecentTrajectory
 from sceneloom.fusion.outcome import DONE, Cause, Outcome, refused
 from sceneloom.fusion.properties.store import Property, PropertyStore
 from sceneloom.fusion.queues import QUEUE_PROPERTIES, Flushed, Moved, QueueLimits, Task
+from sceneloom.fusion.received_records import ReceivedRecords, RefusedError, check_headings
+from sceneloom.fusion.results_queue import ResultsQueue
 from sceneloom.fusion.setting import Setting
 from sceneloom.fusion.worker import Worker
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 
 _MOST_MOVES = 100
-"""Pieces of the vehicle's way that may wait for the thread that fuses."""
+"""Chunks of the vehicle's trajectory that may wait for the thread that fuses."""
 
 
 class FusionInterface:
@@ -66,32 +66,32 @@ class FusionInterface:
 
         Args:
             inline: whether the threads that send also fuse.
-            observer: told all that is taken, refused and given, one call at a time.
+            observer: reported all that is taken, refused and given, one call at a time.
             on_result: called as soon as a result can be fetched.
-            limits: of what waits, whatever the properties say; None for none.
+            limits: of what waits, whatever the properties state; None for none.
         """
         self.properties = PropertyStore(check_algorithm=lambda kind, name: algorithm(FusionType(kind), name))
         self.counters = Counters()
         self._lock = threading.RLock()
         self._table = CalibrationTable()
         self._setting: Setting | None = None
-        self._way = RecentWay()
+        self._trajectory = RecentTrajectory()
         self._limits = limits or QueueLimits()
         self._making_room: Flushed | None = None
         self._remarked: set[tuple[tuple[int, int], str]] = set()
         self._closed = False
         self._ledger = Ledger(self.counters)
         self._announcer = Announcer(observer, self.counters)
-        self._intake = Intake()
-        self._gathering = Gathering(self._intake, self._hand_in)
-        self._outbox = Outbox(
+        self._received_records = ReceivedRecords()
+        self._collection = Collection(self._received_records, self._hand_in)
+        self._results_queue = ResultsQueue(
             self.counters, self._announcer, on_result=on_result, most_bytes=self._limits.most_bytes
         )
         self._worker = Worker(
             self.counters,
             self._ledger,
             self._announcer,
-            self._outbox.give,
+            self._results_queue.give,
             inline=inline,
             overdue=self._close_overdue,
         )
@@ -161,8 +161,8 @@ class FusionInterface:
                 self._table = table
         return outcome
 
-    def send_motion(self, path: PosePath) -> Outcome:
-        """Tell where the vehicle was: poses in a world that stands, x forward, y left, z up.
+    def send_motion(self, path: Poses) -> Outcome:
+        """Report where the vehicle was: poses in a world that stands, x forward, y left, z up.
 
         They are of the body that the property `sensors` mounts lidars on (`body_from_lidar`), else of the lidar itself.
         """
@@ -170,9 +170,9 @@ class FusionInterface:
             if self._closed:
                 return refused(Cause.CLOSED, "the session has ended")
             if self._worker.waiting_moves >= _MOST_MOVES:
-                return refused(Cause.QUEUE_FULL, f"{_MOST_MOVES} pieces of the way wait already")
+                return refused(Cause.QUEUE_FULL, f"{_MOST_MOVES} chunks of the trajectory wait already")
             try:
-                recent = self._way.extended(path)
+                recent = self._trajectory.extended(path)
             except SceneloomError as error:
                 return refused(Cause.BAD_MOTION, error)
             self.counters.add("received.motion", len(path.timestamps_ns))
@@ -183,7 +183,7 @@ class FusionInterface:
         """Hand in a record of tables 4 to 8, clause 5.6.
 
         Returns:
-            1 with a reason where it is taken and its calibration looks wrong: said once of each calibration.
+            1 with a reason where it is taken and its calibration looks wrong: stated once of each calibration.
         """
         with self._lock:
             if not isinstance(record, SentRecord):
@@ -217,11 +217,11 @@ class FusionInterface:
             raise OptionError(f"fusion type {chosen!r}; expected 0 (sensor data) or 1 (detections)")
         if math.isnan(timeout_s):
             raise OptionError(f"timeout_s {timeout_s}; expected a time in seconds")
-        return self._outbox.get(FusionType(chosen), min(timeout_s, threading.TIMEOUT_MAX))
+        return self._results_queue.get(FusionType(chosen), min(timeout_s, threading.TIMEOUT_MAX))
 
     def put_back(self, result: Result) -> None:
         """Take back a result that could not be delivered; it is the next one again."""
-        self._outbox.put_back(result)
+        self._results_queue.put_back(result)
 
     def results(self, fusion_type: int | None = None) -> Iterator[Result]:
         """Fetch all results that are there."""
@@ -232,13 +232,13 @@ class FusionInterface:
         with self._lock:
             if self._closed:
                 return
-            self._gathering.close()
+            self._collection.close()
             flushed = Flushed()
             self._worker.do(flushed)
         flushed.done.wait()
 
     def repeat(self, task: Task) -> None:
-        """Do what an observer was told that a session did; what that one admitted is not judged again.
+        """Do what an observer was reported that a session did; what that one accepted is not judged again.
 
         Raises:
             OptionError: the interface has a thread of its own, which could drop it.
@@ -246,7 +246,7 @@ class FusionInterface:
         if not self._worker.inline:
             raise OptionError("a session with a thread of its own; expected one that was made with `inline`")
         with self._lock:
-            if isinstance(task, Admitted):
+            if isinstance(task, Accepted):
                 self._ledger.issue(task.ticket)
             self._worker.do(task)
 
@@ -255,16 +255,16 @@ class FusionInterface:
         with self._lock:
             if self._closed:
                 return
-            self._gathering.close()
+            self._collection.close()
             self._closed = True
             self._worker.close()
         self._worker.join()
-        self._outbox.close()
+        self._results_queue.close()
 
     @property
     def waiting_results(self) -> int:
         """How many results wait to be fetched."""
-        return len(self._outbox)
+        return len(self._results_queue)
 
     @property
     def waiting_records(self) -> int:
@@ -275,11 +275,11 @@ class FusionInterface:
     def waiting_boxes(self) -> int:
         """How many boxes that came alone wait for others of their frame."""
         with self._lock:
-            return len(self._gathering)
+            return len(self._collection)
 
     def _refuse(self, record: SentRecord, outcome: Outcome) -> Outcome:
         self.counters.add(f"refused.{outcome.cause}")
-        self._announcer.tell(Refused(record, outcome))
+        self._announcer.notify(Refused(record, outcome))
         return outcome
 
     def _current(self) -> Setting:
@@ -300,20 +300,20 @@ class FusionInterface:
 
     def _admit(self, record: WholeRecord, setting: Setting, verb: str) -> Outcome:
         """Take a record of a whole frame, and count it as one that was received or gathered."""
-        admitted = self._intake.admit(record, setting)
+        accepted = self._received_records.admit(record, setting)
         most, policy = setting.properties["queue_length"], setting.properties["queue_policy"]
-        if policy == "refuse" and self._ledger.waiting(admitted.stream) >= most:
-            reason = f"{most} records of {admitted.kind} {admitted.sensor_id} wait already (queue_length)"
+        if policy == "refuse" and self._ledger.waiting(accepted.stream) >= most:
+            reason = f"{most} records of {accepted.kind} {accepted.sensor_id} wait already (queue_length)"
             raise RefusedError(refused(Cause.QUEUE_FULL, reason))
-        self._check_room(admitted.ticket.size)
-        jump = self._intake.note(admitted)
+        self._check_room(accepted.ticket.size)
+        jump = self._received_records.note(accepted)
         if jump:
             self.counters.add(f"clock.{jump}")
-        self.counters.add(f"{verb}.{admitted.stream[0]}")
-        self.counters.add("left-out.points", admitted.left_out)
-        self._ledger.issue(admitted.ticket)
-        self._worker.do(admitted, most=most)
-        return self._remarks(admitted)
+        self.counters.add(f"{verb}.{accepted.stream[0]}")
+        self.counters.add("left-out.points", accepted.left_out)
+        self._ledger.issue(accepted.ticket)
+        self._worker.do(accepted, most=most)
+        return self._notes(accepted)
 
     def _check_room(self, size: int) -> None:
         """Refuse what there is no room for, and see to it that there will be: let go of what waits for partners."""
@@ -326,27 +326,27 @@ class FusionInterface:
         reason = f"{waiting} bytes wait and {size} come; expected at most {most}"
         raise RefusedError(refused(Cause.TOO_MANY, reason))
 
-    def _remarks(self, admitted: Admitted) -> Outcome:
-        """The answer 1, with what looks wrong with the calibrations of a sensor if nobody was told yet."""
-        setting = admitted.setting
+    def _notes(self, accepted: Accepted) -> Outcome:
+        """The answer 1, with what looks wrong with the calibrations of a sensor if nobody was reported yet."""
+        setting = accepted.setting
         found = [
-            (pair, remark)
-            for pair in setting.pairs_of(admitted.kind, admitted.sensor_id)
-            for remark in setting.pairs[pair].remarks
-            if (pair, remark) not in self._remarked
+            (pair, note)
+            for pair in setting.pairs_of(accepted.kind, accepted.sensor_id)
+            for note in setting.pairs[pair].notes
+            if (pair, note) not in self._remarked
         ]
         if not found:
             return DONE
         self._remarked.update(found)
-        self.counters.add("remarks.calibration", len(found))
-        told = "; ".join(f"camera {camera}, lidar {lidar}: {remark}" for (camera, lidar), remark in found)
-        return Outcome(1, Cause.NONE, told)
+        self.counters.add("notes.calibration", len(found))
+        reported = "; ".join(f"camera {camera}, lidar {lidar}: {note}" for (camera, lidar), note in found)
+        return Outcome(1, Cause.NONE, reported)
 
     def _gather(self, box: Box3d | Box2d, setting: Setting) -> Outcome:
         """Keep a box that came alone until its frame is whole."""
         if isinstance(box, Box3d):
             check_headings(np.array([box.direction]), "", setting)
-        begins = self._gathering.add(box, setting)
+        begins = self._collection.add(box, setting)
         self.counters.add(f"received.{kind_of(box).name}")
         if begins:
             self._worker.wake()
@@ -358,17 +358,17 @@ class FusionInterface:
             self._admit(whole, setting, "gathered")
         except RefusedError as error:
             self.counters.add(f"gathered-refused.{error.outcome.cause}")
-            self._announcer.tell(Refused(whole, error.outcome))
+            self._announcer.notify(Refused(whole, error.outcome))
 
     def _close_overdue(self, now_s: float) -> float | None:
-        """Take frames for whole that no box came for since a while, and say when the next one may be."""
-        setting, oldest_s = self._setting, self._gathering.oldest_s()
+        """Take frames for whole that no box came for since a while, and state when the next one may be."""
+        setting, oldest_s = self._setting, self._collection.oldest_s()
         if setting is None or oldest_s is None:
             return None
         if oldest_s + setting.timeout_s <= now_s:
             with self._lock:
-                self._gathering.close(older_than_s=now_s - setting.timeout_s)
-            oldest_s = self._gathering.oldest_s()
+                self._collection.close(older_than_s=now_s - setting.timeout_s)
+            oldest_s = self._collection.oldest_s()
         return None if oldest_s is None else oldest_s + setting.timeout_s
 
 

@@ -38,14 +38,14 @@ def read_by_sensor(text: str, owner: str, example: str) -> dict[int, Any]:
     return {sensor_id_of(int(name) if _is_number(name) else name, owner, name): found[name] for name in found}
 
 
-def sensor_id_of(value: Any, owner: str, place: str) -> int:
+def sensor_id_of(value: Any, owner: str, location: str) -> int:
     """Give the number of a sensor.
 
     Raises:
         DataError: it is no whole number from 0 to 255.
     """
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= 255:
-        raise DataError(owner, place, f"{value!r}; expected a number of a sensor, 0 to 255")
+        raise DataError(owner, location, f"{value!r}; expected a number of a sensor, 0 to 255")
     return value
 
 

@@ -16,16 +16,16 @@ class Ticket:
 
     Attributes:
         stream: of the record.
-        holders: how many places keep it: a picture goes to each lidar that its camera is calibrated with.
+        holders: how many locations keep it: an image goes to each lidar that its camera is calibrated with.
         fused: whether it took part in a result.
-        fate: what happened to it where it did not, as `dropped.queue-full`; "" for nothing but time.
+        support: what happened to it where it did not, as `dropped.queue-full`; "" for nothing but time.
         size: of its arrays [byte].
     """
 
     stream: Stream
     holders: int = 1
     fused: bool = False
-    fate: str = ""
+    support: str = ""
     size: int = 0
 
 
@@ -55,23 +55,23 @@ class Ledger:
             self.waiting_bytes += ticket.size
 
     def share(self, ticket: Ticket, holders: int) -> None:
-        """Note that so many places keep a record; none of them: it is done."""
+        """Note that so many locations keep a record; none of them: it is done."""
         with self._lock:
             ticket.holders = holders + 1
         self.settle(ticket)
 
-    def settle(self, ticket: Ticket, fate: str = "") -> None:
-        """Note that one place does not keep a record any more, and why if not because it was used or is too old."""
+    def settle(self, ticket: Ticket, support: str = "") -> None:
+        """Note that one location does not keep a record any more, and why if not because it was used or is too old."""
         with self._lock:
             ticket.holders -= 1
-            ticket.fate = ticket.fate or fate
+            ticket.support = ticket.support or support
             if ticket.holders != 0:
                 return
             self._waiting[ticket.stream] -= 1
             self.waiting_bytes -= ticket.size
             if not self._waiting[ticket.stream]:
                 del self._waiting[ticket.stream]
-        outcome = "fused" if ticket.fused else ticket.fate or "unpaired"
+        outcome = "fused" if ticket.fused else ticket.support or "unpaired"
         self.counters.add(f"{outcome}.{ticket.stream[0]}")
 
     def waiting(self, stream: Stream | None = None) -> int:

@@ -1,28 +1,28 @@
-"""The way of the vehicle as it comes in: the last minute of it."""
+"""The trajectory of the vehicle as it comes in: the last minute of it."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from sceneloom.errors import PoseError
-from sceneloom.fusion.admitted import CLOCK_JUMP_NS
-from sceneloom.scene.poses import PosePath
+from sceneloom.fusion.accepted import CLOCK_JUMP_NS
+from sceneloom.scene.poses import Poses
 
 KEPT_NS = 60_000_000_000
-"""So much of the way is kept."""
+"""So much of the trajectory is kept."""
 
 _MOST_POSES = 100_000
-"""Of one minute: a sender that tells more than 1600 poses a second is stopped."""
+"""Of one minute: a sender that reports more than 1600 poses a second is stopped."""
 
 
 @dataclass(slots=True)
-class RecentWay:
+class RecentTrajectory:
     """Puts together poses that come piece by piece."""
 
-    _path: PosePath | None = None
+    _path: Poses | None = None
 
-    def extended(self, path: PosePath) -> PosePath:
-        """Add newer poses, and give the way of the last minute.
+    def extended(self, path: Poses) -> Poses:
+        """Add newer poses, and give the trajectory of the last minute.
 
         Poses that are very much older begin another way: a clock was set back. Positions are counted from the newest
         one, so that points far from a map's origin keep their digits.
@@ -30,7 +30,7 @@ class RecentWay:
         Raises:
             PoseError: they are not newer than those that came before, or too many.
         """
-        if path.endless or len(path.timestamps_ns) == 0:
+        if path.static or len(path.timestamps_ns) == 0:
             raise PoseError("no poses with times; expected one or more")
         before = self._path
         if before is not None and path.start_ns < before.stop_ns - CLOCK_JUMP_NS:
@@ -44,7 +44,7 @@ class RecentWay:
         kept = slice(int(np.searchsorted(times, times[-1] - KEPT_NS)), None)
         if len(times[kept]) > _MOST_POSES:
             raise PoseError(f"{len(times[kept])} poses in a minute; expected at most {_MOST_POSES}")
-        self._path = PosePath(
+        self._path = Poses(
             times[kept],
             np.concatenate([part.positions for part in parts])[kept],
             np.concatenate([part.quaternions_xyzw for part in parts])[kept],

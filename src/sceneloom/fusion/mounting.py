@@ -1,4 +1,4 @@
-"""How a lidar is mounted on the body whose way a session is told; its own way follows from that."""
+"""How a lidar is mounted on the body whose trajectory a session is reported; its own way follows from that."""
 
 from typing import Any
 
@@ -7,28 +7,28 @@ import numpy as np
 from sceneloom.errors import ArrayError, CalibrationError, DataError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 
-_NO_TURN = (0.0, 0.0, 0.0, 1.0)
+_NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
 _NORM_TOLERANCE = 0.01
 _MOST = 1e9
 """Beyond this a number is none of a mounting [m]."""
 _PARTS = {"position": 3, "quaternion_xyzw": 4}
 
 
-def parse_mounting(found: Any, owner: str, place: str) -> RigidTransform:
-    """Read `{"position": [x, y, z], "quaternion_xyzw": [x, y, z, w]}`: the lidar's place [m] and turn on the body.
+def parse_mounting(found: Any, owner: str, location: str) -> RigidTransform:
+    """Read `{"position": [x, y, z], "quaternion_xyzw": [x, y, z, w]}`: the lidar's location [m] and switch on the body.
 
-    The turn is none where it is left out.
+    The rotation is none where it is left out.
 
     Raises:
         DataError: it is no such object.
     """
     if not isinstance(found, dict) or not {"position"} <= set(found) <= set(_PARTS):
         raise DataError(
-            owner, place, f"{found!r}; expected an object with position and perhaps quaternion_xyzw"
+            owner, location, f"{found!r}; expected an object with position and perhaps quaternion_xyzw"
         )
-    values = {"quaternion_xyzw": _NO_TURN, **found}
+    values = {"quaternion_xyzw": _NO_ROTATION, **found}
     for name, count in _PARTS.items():
         numbers = values[name]
         if (
@@ -36,28 +36,28 @@ def parse_mounting(found: Any, owner: str, place: str) -> RigidTransform:
             or len(numbers) != count
             or not all(map(_is_number, numbers))
         ):
-            raise DataError(owner, f"{place}.{name}", f"{numbers!r}; expected {count} finite numbers")
+            raise DataError(owner, f"{location}.{name}", f"{numbers!r}; expected {count} finite numbers")
     norm = float(np.linalg.norm(values["quaternion_xyzw"]))
     if abs(norm - 1.0) > _NORM_TOLERANCE:
         problem = f"norm {norm:.4f}; expected a unit quaternion"
-        raise DataError(owner, f"{place}.quaternion_xyzw", problem)
+        raise DataError(owner, f"{location}.quaternion_xyzw", problem)
     try:
         return RigidTransform.from_quaternion(
             np.array(values["position"], np.float64), np.array(values["quaternion_xyzw"], np.float64)
         )
     except (ArrayError, CalibrationError) as error:
-        raise DataError(owner, place, str(error)) from error
+        raise DataError(owner, location, str(error)) from error
 
 
-def way_of_mounted(path: PosePath, body_from_lidar: RigidTransform | None) -> PosePath:
-    """Give the way of a lidar (`world_from_lidar`) on a body that moves along a path (`world_from_body`)."""
+def trajectory_of_mounted(path: Poses, body_from_lidar: RigidTransform | None) -> Poses:
+    """Give the trajectory of a lidar (`world_from_lidar`) on a body that moves along a path (`world_from_body`)."""
     if body_from_lidar is None:
         return path
-    return PosePath(
+    return Poses(
         path.timestamps_ns,
         path.positions + rotate_vectors(path.quaternions_xyzw, body_from_lidar.translation),
         multiply_quaternions(path.quaternions_xyzw, body_from_lidar.quaternion_xyzw),
-        endless=path.endless,
+        static=path.static,
     )
 
 

@@ -21,7 +21,7 @@ class Cause(StrEnum):
     BAD_RECORD = "bad-record"
     """A field of a record is missing, wrong or contradicts another."""
     BAD_CALIBRATION = "bad-calibration"
-    """Numbers that are no lens or no rigid transform."""
+    """Numbers that are no camera model or no rigid transform."""
     NO_CALIBRATION = "no-calibration"
     """A sensor of which no calibration is known."""
     UNKNOWN_SENSOR = "unknown-sensor"

@@ -24,7 +24,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.clouds import LidarFrame, LidarPoints
 
 UNSEEN_LEVEL = 128
-"""Red, green and blue of points that the picture does not show."""
+"""Red, green and blue of points that the image does not show."""
 
 
 def sensor_fusion_record(
@@ -41,14 +41,14 @@ def sensor_fusion_record(
     points_seq: int,
     motion_compensated: bool,
 ) -> SensorFusionData:
-    """Give the record of a sweep and one of its pictures.
+    """Give the record of a sweep and one of its images.
 
     The points have x, y, z, then what else was sent of them in its order, then r, g, b, whatever the values are.
 
     Args:
         world_from_lidar: the lidar at the sweep's reference time; where the ego stood, the identity.
         sent: the sweep as it was sent.
-        image: the picture as it was sent.
+        image: the image as it was sent.
 
     Source: DB34/T 4101-2022, table 9; READINGS of table 9 in docs/CONVENTIONS.md.
     """
@@ -81,9 +81,9 @@ def sensor_fusion_record(
 
 
 def _colors_of(frame: FusedFrame, view: FusedView, setting: Setting) -> UInt8Array:
-    """The colours that one picture gives the points: those of the cloud, where it is the only one that gave them.
+    """The colours that one image gives the points: those of the cloud, where it is the only one that gave them.
 
-    Algorithms of other packages may colour a cloud as they like. Points that the picture does not show are grey.
+    Algorithms of other packages may colour a cloud as they like. Points that the image does not show are grey.
     """
     own = setting.properties.algorithms[FusionType.SENSOR_DATA] in BUILT_IN[FusionType.SENSOR_DATA]
     colors, shown_by = frame.points.colors, frame.points.camera_index
@@ -119,11 +119,11 @@ def fused_detections_record(
     camera_id: int,
     motion_compensated: bool,
 ) -> FusedDetections:
-    """Give the records of the objects of a sweep and a picture.
+    """Give the records of the objects of a sweep and an image.
 
     Args:
         boxes_3d, boxes_2d: what was sent.
-        camera: the lens of the picture, to whose size boxes are cut.
+        camera: the camera model of the image, to whose size boxes are cut.
 
     Source: DB34/T 4101-2022, table 10.
     """
@@ -141,7 +141,7 @@ def fused_detections_record(
         "box_3d_ids": _numbers(fused.rows_3d, boxes_3d),
         "box_2d_ids": _numbers(fused.rows_2d, boxes_2d),
         "motion_compensated": int(motion_compensated),
-        "image_timestamp": Timestamp.of(frame.picture_timestamp_ns),
+        "image_timestamp": Timestamp.of(frame.image_timestamp_ns),
     }
     return (
         FusedDetections.of_sound_numbers(**fields, **columns)
@@ -176,13 +176,13 @@ def _tilt(
 def tracked_detections_record(
     record: FusedDetections, fused: FusedBoxes, setting: Setting, camera: Camera
 ) -> FusedDetections:
-    """Give the records of tracks in place of those of the objects of a sweep and a picture.
+    """Give the records of tracks instead of those of the objects of a sweep and an image.
 
     Args:
-        record: of the sweep and the picture.
+        record: of the sweep and the image.
         fused: the tracks in the lidar's frame of the standard axes.
         setting: the configuration of the sweep.
-        camera: the lens of the picture, to whose size boxes are cut.
+        camera: the camera model of the image, to whose size boxes are cut.
     """
     columns, _ = declared_columns(fused, setting.declared_from_standard, camera)
     none: tuple[None, ...] = (None,) * len(fused)
@@ -201,21 +201,21 @@ def declared_columns(
     Args:
         declared_from_standard: (3, 3) float64, a signed permutation: from the standard axes of the lidar to those of
             the record.
-        camera: the lens of the picture, to whose size boxes are cut.
+        camera: the camera model of the image, to whose size boxes are cut.
     """
-    turn, none = declared_from_standard, np.zeros(len(fused))
+    rotation, none = declared_from_standard, np.zeros(len(fused))
     velocities = np.zeros((len(fused), 3)) if fused.velocities is None else fused.velocities
     with np.errstate(invalid="ignore", over="ignore"):
         headings = np.stack([np.cos(fused.yaws), np.sin(fused.yaws), none], axis=1)
         numbers = {
             "confidence": np.clip(fused.scores, 0.0, 1.0),
-            "centers": fused.centers @ turn.T,
-            "center_covs": _symmetric(turn @ fused.center_covariances @ turn.T),
+            "centers": fused.centers @ rotation.T,
+            "center_covs": _symmetric(rotation @ fused.center_covariances @ rotation.T),
             "sizes_lwh": fused.sizes_lwh,
             "size_covs": _symmetric(fused.size_covariances),
-            "directions": headings @ turn.T,
+            "directions": headings @ rotation.T,
             "velocities": (velocities * headings).sum(axis=1),
-            "velocity_vectors": velocities @ turn.T,
+            "velocity_vectors": velocities @ rotation.T,
         }
         columns: dict[str, Any] = {name: values.astype(np.float32) for name, values in numbers.items()}
     corners = _whole_pixels(fused.corners_xyxy, camera)
@@ -228,7 +228,7 @@ def declared_columns(
         and (sizes[seen] > 0.0).all()
         and (corners[:, :2] <= corners[:, 2:]).all()
     )
-    # what is cut off at the picture's edge is beside the view, and has no outline
+    # what is cut off at the image's edge is beside the view, and has no outline
     corners[~(corners[:, 2:] > corners[:, :2]).all(axis=1)] = 0
     columns["corners_xyxy"] = corners
     if fused.velocities is None:
@@ -241,7 +241,7 @@ def _symmetric(matrices: Float64Array) -> Float64Array:
 
 
 def _whole_pixels(corners_xyxy: Float64Array, camera: Camera) -> UInt32Array:
-    """Round boxes outwards to whole pixels, cut at the picture; zeros where an edge is not finite."""
+    """Round boxes outwards to whole pixels, cut at the image; zeros where an edge is not finite."""
     finite = np.isfinite(corners_xyxy).all(axis=1, keepdims=True)
     edges = np.where(finite, corners_xyxy, 0.0)
     edges[:, :2] = np.floor(edges[:, :2])

@@ -1,4 +1,4 @@
-"""Which pictures belong to which sweep, and when that is known: the same for what a detector saw in them."""
+"""Which images belong to which sweep, and when that is known: the same for what a detector saw in them."""
 
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -12,11 +12,11 @@ from sceneloom.scene.types import NO_FIELDS, Identifier
 _DEFAULTS = FusionConfiguration()
 
 _LONGEST_LAG_NS = 10_000_000_000
-"""Sweeps that come, or are stamped, later than so long after their points were measured are not paired any more."""
+"""Sweeps that come, or are timestamped, later than so long after their points were measured are not paired any more."""
 
 
 class Timed(Protocol):
-    """Something of one time: a picture, or the boxes that a detector saw in it."""
+    """Something of one time: an image, or the boxes that a detector saw in it."""
 
     @property
     def timestamp_ns(self) -> int:
@@ -42,7 +42,7 @@ Frame = TypeVar("Frame", bound=TimedFrame)
 """Of a lidar: a sweep, or the boxes in it."""
 
 Partner = TypeVar("Partner", bound=Timed)
-"""Of a camera: a picture, or the boxes in it."""
+"""Of a camera: an image, or the boxes in it."""
 
 
 class Leave(StrEnum):
@@ -55,7 +55,7 @@ class Leave(StrEnum):
 
 
 OnLeft = Callable[[Mapping[str, Any], Leave], None]
-"""Told the further fields of what is not kept any more, and why."""
+"""Reported the further fields of what is not kept any more, and why."""
 
 
 def nobody(extras: Mapping[str, Any], leave: Leave) -> None:
@@ -71,7 +71,7 @@ class TimedQueue(Generic[Partner]):
         camera_id: the camera.
         most: how many are kept, the oldest are dropped; None for as many as come.
         items: what is kept.
-        on_left: told what is not kept any more.
+        on_left: reported what is not kept any more.
     """
 
     camera_id: Identifier
@@ -80,7 +80,7 @@ class TimedQueue(Generic[Partner]):
     on_left: OnLeft = nobody
 
     def add(self, item: Partner) -> int:
-        """Keep one; one that comes late takes its place in time. Gives how many were dropped to make room."""
+        """Keep one; one that comes late takes its location in time. Gives how many were dropped to make room."""
         late: list[Partner] = []
         while self.items and self.items[-1].timestamp_ns > item.timestamp_ns:
             late.append(self.items.pop())
@@ -115,14 +115,14 @@ class TimedQueue(Generic[Partner]):
 
 @dataclass(frozen=True, slots=True)
 class Waiting(Generic[Frame]):
-    """A sweep that waits for pictures.
+    """A sweep that waits for images.
 
     Attributes:
         lidar_id: its lidar.
         index: its number in the lidar.
         frame: the sweep.
         reference_ns: the time that it is paired by [ns].
-        tolerance_ns: how far a picture may be from it [ns].
+        tolerance_ns: how far an image may be from it [ns].
         algorithm: how it is to be fused.
         configuration: the settings in force when it came.
         extras: further fields, by name.
@@ -140,17 +140,17 @@ class Waiting(Generic[Frame]):
 
 @dataclass(slots=True)
 class Pairing(Generic[Frame, Partner]):
-    """Sweeps in the order in which they came, and the pictures that they may be paired with.
+    """Sweeps in the order in which they came, and the images that they may be paired with.
 
-    A sweep is ready as soon as every camera has sent a picture at or after its reference time, and where pictures may
+    A sweep is ready as soon as every camera has sent an image at or after its reference time, and where images may
     come out of order one so near that no other is nearer; or when so much time has passed that none can come any more.
 
     Attributes:
-        lateness_ns: how much later than its time a picture may arrive and still be waited for.
+        lateness_ns: how much later than its time an image may arrive and still be waited for.
         most_waiting: sweeps that may wait; None for as many as come.
-        queues: the pictures of each camera.
+        queues: the images of each camera.
         waiting: the sweeps, oldest first.
-        on_left: told what is not kept any more, but for sweeps that became ready.
+        on_left: reported what is not kept any more, but for sweeps that became ready.
     """
 
     lateness_ns: int = 0
@@ -163,13 +163,13 @@ class Pairing(Generic[Frame, Partner]):
     _latest_ns: int | None = None
 
     def configure(self, lateness_ns: int, most: int | None) -> None:
-        """Wait so long, and keep so many sweeps and pictures of each camera, from now on."""
+        """Wait so long, and keep so many sweeps and images of each camera, from now on."""
         self.lateness_ns, self.most_waiting = lateness_ns, most
         for queue in self.queues.values():
             queue.most = most
 
     def add_camera(self, camera_id: Identifier, *, most: int | None = None) -> None:
-        """Make a camera known; `most` of its pictures are kept."""
+        """Make a camera known; `most` of its images are kept."""
         self.queues[camera_id] = TimedQueue(camera_id, most, on_left=self.on_left)
 
     def expect(self, camera_ids: Collection[Identifier]) -> None:
@@ -186,10 +186,10 @@ class Pairing(Generic[Frame, Partner]):
 
     def add_frame(self, waiting: Waiting[Frame]) -> int:
         """Let a sweep wait; gives how many were dropped to make room."""
-        stamp_ns = waiting.frame.timestamp_ns
+        timestamp_ns = waiting.frame.timestamp_ns
         self.waiting.append(waiting)
-        self._lags_ns[waiting.lidar_id] = min(max(stamp_ns - waiting.reference_ns, 0), _LONGEST_LAG_NS)
-        self._note(stamp_ns)
+        self._lags_ns[waiting.lidar_id] = min(max(timestamp_ns - waiting.reference_ns, 0), _LONGEST_LAG_NS)
+        self._note(timestamp_ns)
         dropped = 0 if self.most_waiting is None else max(len(self.waiting) - self.most_waiting, 0)
         for _ in range(dropped):
             oldest = self.waiting.popleft()
@@ -198,13 +198,13 @@ class Pairing(Generic[Frame, Partner]):
         return dropped
 
     def add_partner(self, camera_id: Identifier, partner: Partner) -> int:
-        """Keep a picture; gives how many were dropped to make room."""
+        """Keep an image; gives how many were dropped to make room."""
         dropped = self.queues[camera_id].add(partner)
         self._note(partner.timestamp_ns)
         return dropped
 
     def ready(self, *, final: bool = False) -> Iterator[Waiting[Frame]]:
-        """Yield the sweeps whose pictures are known, oldest first; with `final` all that wait.
+        """Yield the sweeps whose images are known, oldest first; with `final` all that wait.
 
         What no later sweep can ask for is forgotten once the one after is asked for.
         """
@@ -212,7 +212,7 @@ class Pairing(Generic[Frame, Partner]):
             waiting = self.waiting.popleft()
             yield waiting
             self._retire_after(waiting)
-            # a later one can refer to any time from this stamp on, less the lag and what sweeps may be out of order
+            # a later one can refer to any time from this timestamp on, less the lag and what sweeps may be out of order
             lag_ns = max(self._lags_ns.values(), default=0) + waiting.configuration.disorder_ns
             self._forget_before(waiting.frame.timestamp_ns - lag_ns)
         if not self.waiting and self._latest_ns is not None:
@@ -227,12 +227,12 @@ class Pairing(Generic[Frame, Partner]):
         self._lags_ns.clear()
 
     def end(self) -> None:
-        """Let go of all pictures."""
+        """Let go of all images."""
         for queue in self.queues.values():
             self._let_go(queue)
 
     def partner(self, waiting: Waiting[Frame], camera_id: Identifier) -> Partner | None:
-        """A camera's picture for a sweep; None where none is near enough."""
+        """A camera's image for a sweep; None where none is near enough."""
         queue = self.queues.get(camera_id)
         return None if queue is None else queue.nearest(waiting.reference_ns, waiting.tolerance_ns)
 
@@ -257,10 +257,10 @@ class Pairing(Generic[Frame, Partner]):
         return latest > waiting.reference_ns + waiting.tolerance_ns + self.lateness_ns
 
     def _is_known(self, queue: TimedQueue[Partner], waiting: Waiting[Frame]) -> bool:
-        """Whether the camera's picture for a sweep is known, as far as pictures tell."""
+        """Whether the camera's image for a sweep is known, as far as images report."""
         if not queue.reaches(waiting.reference_ns):
             return False
-        period_ns = waiting.configuration.picture_period_ns
+        period_ns = waiting.configuration.image_period_ns
         return period_ns is None or queue.nearest(waiting.reference_ns, period_ns // 2) is not None
 
     def _forget_before(self, time_ns: int) -> None:

@@ -4,22 +4,22 @@ import threading
 from collections import Counter, deque
 from dataclasses import dataclass, field
 
-from sceneloom.fusion.admitted import Admitted
+from sceneloom.fusion.accepted import Accepted
 from sceneloom.fusion.ledger import Stream
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moved:
-    """The vehicle's way of the last while is known anew.
+    """The vehicle's trajectory of the last while is known anew.
 
     Attributes:
         path: that way, from an origin of its own.
         sent: the piece of it that came now.
     """
 
-    path: PosePath
-    sent: PosePath
+    path: Poses
+    sent: Poses
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,17 +35,17 @@ class Flushed:
     final: bool = False
 
 
-Task = Admitted | Moved | Flushed
+Task = Accepted | Moved | Flushed
 """What a worker does."""
 
 
 _PIXEL_BYTES = 7
-"""What a pixel takes while its picture is fused: red, green, blue, and a depth of 32 bits."""
+"""What a pixel takes while its image is fused: red, green, blue, and a depth of 32 bits."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QueueLimits:
-    """What waits in one system at most, whatever its properties say.
+    """What waits in one system at most, whatever its properties state.
 
     Attributes:
         most_length: what the properties queue_length and result_queue_length can be set to.
@@ -57,7 +57,7 @@ class QueueLimits:
 
     @property
     def most_pixels(self) -> int:
-        """How many pixels all cameras may have together: a sweep is fused with a picture of each at once."""
+        """How many pixels all cameras may have together: a sweep is fused with an image of each at once."""
         return self.most_bytes // _PIXEL_BYTES
 
 
@@ -72,7 +72,7 @@ class TaskQueue:
     Attributes:
         closed: whether the worker may end.
         busy: whether the worker does a task that it took; the worker says when it does not any more.
-        moves: how many pieces of the vehicle's way wait.
+        moves: how many chunks of the vehicle's trajectory wait.
     """
 
     _tasks: deque[Task] = field(default_factory=deque)
@@ -91,15 +91,15 @@ class TaskQueue:
         """Whether nothing is being done or to be done."""
         return not self._tasks and not self.busy
 
-    def put(self, task: Task, *, most: int) -> list[Admitted]:
+    def put(self, task: Task, *, most: int) -> list[Accepted]:
         """Append a task; gives the older records of the same stream that were dropped to make room.
 
         Args:
             most: how many records of one stream may wait.
         """
-        dropped: list[Admitted] = []
+        dropped: list[Accepted] = []
         with self._changed:
-            if isinstance(task, Admitted):
+            if isinstance(task, Accepted):
                 while self._waiting[task.stream] >= most:
                     dropped.append(self._drop_oldest(task.stream))
                 self._waiting[task.stream] += 1
@@ -118,7 +118,7 @@ class TaskQueue:
                 return None
             self.busy = True  # before the queue is empty: whoever looks at both never finds it idle
             task = self._tasks.popleft()
-            if isinstance(task, Admitted):
+            if isinstance(task, Accepted):
                 self._waiting[task.stream] -= 1
             self.moves -= isinstance(task, Moved)
             return task
@@ -135,11 +135,11 @@ class TaskQueue:
             self.closed = True
             self._changed.notify_all()
 
-    def _drop_oldest(self, stream: Stream) -> Admitted:
+    def _drop_oldest(self, stream: Stream) -> Accepted:
         k, oldest = next(
             (k, task)
             for k, task in enumerate(self._tasks)
-            if isinstance(task, Admitted) and task.stream == stream
+            if isinstance(task, Accepted) and task.stream == stream
         )
         del self._tasks[k]
         self._waiting[stream] -= 1

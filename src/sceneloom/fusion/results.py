@@ -40,10 +40,12 @@ class ResultQueue(Generic[Item]):
         return dropped
 
     def put_back(self, item: Item, *, size: int, before: Callable[[Item], bool]) -> None:
-        """Take back an item that was fetched, to its place: in front of all that it comes before."""
+        """Take back an item that was fetched, to its location: in front of all that it comes before."""
         with self._changed:
-            place = next((k for k, (other, _) in enumerate(self._items) if before(other)), len(self._items))
-            self._items.insert(place, (item, size))
+            location = next(
+                (k for k, (other, _) in enumerate(self._items) if before(other)), len(self._items)
+            )
+            self._items.insert(location, (item, size))
             self._bytes += size
             self._changed.notify()
 

@@ -10,7 +10,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import DataError
-from sceneloom.fusion.admitted import CLOCK_JUMP_NS, Admitted, Received, WholeRecord
+from sceneloom.fusion.accepted import CLOCK_JUMP_NS, Accepted, Received, WholeRecord
 from sceneloom.fusion.calibration.axes import SensorKind
 from sceneloom.fusion.counters import Counters
 from sceneloom.fusion.declared_data import standard_boxes, standard_frame
@@ -20,9 +20,9 @@ from sceneloom.fusion.ledger import Ledger, Stream, Ticket
 from sceneloom.fusion.messages.boxes import Boxes3d
 from sceneloom.fusion.messages.records import ResultRecord
 from sceneloom.fusion.messages.scene_form.boxes import boxes_2d_of, boxes_3d_of
-from sceneloom.fusion.messages.scene_form.pictures import image_of_raw
+from sceneloom.fusion.messages.scene_form.images import image_of_raw
 from sceneloom.fusion.messages.sensor_data import ImageData, RawData
-from sceneloom.fusion.mounting import way_of_mounted
+from sceneloom.fusion.mounting import trajectory_of_mounted
 from sceneloom.fusion.outgoing import fused_detections_record, sensor_fusion_record
 from sceneloom.fusion.pairing import Leave
 from sceneloom.fusion.sensors import STILL
@@ -30,14 +30,14 @@ from sceneloom.fusion.setting import Setting
 from sceneloom.fusion.system import FusionSystem
 from sceneloom.geometry.interpolation import OUT_OF_REACH
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.cameras import Picture
+from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.shutter import GLOBAL
 
 REACH_NS = 200_000_000
-"""How far beyond the last pose the way of the vehicle is continued: poses come later than what they are for."""
+"""How far beyond the last pose the ego trajectory is continued: poses come later than what they are for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +47,7 @@ class RigResult:
     Attributes:
         record: of table 9 or 10.
         setting: the configuration.
-        found: of records of table 10, what they tell, in the words of the fusion system.
+        found: of records of table 10, what they report, in the words of the fusion system.
     """
 
     record: ResultRecord
@@ -56,7 +56,7 @@ class RigResult:
 
 
 class _Sent(NamedTuple):
-    """What a result has to say of what was sent: rides along with it through the fusion system."""
+    """What a result has to state of what was sent: rides along with it through the fusion system."""
 
     record: Any
     seq: int
@@ -70,7 +70,7 @@ class _Sent(NamedTuple):
 
     @property
     def image(self) -> ImageData:
-        """The picture as it was sent; it was checked when it came."""
+        """The image as it was sent; it was checked when it came."""
         source = self.source
         if not isinstance(source, RawData):
             return cast("ImageData", source)
@@ -83,11 +83,11 @@ class Rig:
     """What a session's worker feeds: not for several threads at once.
 
     Each lidar has a fusion system of its own, whose ego frame is the lidar's: calibrations are of pairs, and those of
-    two lidars need not agree on where a camera is. A picture goes to all that its camera is calibrated with.
+    two lidars need not agree on where a camera is. An image goes to all that its camera is calibrated with.
 
     Attributes:
         counters: where what goes wrong is counted.
-        ledger: told what became of each record.
+        ledger: reported what became of each record.
     """
 
     counters: Counters
@@ -95,23 +95,23 @@ class Rig:
     _setting: Setting | None = None
     _systems: dict[int, FusionSystem] = field(default_factory=dict)
     _cameras: set[tuple[int, int]] = field(default_factory=set)
-    _path: PosePath | None = None
+    _path: Poses | None = None
     _origin: Float64Array = field(default_factory=lambda: np.zeros(3))
-    _ways: dict[int, PosePath] = field(default_factory=dict)
+    _trajectories: dict[int, Poses] = field(default_factory=dict)
     _newest_ns: dict[Stream, int] = field(default_factory=dict)
     _left: list[tuple[Ticket, Leave]] = field(default_factory=list)
 
-    def feed(self, admitted: Admitted, ticket: Ticket) -> Iterator[RigResult]:
+    def feed(self, accepted: Accepted, ticket: Ticket) -> Iterator[RigResult]:
         """Take what a sensor sent, and give what could be fused with it."""
-        sensor_id, received, setting = admitted.sensor_id, admitted.received, admitted.setting
+        sensor_id, received, setting = accepted.sensor_id, accepted.received, accepted.setting
         yield from self._adopt(setting)
-        yield from self._follow_clock(admitted.stream, admitted.timestamp_ns)
+        yield from self._follow_clock(accepted.stream, accepted.timestamp_ns)
         of_lidar = isinstance(received, LidarFrame | Boxes3d)
         kind = SensorKind.LIDAR if of_lidar else SensorKind.CAMERA
         pairs = setting.pairs_of(kind, sensor_id)
         lidar_ids = (sensor_id,) if of_lidar and pairs else tuple(sorted(lidar_id for _, lidar_id in pairs))
         self.ledger.share(ticket, len(lidar_ids))
-        sent = _Sent(received, admitted.record.seq, setting, ticket, admitted.record)
+        sent = _Sent(received, accepted.record.seq, setting, ticket, accepted.record)
         for lidar_id in lidar_ids:
             system = self._systems[lidar_id]
             try:
@@ -135,23 +135,23 @@ class Rig:
 
     @property
     def waits(self) -> bool:
-        """Whether a sweep or its boxes wait for a picture."""
+        """Whether a sweep or its boxes wait for an image."""
         return any(system.waits for system in self._systems.values())
 
-    def move(self, path: PosePath, *, origin: Float64Array) -> None:
-        """Let the vehicle move along a way from now on, whose positions count from `origin`, (3,) [m]."""
+    def move(self, path: Poses, *, origin: Float64Array) -> None:
+        """Let the vehicle move along a trajectory from now on, whose positions count from `origin`, (3,) [m]."""
         self._path, self._origin = path, origin
         for lidar_id in self._systems:
             self._move(lidar_id)
 
     def _move(self, lidar_id: int) -> None:
-        """Let a lidar ride on the body whose way is told, by the mounting in force."""
+        """Let a lidar ride on the body whose trajectory is reported, by the mounting in force."""
         if self._path is None or self._setting is None:
             return
         declared = self._setting.sensors.get(lidar_id)
-        way = way_of_mounted(self._path, None if declared is None else declared.body_from_lidar)
-        self._ways[lidar_id] = way
-        self._systems[lidar_id].move(way, reach_ns=REACH_NS)
+        trajectory = trajectory_of_mounted(self._path, None if declared is None else declared.body_from_lidar)
+        self._trajectories[lidar_id] = trajectory
+        self._systems[lidar_id].move(trajectory, reach_ns=REACH_NS)
 
     def _follow_clock(self, stream: Stream, time_ns: int) -> Iterator[RigResult]:
         """Where a sensor's clock was set back, fuse all that waits, and begin anew."""
@@ -176,9 +176,9 @@ class Rig:
         else:
             pair = sent.setting.pairs[sensor_id, lidar_id]
             mount = pair.lidar_from_camera
-            if isinstance(received, Picture):
-                picture = replace(received, camera=pair.camera, mount=mount, extras=extras)
-                system.send(f"camera{sensor_id}", picture)
+            if isinstance(received, CameraImage):
+                image = replace(received, camera=pair.camera, mount=mount, extras=extras)
+                system.send(f"camera{sensor_id}", image)
             else:
                 seen = boxes_2d_of(received, sensor_id=f"camera{sensor_id}")
                 system.send(f"camera{sensor_id}", SeenBoxes(seen, pair.camera, mount, extras))
@@ -195,12 +195,12 @@ class Rig:
 
     def _sensor_data(self, lidar_id: int, fused: FusedFrame) -> Iterator[RigResult]:
         sweep: _Sent = fused.extras["sent"]
-        compensated = self._path is not None and not fused.standing
+        compensated = self._path is not None and not fused.stationary
         world_from_lidar = self._world_from_lidar(lidar_id, fused.reference_ns) if compensated else _HERE
-        if self._path is not None and fused.standing and sweep.setting.configuration.motion_compensation:
+        if self._path is not None and fused.stationary and sweep.setting.configuration.motion_compensation:
             self.counters.add("motion.beyond-reach")
         for view in fused.views:
-            picture: _Sent = fused.picture_extras[view.camera_id]["sent"]
+            image: _Sent = fused.image_extras[view.camera_id]["sent"]
             try:
                 record = sensor_fusion_record(
                     fused,
@@ -208,25 +208,25 @@ class Rig:
                     world_from_lidar,
                     sweep.setting,
                     sent=sweep.record,
-                    image=picture.image,
+                    image=image.image,
                     camera_id=_number(view.camera_id),
                     lidar_id=lidar_id,
-                    image_seq=picture.seq,
+                    image_seq=image.seq,
                     points_seq=sweep.seq,
                     motion_compensated=compensated,
                 )
             except Exception as error:  # noqa: BLE001 - an algorithm may be anyone's, and give anything
                 self._failed(fused.extras, error)
                 continue
-            sweep.ticket.fused = picture.ticket.fused = True
+            sweep.ticket.fused = image.ticket.fused = True
             yield RigResult(record, sweep.setting)
 
     def _detections(self, lidar_id: int, found: FusedDetectionFrame) -> Iterator[RigResult]:
         boxes_3d: _Sent = found.sweep_extras["sent"]
-        boxes_2d: _Sent = found.picture_extras["sent"]
+        boxes_2d: _Sent = found.image_extras["sent"]
         camera_id = _number(found.camera_id)
-        compensated = self._path is not None and not found.standing
-        if self._path is not None and found.standing and boxes_3d.setting.configuration.motion_compensation:
+        compensated = self._path is not None and not found.stationary
+        if self._path is not None and found.stationary and boxes_3d.setting.configuration.motion_compensation:
             self.counters.add("motion.beyond-reach")
         try:
             record = fused_detections_record(
@@ -282,26 +282,26 @@ class Rig:
             on_failed=self._failed,
             on_left=self._leave,
         )
-        system.add_lidar(f"lidar{lidar_id}", _AT_LIDAR, period_ns=setting.sweep_period_ns, place=_AT_LIDAR)
+        system.add_lidar(f"lidar{lidar_id}", _AT_LIDAR, period_ns=setting.sweep_period_ns, location=_AT_LIDAR)
         return system
 
     def _unreadable(self, error: DataError) -> None:
         del error
-        self.counters.add("errors.unreadable-picture")
+        self.counters.add("errors.unreadable-image")
 
     def _failed(self, extras: Mapping[str, Any], error: Exception) -> None:
         self.counters.add(f"errors.{type(error).__name__}")
         sent: _Sent = extras["sent"]
-        sent.ticket.fate = sent.ticket.fate or "failed"
+        sent.ticket.support = sent.ticket.support or "failed"
 
     def _leave(self, extras: Mapping[str, Any], leave: Leave) -> None:
         sent: _Sent = extras["sent"]
         self._left.append((sent.ticket, leave))
 
     def _world_from_lidar(self, lidar_id: int, time_ns: int) -> RigidTransform:
-        if lidar_id not in self._ways:
+        if lidar_id not in self._trajectories:
             return _HERE
-        pose = PoseSource(self._ways[lidar_id], _HERE, REACH_NS).at(np.array([time_ns], np.int64))
+        pose = PoseSource(self._trajectories[lidar_id], _HERE, REACH_NS).at(np.array([time_ns], np.int64))
         if (
             pose.coverage[0] == OUT_OF_REACH
         ):  # which only a sweep without points can be, if it was compensated

@@ -1,4 +1,4 @@
-"""Sensor-data fusion: a sweep and the pictures that belong to it become coloured points and depth images."""
+"""Sensor-data fusion: a sweep and the images that belong to it become coloured points and depth images."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -8,19 +8,19 @@ import numpy as np
 
 from sceneloom.arrays import UInt8Array
 from sceneloom.colouring.algorithms import FusionAlgorithm, ViewRequest
-from sceneloom.colouring.lidar_way import LidarWay
+from sceneloom.colouring.lidar_trajectory import LidarTrajectory
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import DataError, PoseError
 from sceneloom.fusion.pairing import Pairing, Waiting
-from sceneloom.fusion.sensors import KnownCamera, KnownLidar, standing
+from sceneloom.fusion.sensors import KnownCamera, KnownLidar, stationary
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.deskew import points_to_world
-from sceneloom.scene.cameras import Picture
+from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.point_times import TimesFound
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.types import Identifier
-from sceneloom.visibility.rolling_shutter import ShutterWay
+from sceneloom.visibility.rolling_shutter import ShutterDirection
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,13 +41,13 @@ class TimedSweep:
         return self.frame.timestamp_ns
 
 
-SweepPairing = Pairing[TimedSweep, Picture]
+SweepPairing = Pairing[TimedSweep, CameraImage]
 Placed = Callable[[PoseSource | None], PoseSource | None]
 
 
 @dataclass(slots=True)
 class _Pairs:
-    """The pictures found for one sweep, and the cameras without one."""
+    """The images found for one sweep, and the cameras without one."""
 
     extrapolated: bool
     requests: list[ViewRequest] = field(default_factory=list)
@@ -58,39 +58,39 @@ class _Pairs:
 
 @dataclass(slots=True)
 class SweepFusion:
-    """Fuses sweeps with pictures.
+    """Fuses sweeps with images.
 
     Attributes:
         lidars, cameras: what is known of the sensors.
-        on_unreadable: told of a picture that cannot be decoded, which then counts as unpaired; None: it raises.
+        on_unreadable: reported an image that cannot be decoded, which then counts as unpaired; None: it raises.
     """
 
     lidars: Mapping[Identifier, KnownLidar]
     cameras: Mapping[Identifier, KnownCamera]
     on_unreadable: Callable[[DataError], None] | None = None
-    _decoded: dict[Identifier, tuple[Picture, UInt8Array]] = field(default_factory=dict)
+    _decoded: dict[Identifier, tuple[CameraImage, UInt8Array]] = field(default_factory=dict)
 
     def fuse(self, waiting: Waiting[TimedSweep], pairing: SweepPairing) -> tuple[FusedFrame, ...]:
-        """Fuse a sweep; where the ego's way does not reach, the result says so.
+        """Fuse a sweep; where the ego trajectory does not reach, the result says so.
 
-        Where it reaches the sweep and only some of the pictures, and those beyond it are to be fused as if the ego had
-        not moved, these are a second result: what a camera shows does not depend on how late another's picture is.
+        Where it reaches the sweep and only some of the images, and those beyond it are to be fused as if the ego had
+        not moved, these are a second result: what a camera shows does not depend on how late another's image is.
         """
         settings = waiting.configuration
         if not settings.motion_compensation:
-            return (self._fuse_standing(waiting, pairing, self.cameras),)
+            return (self._fuse_stationary(waiting, pairing, self.cameras),)
         fused = self._fuse(waiting, pairing, self.cameras, lambda source: source)
-        if not settings.stand_beyond_way or not (fused.unfused or fused.unposed):
+        if not settings.stand_beyond_trajectory or not (fused.unfused or fused.unposed):
             return (fused,)
         if not fused.views:
-            return (self._fuse_standing(waiting, pairing, self.cameras),)
+            return (self._fuse_stationary(waiting, pairing, self.cameras),)
         beyond = {camera_id: self.cameras[camera_id] for camera_id in fused.unposed}
-        return replace(fused, unposed=()), self._fuse_standing(waiting, pairing, beyond)
+        return replace(fused, unposed=()), self._fuse_stationary(waiting, pairing, beyond)
 
-    def _fuse_standing(
+    def _fuse_stationary(
         self, waiting: Waiting[TimedSweep], pairing: SweepPairing, cameras: Mapping[Identifier, KnownCamera]
     ) -> FusedFrame:
-        return replace(self._fuse(waiting, pairing, cameras, standing), standing=True)
+        return replace(self._fuse(waiting, pairing, cameras, stationary), stationary=True)
 
     def _fuse(
         self,
@@ -109,7 +109,7 @@ class SweepFusion:
             extras=frame.extras,
             times=waiting.frame.times,
         )
-        source, place = placed(lidar.source), placed(lidar.place)
+        source, location = placed(lidar.source), placed(lidar.location)
         try:
             positions_world, extrapolated = (
                 (frame.points.positions.astype(np.float64), False)
@@ -124,9 +124,11 @@ class SweepFusion:
         pairs = _Pairs(extrapolated=extrapolated)
         for camera in cameras.values():
             self._pair(waiting, pairing, camera, placed(camera.source) or camera.source, pairs)
-        way = None if place is None else LidarWay.of(frame, place)
+        trajectory = None if location is None else LidarTrajectory.of(frame, location)
         algorithm: FusionAlgorithm = waiting.algorithm
-        coloured = algorithm(positions_world, pairs.requests, waiting.configuration.visibility, way=way)
+        coloured = algorithm(
+            positions_world, pairs.requests, waiting.configuration.visibility, trajectory=trajectory
+        )
         return replace(
             fused,
             points=replace(points, colors=coloured.colors, camera_index=coloured.camera_index),
@@ -134,7 +136,7 @@ class SweepFusion:
             unpaired=tuple(pairs.unpaired),
             unposed=tuple(pairs.unposed),
             extrapolated=pairs.extrapolated,
-            picture_extras=pairs.extras,
+            image_extras=pairs.extras,
         )
 
     def _pair(
@@ -145,40 +147,40 @@ class SweepFusion:
         source: PoseSource,
         pairs: _Pairs,
     ) -> None:
-        """Find the camera's picture for a sweep and where it was taken, or note why there is none."""
-        picture = pairing.partner(waiting, camera.id)
-        if picture is None:
+        """Find the camera's image for a sweep and where it was taken, or note why there is none."""
+        image = pairing.partner(waiting, camera.id)
+        if image is None:
             pairs.unpaired.append(camera.id)
             return
-        place = source.mounted(picture.mount)
-        pose = place.at(np.array([picture.timestamp_ns], np.int64))
+        location = source.mounted(image.mount)
+        pose = location.at(np.array([image.timestamp_ns], np.int64))
         if pose.coverage[0] == 2:
             pairs.unposed.append(camera.id)
             return
-        rgb = self._rgb(camera.id, picture)
+        rgb = self._rgb(camera.id, image)
         if rgb is None:
             pairs.unpaired.append(camera.id)
             return
         pairs.extrapolated |= bool(pose.coverage[0] == 1)
-        pairs.extras[camera.id] = picture.extras
+        pairs.extras[camera.id] = image.extras
         pairs.requests.append(
             ViewRequest(
                 camera_id=camera.id,
                 camera_index=camera.index,
-                camera=picture.camera,
-                timestamp_ns=picture.timestamp_ns,
+                camera=image.camera,
+                timestamp_ns=image.timestamp_ns,
                 world_from_camera=RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0]),
                 rgb=rgb,
-                shutter=ShutterWay.of(camera.shutter, picture.timestamp_ns, place),
+                shutter=ShutterDirection.of(camera.shutter, image.timestamp_ns, location),
             )
         )
 
-    def _rgb(self, camera_id: Identifier, picture: Picture) -> UInt8Array | None:
-        """Decode once where several sweeps are paired with one picture."""
+    def _rgb(self, camera_id: Identifier, image: CameraImage) -> UInt8Array | None:
+        """Decode once where several sweeps are paired with one image."""
         kept = self._decoded.get(camera_id)
-        if kept is None or kept[0] is not picture:
+        if kept is None or kept[0] is not image:
             try:
-                kept = picture, picture.rgb
+                kept = image, image.rgb
             except DataError as error:
                 if self.on_unreadable is None:
                     raise

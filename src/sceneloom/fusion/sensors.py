@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.point_times import RawTimes, TimesFound, timed_frame
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.shutter import GLOBAL, Shutter
 from sceneloom.scene.types import Identifier
 
@@ -20,16 +20,16 @@ class KnownLidar:
 
     Attributes:
         source: takes its points into the world; None where they come in world coordinates.
-        place: `world_from_lidar`, whatever frame its points come in; None where that is not known.
+        location: `world_from_lidar`, whatever frame its points come in; None where that is not known.
         period_ns: the nominal time from sweep to sweep [ns].
         received: how many sweeps have come.
         received_boxes: how many lists of boxes have come.
         last_raw: times of the last sweep's points as they were read.
-        latest: the last sweeps, from the first list of boxes on: their points place what pictures alone show.
+        latest: the last sweeps, from the first list of boxes on: their points location what images alone show.
     """
 
     source: PoseSource | None
-    place: PoseSource | None
+    location: PoseSource | None
     period_ns: int
     received: int = 0
     received_boxes: int = 0
@@ -50,7 +50,7 @@ class KnownLidar:
         return frame if away_ns <= self.period_ns // 2 else None
 
     def timed(self, frame: LidarFrame) -> tuple[LidarFrame, TimesFound]:
-        """Bring the times of the points onto the scene's clock, and say what they were."""
+        """Bring the times of the points onto the scene's clock, and state what they were."""
         timed = timed_frame(frame, self.period_ns, previous=self.last_raw)
         self.last_raw = timed.raw
         return timed.frame, timed.found
@@ -64,7 +64,7 @@ class KnownCamera:
         id: the camera.
         index: what its points bear as `camera_index`.
         source: `world_from_camera`.
-        shutter: when the lines of its pictures are taken.
+        shutter: when the lines of its images are taken.
     """
 
     id: Identifier
@@ -73,9 +73,9 @@ class KnownCamera:
     shutter: Shutter = GLOBAL
 
 
-STILL = PosePath.identity()
+STILL = Poses.identity()
 
 
-def standing(source: PoseSource | None) -> PoseSource | None:
+def stationary(source: PoseSource | None) -> PoseSource | None:
     """The same sensor on an ego that does not move."""
     return None if source is None else replace(source, path=STILL)

@@ -8,8 +8,8 @@ from sceneloom.arrays import Float64Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError
 from sceneloom.fusion.calibration.axes import SensorKind
+from sceneloom.fusion.calibration.camera_models import CAMERA_MODELS, parse_camera_models
 from sceneloom.fusion.calibration.declared import CalibratedPair, axes_of
-from sceneloom.fusion.calibration.lenses import LENSES, parse_lenses
 from sceneloom.fusion.calibration.table import CalibrationTable, DeclaredFrames, resolve_pair
 from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.fusion.properties.sensors import DeclaredSensor, parse_sensors
@@ -28,16 +28,16 @@ class Setting:
         properties: as they were.
         table: the calibrations as they were.
         frames: the declared axes.
-        lenses: lenses that table 3 cannot say, by camera_id.
+        camera_models: camera models that table 3 cannot state, by camera_id.
         sensors: what the property `sensors` declares, by sensor_id.
-        pairs: lens and mounting of each camera and lidar that are calibrated, by (camera_id, lidar_id).
+        pairs: camera model and mounting of each camera and lidar that are calibrated, by (camera_id, lidar_id).
         faults: why a calibration cannot be used with the declared axes, by the same.
     """
 
     properties: Snapshot
     table: CalibrationTable
     frames: DeclaredFrames
-    lenses: Mapping[int, Camera]
+    camera_models: Mapping[int, Camera]
     sensors: Mapping[int, DeclaredSensor]
     pairs: Mapping[tuple[int, int], CalibratedPair]
     faults: Mapping[tuple[int, int], str] = field(default_factory=dict)
@@ -52,25 +52,27 @@ class Setting:
             before: the setting until now: what did not change since is taken from there.
 
         Raises:
-            DataError: the added property `lenses` cannot be read.
-            CalibrationError: a lens in it cannot be.
+            DataError: the added property `camera_models` cannot be read.
+            CalibrationError: a camera model in it cannot be.
         """
         if (
             before is not None
             and before.table is table
             and _geometry(before.properties) == _geometry(properties)
         ):
-            parts = before.frames, before.lenses, before.sensors, before.pairs, before.faults
+            parts = before.frames, before.camera_models, before.sensors, before.pairs, before.faults
             return cls(properties, table, *parts)
-        frames, lenses = declared_frames(properties), lenses_of(properties)
+        frames, camera_models = declared_frames(properties), camera_models_of(properties)
         pairs: dict[tuple[int, int], CalibratedPair] = {}
         faults: dict[tuple[int, int], str] = {}
         for pair in table.entries:
             try:
-                pairs[pair] = resolve_pair(table, *pair, frames, lenses)
+                pairs[pair] = resolve_pair(table, *pair, frames, camera_models)
             except CalibrationError as error:
                 faults[pair] = str(error)
-        return cls(properties, table, frames, lenses, parse_sensors(properties["sensors"]), pairs, faults)
+        return cls(
+            properties, table, frames, camera_models, parse_sensors(properties["sensors"]), pairs, faults
+        )
 
     @cached_property
     def sweep_period_ns(self) -> int:
@@ -78,19 +80,19 @@ class Setting:
         return int(_SECOND // self.properties["lidar_frequency"])
 
     @cached_property
-    def picture_period_ns(self) -> int:
+    def image_period_ns(self) -> int:
         """By `camera_frequency` [ns]."""
         return int(_SECOND // self.properties["camera_frequency"])
 
     @cached_property
     def tolerance_ns(self) -> int:
-        """How far a picture may be from a sweep [ns], by `pairing_tolerance_ms`.
+        """How far an image may be from a sweep [ns], by `pairing_tolerance_ms`.
 
         Where the property is 0: as far as both lie apart at the worst where both sensors keep their frequencies, half
         of each period.
         """
-        said_ns = round(self.properties["pairing_tolerance_ms"] * _MILLISECOND)
-        return said_ns or (self.sweep_period_ns + self.picture_period_ns) // 2
+        stated_ns = round(self.properties["pairing_tolerance_ms"] * _MILLISECOND)
+        return stated_ns or (self.sweep_period_ns + self.image_period_ns) // 2
 
     @cached_property
     def timeout_ns(self) -> int:
@@ -100,7 +102,7 @@ class Setting:
     @cached_property
     def lateness_ns(self) -> int:
         """How much older than the newest of its sensor a record may be [ns]: the timeout, or a period of the sensor."""
-        return max(self.timeout_ns, self.sweep_period_ns, self.picture_period_ns)
+        return max(self.timeout_ns, self.sweep_period_ns, self.image_period_ns)
 
     @cached_property
     def timeout_s(self) -> float:
@@ -123,15 +125,15 @@ class Setting:
             pairing_tolerance_ns=self.tolerance_ns,
             lateness_ns=self.timeout_ns,
             most_waiting=self.properties["queue_length"],
-            stand_beyond_way=True,
+            stand_beyond_trajectory=True,
             motion_compensation=self.properties["motion_compensation"] == 1,
-            picture_period_ns=self.picture_period_ns,
+            image_period_ns=self.image_period_ns,
             disorder_ns=self.lateness_ns,
         )
 
     @cached_property
     def pixels(self) -> int:
-        """Of the pictures of all calibrated cameras together."""
+        """Of the images of all calibrated cameras together."""
         sizes = {camera_id: pair.camera for (camera_id, _), pair in self.pairs.items()}
         return sum(camera.width * camera.height for camera in sizes.values())
 
@@ -148,35 +150,35 @@ class Setting:
     @cached_property
     def calibrated(self) -> Mapping[SensorKind, tuple[int, ...]]:
         """The numbers of the sensors that a usable calibration is known of, by kind."""
-        cameras, lidars = ({pair[place] for pair in self.pairs} for place in (0, 1))
+        cameras, lidars = ({pair[location] for pair in self.pairs} for location in (0, 1))
         return {SensorKind.CAMERA: tuple(sorted(cameras)), SensorKind.LIDAR: tuple(sorted(lidars))}
 
     def pairs_of(self, kind: SensorKind, sensor_id: int) -> tuple[tuple[int, int], ...]:
         """The pairs with a usable calibration that a sensor is in."""
-        place = 1 if kind is SensorKind.LIDAR else 0
-        return tuple(pair for pair in self.pairs if pair[place] == sensor_id)
+        location = 1 if kind is SensorKind.LIDAR else 0
+        return tuple(pair for pair in self.pairs if pair[location] == sensor_id)
 
     def fault_of(self, kind: SensorKind, sensor_id: int) -> str | None:
         """Why a calibration of a sensor cannot be used; None where there is no such."""
-        place = 1 if kind is SensorKind.LIDAR else 0
-        return next((fault for pair, fault in self.faults.items() if pair[place] == sensor_id), None)
+        location = 1 if kind is SensorKind.LIDAR else 0
+        return next((fault for pair, fault in self.faults.items() if pair[location] == sensor_id), None)
 
     def camera(self, camera_id: int) -> Camera:
-        """The lens of a camera that is calibrated; a camera has one size with all lidars.
+        """The camera model of a camera that is calibrated; a camera has one size with all lidars.
 
         Raises:
-            CalibrationError: its calibrations are of pictures of several sizes.
+            CalibrationError: its calibrations are of images of several sizes.
         """
-        lenses = [pair.camera for (camera, _), pair in self.pairs.items() if camera == camera_id]
-        sizes = {(lens.width, lens.height) for lens in lenses}
+        camera_models = [pair.camera for (camera, _), pair in self.pairs.items() if camera == camera_id]
+        sizes = {(camera_model.width, camera_model.height) for camera_model in camera_models}
         if len(sizes) > 1:
             raise CalibrationError(f"image_size of camera {camera_id}: {sorted(sizes)}; expected one size")
-        return lenses[0]
+        return camera_models[0]
 
 
 _GEOMETRY = (
     *("chirality", "camera_coordinate", "lidar_coordinate", "camera_axes", "lidar_axes", "sensors"),
-    LENSES,
+    CAMERA_MODELS,
 )
 """The properties that pairs and sensors depend on."""
 
@@ -194,12 +196,12 @@ def declared_frames(properties: Snapshot) -> DeclaredFrames:
     return DeclaredFrames(camera, lidar)
 
 
-def lenses_of(properties: Snapshot) -> Mapping[int, Camera]:
-    """Read the added property `lenses`; none where it is not there or not set.
+def camera_models_of(properties: Snapshot) -> Mapping[int, Camera]:
+    """Read the added property `camera_models`; none where it is not there or not set.
 
     Raises:
         DataError: its text cannot be read.
-        CalibrationError: a lens cannot be.
+        CalibrationError: a camera model cannot be.
     """
-    found = properties.properties.get(LENSES)
-    return parse_lenses(found.value) if found is not None and isinstance(found.value, str) else {}
+    found = properties.properties.get(CAMERA_MODELS)
+    return parse_camera_models(found.value) if found is not None and isinstance(found.value, str) else {}

@@ -18,35 +18,35 @@ from sceneloom.fusion.detection_fusion import BoxFusion, BoxPairing, FusedDetect
 from sceneloom.fusion.pairing import Leave, OnLeft, Pairing, Waiting, nobody
 from sceneloom.fusion.sensor_fusion import SweepFusion, SweepPairing, TimedSweep
 from sceneloom.fusion.sensors import KnownCamera, KnownLidar
-from sceneloom.scene.cameras import Picture
+from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.detections import Boxes3D
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.shutter import GLOBAL, Shutter
 from sceneloom.scene.types import NO_FIELDS, Identifier
 
-Measurement = LidarFrame | Picture | Boxes3D | SeenBoxes
-"""What can be sent: sweeps and pictures, and what detectors saw in them."""
+Measurement = LidarFrame | CameraImage | Boxes3D | SeenBoxes
+"""What can be sent: sweeps and images, and what detectors saw in them."""
 
 OnFailed = Callable[[Mapping[str, Any], Exception], None]
-"""Told the further fields of a sweep that could not be fused, and why."""
+"""Reported the further fields of a sweep that could not be fused, and why."""
 
 
 @dataclass(slots=True)
 class FusionSystem:
-    """Pairs sweeps with pictures and fuses each pair; the same object works offline and behind a service.
+    """Pairs sweeps with images and fuses each pair; the same object works offline and behind a service.
 
-    Sweeps wait for pictures, and boxes of sweeps for boxes of pictures, as `Pairing` says. Results are fetched first
+    Sweeps wait for images, and boxes of sweeps for boxes of images, as `Pairing` says. Results are fetched first
     in, first out. Memory holds what waits. Not for several threads at once.
 
     Attributes:
         configuration: the settings.
-        on_unreadable: told of a picture that cannot be decoded, which then counts as unpaired; None: it raises.
-        on_failed: told of a sweep, or its boxes, whose fusion raised, which then has no result; None: it raises.
-        detect: fuses boxes in place of the algorithm that the configuration names; None for that one.
-        on_left: told of what is not kept any more, used or not; the results that it took part in can be fetched then.
-        dropped: how many sweeps, pictures and lists of boxes were dropped because too many waited.
+        on_unreadable: reported an image that cannot be decoded, which then counts as unpaired; None: it raises.
+        on_failed: reported a sweep, or its boxes, whose fusion raised, which then has no result; None: it raises.
+        detect: fuses boxes instead of the algorithm that the configuration names; None for that one.
+        on_left: reported what is not kept any more, used or not; the results that it took part in can be fetched then.
+        dropped: how many sweeps, images and lists of boxes were dropped because too many waited.
 
     Raises:
         OptionError: an algorithm is not installed.
@@ -82,18 +82,18 @@ class FusionSystem:
         source: PoseSource | None,
         *,
         period_ns: int,
-        place: PoseSource | None = None,
+        location: PoseSource | None = None,
     ) -> None:
         """Make a lidar known.
 
         Args:
             source: takes its points into the world; None where they come in world coordinates.
             period_ns: the nominal time from sweep to sweep.
-            place: `world_from_lidar`, from where it measures, whatever frame its points come in; None where that is not
-                known, and then a little less is known of what hides what.
+            location: `world_from_lidar`, from where it measures, whatever frame its points come in; None where that is
+                not known, and then a little less is known of what hides what.
         """
         self._refuse_known(lidar_id)
-        self._lidars[lidar_id] = KnownLidar(source, place, period_ns)
+        self._lidars[lidar_id] = KnownLidar(source, location, period_ns)
 
     def add_camera(
         self, camera_id: Identifier, source: PoseSource, *, index: int, shutter: Shutter = GLOBAL
@@ -107,7 +107,7 @@ class FusionSystem:
         self._boxes.add_camera(camera_id, most=self.configuration.most_waiting)
 
     def roll(self, camera_id: Identifier, shutter: Shutter) -> None:
-        """Take the lines of a camera's pictures for taken like this from now on.
+        """Take the lines of a camera's images for taken like this from now on.
 
         Raises:
             OptionError: the camera is not known.
@@ -116,11 +116,11 @@ class FusionSystem:
             raise OptionError(f"camera {camera_id!r} is not known; known are {list(self._cameras)}")
         self._cameras[camera_id].shutter = shutter
 
-    def move(self, path: PosePath, *, reach_ns: int = 0) -> None:
-        """Let all sensors ride along another way of the ego from now on."""
+    def move(self, path: Poses, *, reach_ns: int = 0) -> None:
+        """Let all sensors ride along another ego trajectory from now on."""
         for lidar in self._lidars.values():
             lidar.source = _along(lidar.source, path, reach_ns)
-            lidar.place = _along(lidar.place, path, reach_ns)
+            lidar.location = _along(lidar.location, path, reach_ns)
         for camera in self._cameras.values():
             camera.source = replace(camera.source, path=path, reach_ns=reach_ns)
 
@@ -138,7 +138,7 @@ class FusionSystem:
             lidar.period_ns = period_ns
 
     def expect(self, camera_ids: Collection[Identifier]) -> None:
-        """Go by the pictures of these cameras alone from the next sweep on, and wait for no others any more."""
+        """Go by the images of these cameras alone from the next sweep on, and wait for no others any more."""
         for pairing in (self._sweeps, self._boxes):
             pairing.expect(camera_ids)
         self._fuse_ready(final=False)
@@ -146,7 +146,7 @@ class FusionSystem:
     def send(
         self, sensor_id: Identifier, measurement: Measurement, *, extras: Mapping[str, Any] = NO_FIELDS
     ) -> None:
-        """Hand in a sweep or its boxes for a lidar, a picture or its boxes for a camera.
+        """Hand in a sweep or its boxes for a lidar, an image or its boxes for a camera.
 
         Args:
             extras: of boxes of a sweep, further fields, which come back with the result; others have their own.
@@ -159,7 +159,7 @@ class FusionSystem:
             self._receive_sweep(sensor_id, lidar, measurement)
         elif lidar is not None and isinstance(measurement, Boxes3D):
             self._receive_boxes(sensor_id, lidar, measurement, extras)
-        elif camera is not None and isinstance(measurement, Picture):
+        elif camera is not None and isinstance(measurement, CameraImage):
             self.dropped += self._sweeps.add_partner(sensor_id, measurement)
         elif camera is not None and isinstance(measurement, SeenBoxes):
             self.dropped += self._boxes.add_partner(sensor_id, measurement)
@@ -183,11 +183,11 @@ class FusionSystem:
 
     @property
     def waits(self) -> bool:
-        """Whether a sweep or its boxes wait for a picture."""
+        """Whether a sweep or its boxes wait for an image."""
         return bool(self._sweeps.waiting or self._boxes.waiting)
 
     def flush(self) -> None:
-        """Fuse everything that waits with the pictures that have come."""
+        """Fuse everything that waits with the images that have come."""
         self._fuse_ready(final=True)
 
     def restart(self, time_ns: int) -> None:
@@ -200,7 +200,7 @@ class FusionSystem:
             lidar.latest.clear()
 
     def end(self) -> None:
-        """Fuse everything that waits, and let go of all pictures."""
+        """Fuse everything that waits, and let go of all images."""
         self.flush()
         for pairing in (self._sweeps, self._boxes):
             pairing.end()
@@ -249,15 +249,15 @@ class FusionSystem:
     def _fuse_ready(self, *, final: bool) -> None:
         self._sweep_fusion.on_unreadable = self.on_unreadable
         for sweep in self._sweeps.ready(final=final):
-            with self._told(sweep):
+            with self._reported(sweep):
                 self._results.extend(self._sweep_fusion.fuse(sweep, self._sweeps))
         for boxes in self._boxes.ready(final=final):
-            with self._told(boxes):
+            with self._reported(boxes):
                 self._detections.extend(self._box_fusion.fuse(boxes, self._boxes))
 
     @contextmanager
-    def _told(self, waiting: Waiting[Any]) -> Iterator[None]:
-        """Tell of a failure, where someone listens: an algorithm may be anyone's, and ends only its own sweep."""
+    def _reported(self, waiting: Waiting[Any]) -> Iterator[None]:
+        """Report of a failure, where someone listens: an algorithm may be anyone's, and ends only its own sweep."""
         try:
             yield
         except Exception as error:
@@ -267,7 +267,7 @@ class FusionSystem:
         self.on_left(waiting.extras, Leave.DONE)
 
     def _detection_algorithm(self) -> DetectionAlgorithm:
-        """Find the algorithm of detection fusion; our own takes the detectors for what they are said to be."""
+        """Find the algorithm of detection fusion; our own takes the detectors for what they are stated to be."""
         name, detectors = self.configuration.detection_algorithm, self.configuration.detectors
         found = self._algorithm(FusionType.DETECTIONS, name)
         if name != "projection" or detectors == DEFAULT:
@@ -284,5 +284,5 @@ class FusionSystem:
         return found
 
 
-def _along(source: PoseSource | None, path: PosePath, reach_ns: int) -> PoseSource | None:
+def _along(source: PoseSource | None, path: Poses, reach_ns: int) -> PoseSource | None:
     return None if source is None else replace(source, path=path, reach_ns=reach_ns)

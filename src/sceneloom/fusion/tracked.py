@@ -28,8 +28,8 @@ class _OneLidar:
 
     Attributes:
         tracker: follows.
-        origin: (3,) float64 [m], what the tracker's world counts from, in the world of the vehicle's way.
-        waiting: results of the newest sweep, until all of its pictures are there.
+        origin: (3,) float64 [m], what the tracker's world counts from, in the world of the vehicle's trajectory.
+        waiting: results of the newest sweep, until all of its images are there.
     """
 
     tracker: Tracker
@@ -48,9 +48,9 @@ class TrackedResults:
     def take(self, result: Result) -> list[Result]:
         """Take the next result, and give those whose objects are tracks now.
 
-        A result is given for each one taken, with its number and configuration, as soon as all pictures of its sweep
+        A result is given for each one taken, with its number and configuration, as soon as all images of its sweep
         are there, or another sweep comes. Its objects are those that are believed in at the time of the sweep: `id` is
-        that of the track; the numbers of the boxes behind them are not told.
+        that of the track; the numbers of the boxes behind them are not reported.
         """
         found = result.found
         if found is None:
@@ -102,23 +102,23 @@ def _tracked(
 
 
 def boxes_of(objects: TrackedObjects, camera_id: Identifier, lidar_from_world: RigidTransform) -> FusedBoxes:
-    """Give tracked objects as objects of a sweep and a picture, in the lidar's frame.
+    """Give tracked objects as objects of a sweep and an image, in the lidar's frame.
 
-    `rows_3d` and `rows_2d` say whether there is a box, with 0 for one: its number is not known.
+    `rows_3d` and `rows_2d` report whether there is a box, with 0 for one: its number is not known.
     """
-    turn, count = lidar_from_world.rotation, len(objects)
-    headings = np.column_stack([np.cos(objects.yaws), np.sin(objects.yaws), np.zeros(count)]) @ turn.T
+    rotation, count = lidar_from_world.rotation, len(objects)
+    headings = np.column_stack([np.cos(objects.yaws), np.sin(objects.yaws), np.zeros(count)]) @ rotation.T
     unseen = np.full((count, 4), np.nan)
     measured = np.isin(objects.supports, _MEASURED)
-    pictured = np.isin(objects.supports, (Support.BOTH, Support.PICTURE))
+    pictured = np.isin(objects.supports, (Support.BOTH, Support.IMAGE))
     return FusedBoxes(
         timestamp_ns=objects.timestamp_ns,
         centers=lidar_from_world.apply(objects.centers),
-        center_covariances=turn @ objects.covariances[:, :3, :3] @ turn.T,
+        center_covariances=rotation @ objects.covariances[:, :3, :3] @ rotation.T,
         sizes_lwh=objects.sizes_lwh,
         size_covariances=np.ascontiguousarray(objects.covariances[:, 3:6, 3:6]),
         yaws=np.arctan2(headings[:, 1], headings[:, 0]),
-        velocities=objects.velocities @ turn.T,
+        velocities=objects.velocities @ rotation.T,
         scores=objects.scores,
         labels=objects.labels,
         corners_xyxy=np.nan_to_num(objects.corners_xyxy.get(camera_id, unseen)),

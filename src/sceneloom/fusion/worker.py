@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Protocol
 
-from sceneloom.fusion.admitted import Admitted
+from sceneloom.fusion.accepted import Accepted
 from sceneloom.fusion.algorithms import BUILT_IN, FusionType
 from sceneloom.fusion.counters import Counters
 from sceneloom.fusion.events import Announcer, Dropped
@@ -20,14 +20,14 @@ _FEW_BOXES = 100
 """Lists of so many boxes are fused in less time than it takes to hand them to another thread and back."""
 
 _MANY_LATER = 1000
-"""After a longer list, a sweep or a picture so many lists go to the thread, for they may be fused together."""
+"""After a longer list, a sweep or an image so many lists go to the thread, for they may be fused together."""
 
 
 class Overdue(Protocol):
     """What else there is to do by the clock."""
 
     def __call__(self, now_s: float) -> float | None:
-        """Do what is due now, and say when the next is, both by the monotonic clock [s]; None for never."""
+        """Do what is due now, and state when the next is, both by the monotonic clock [s]; None for never."""
         ...
 
 
@@ -52,9 +52,9 @@ class Worker:
 
         Args:
             counters: where failures are counted.
-            ledger: told what became of each record.
-            announcer: told each task before it is done, and what was dropped.
-            give: told each result.
+            ledger: reported what became of each record.
+            announcer: reported each task before it is done, and what was dropped.
+            give: reported each result.
             inline: whether there is no thread.
             overdue: what the thread does while no task comes.
         """
@@ -81,7 +81,7 @@ class Worker:
 
     @property
     def waiting_moves(self) -> int:
-        """How many pieces of the vehicle's way wait."""
+        """How many chunks of the vehicle's trajectory wait."""
         return self._tasks.moves
 
     def wake(self) -> None:
@@ -97,9 +97,9 @@ class Worker:
         if self._thread is None:
             self._perform(task)
         elif not self._done_at_once(task):
-            for admitted in self._tasks.put(task, most=most):
-                self._announcer.tell(Dropped(admitted))
-                self._ledger.settle(admitted.ticket, "dropped.queue-full")
+            for accepted in self._tasks.put(task, most=most):
+                self._announcer.notify(Dropped(accepted))
+                self._ledger.settle(accepted.ticket, "dropped.queue-full")
 
     def close(self) -> None:
         """Do what is there, fuse what waits, and take nothing more; the thread goes on until that is done."""
@@ -114,7 +114,7 @@ class Worker:
 
     def _done_at_once(self, task: Task) -> bool:
         """Fuse a small list of boxes here, if nothing is before it."""
-        if not isinstance(task, Admitted):
+        if not isinstance(task, Accepted):
             return False
         if not _is_small(task):
             self._later = _MANY_LATER
@@ -160,7 +160,7 @@ class Worker:
             return max(self._wakes_s - now_s, 0.0)
 
     def _perform(self, task: Task) -> None:
-        self._announcer.tell(task)
+        self._announcer.notify(task)
         try:
             for result in self._results(task):
                 self._give(result)
@@ -172,7 +172,7 @@ class Worker:
         self._latest_s = time.monotonic()
 
     def _results(self, task: Task) -> Iterator[RigResult]:
-        if isinstance(task, Admitted):
+        if isinstance(task, Accepted):
             self._idle_s = task.setting.idle_s
             return self._rig.feed(task, task.ticket)
         if isinstance(task, Moved):
@@ -181,9 +181,9 @@ class Worker:
         return self._rig.end() if task.final else self._rig.flush()
 
 
-def _is_small(admitted: Admitted) -> bool:
+def _is_small(accepted: Accepted) -> bool:
     """Whether its fusion takes no time to speak of: few boxes, and no algorithm of somebody else's."""
-    record = admitted.record
+    record = accepted.record
     if not isinstance(record, Boxes3d | Boxes2d) or len(record) > _FEW_BOXES:
         return False
-    return admitted.setting.properties.algorithms[FusionType.DETECTIONS] in BUILT_IN[FusionType.DETECTIONS]
+    return accepted.setting.properties.algorithms[FusionType.DETECTIONS] in BUILT_IN[FusionType.DETECTIONS]

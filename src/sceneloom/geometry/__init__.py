@@ -1,1 +1,1 @@
-"""Rotations, rigid transforms, poses between poses, boxes, cuboid angles and places on the earth; NumPy only."""
+"""Rotations, rigid transforms, poses between poses, boxes, cuboid angles and locations on the earth; NumPy only."""

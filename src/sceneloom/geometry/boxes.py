@@ -33,8 +33,8 @@ def box_corners(center: ArrayLike, size_lwh: ArrayLike, quaternion_xyzw: ArrayLi
         (..., 8, 3) float64 [m], in the frame of `center`.
     """
     halves = np.asarray(size_lwh, np.float64)[..., None, :] / 2.0
-    turned = rotate_vectors(np.asarray(quaternion_xyzw, np.float64)[..., None, :], halves * CORNER_SIGNS)
-    corners: Float64Array = np.asarray(center, np.float64)[..., None, :] + turned
+    rotated = rotate_vectors(np.asarray(quaternion_xyzw, np.float64)[..., None, :], halves * CORNER_SIGNS)
+    corners: Float64Array = np.asarray(center, np.float64)[..., None, :] + rotated
     return corners
 
 
@@ -46,7 +46,7 @@ def points_in_box(
     *,
     margin: float = 0.0,
 ) -> BoolArray:
-    """Say which points lie in a box, its faces included.
+    """Report which points lie in a box, its faces included.
 
     Args:
         points: (N, 3) [m], in the frame of `center`; a point with a NaN lies nowhere.

@@ -41,7 +41,7 @@ def rotation_from_cuboid_angles(
     """
     i, j, k, _ = _axes(order)
     angles = np.asarray(angles_rpy, np.float64) * _radians_per(unit)
-    return _turn(i, angles[..., i]) @ _turn(j, angles[..., j]) @ _turn(k, angles[..., k])
+    return _rotation(i, angles[..., i]) @ _rotation(j, angles[..., j]) @ _rotation(k, angles[..., k])
 
 
 def cuboid_angles_from_rotation(
@@ -49,14 +49,14 @@ def cuboid_angles_from_rotation(
 ) -> Float64Array:
     """Give (..., 3) roll, pitch and yaw of (..., 3, 3) rotation matrices.
 
-    The angle about the middle axis lies within a quarter turn, the others within half a turn, of zero.
-    Where the middle one is a quarter turn, only the sum or difference of the others is determined.
+    The angle about the middle axis lies within a quarter rotation, the others within half a rotation, of zero.
+    Where the middle one is a quarter rotation, only the sum or difference of the others is determined.
 
     Raises:
         OptionError: the unit or the order is none of those known.
 
     Source: Shuster 1993, "A Survey of Attitude Representations", section on Euler angles. The last angle is
-        read off after the first rotation is undone, which loses no digits near a quarter turn.
+        read off after the first rotation is undone, which loses no digits near a quarter rotation.
     """
     i, j, k, sign = _axes(order)
     m = np.asarray(rotation, np.float64)
@@ -83,12 +83,12 @@ def _radians_per(unit: AngleUnit | str) -> float:
     return float(np.pi / 180.0) if unit == AngleUnit.DEGREES else 1.0
 
 
-def _turn(axis: int, angle: Float64Array) -> Float64Array:
+def _rotation(axis: int, angle: Float64Array) -> Float64Array:
     """Rotation matrices about one axis."""
     after, last = (axis + 1) % 3, (axis + 2) % 3
-    turn = np.zeros((*np.shape(angle), 3, 3))
-    turn[..., axis, axis] = 1.0
-    turn[..., after, after] = turn[..., last, last] = np.cos(angle)
-    turn[..., last, after] = np.sin(angle)
-    turn[..., after, last] = -np.sin(angle)
-    return turn
+    rotation = np.zeros((*np.shape(angle), 3, 3))
+    rotation[..., axis, axis] = 1.0
+    rotation[..., after, after] = rotation[..., last, last] = np.cos(angle)
+    rotation[..., last, after] = np.sin(angle)
+    rotation[..., after, last] = -np.sin(angle)
+    return rotation

@@ -1,4 +1,4 @@
-"""Places on the WGS84 ellipsoid: latitude, longitude and height, earth-centred, and east-north-up around an origin.
+"""Locations on the WGS84 ellipsoid: latitude, longitude and height, earth-centred, and east-north-up around an origin.
 
 `positions_lla` are latitude [deg], longitude [deg] and height above the ellipsoid [m]; `positions_ecef` are
 earth-centred, earth-fixed [m]; `positions_enu` are east, north and up of an origin [m], `positions_ned` north, east
@@ -88,7 +88,7 @@ def ned_from_enu(positions_enu: ArrayLike) -> Float64Array:
 
 
 def normal_gravity(latitude_deg: float, height: float) -> float:
-    """Give the pull of the earth [m/s²], its turning included, at a height above the ellipsoid [m].
+    """Give the pull of the earth [m/s²], its rotating included, at a height above the ellipsoid [m].
 
     Source: NIMA TR8350.2, eq. 4-1 (Somigliana) and 4-3, with the constants of its tables 3.1 and 3.4.
     """
@@ -102,7 +102,7 @@ def normal_gravity(latitude_deg: float, height: float) -> float:
 
 
 def _enu_from_ecef(origin_lla: ArrayLike) -> Float64Array:
-    """The rotation whose rows are the unit vectors east, north and up at a place."""
+    """The rotation whose rows are the unit vectors east, north and up at a location."""
     latitude, longitude = np.radians(np.asarray(origin_lla, np.float64)[:2])
     sin_lat, cos_lat = math.sin(latitude), math.cos(latitude)
     sin_lon, cos_lon = math.sin(longitude), math.cos(longitude)

@@ -27,7 +27,7 @@ def interpolate_poses(
 ) -> tuple[Float64Array, Float64Array, UInt8Array]:
     """Give the pose at each time: position linear, rotation slerp between the neighbouring poses.
 
-    Beyond either end the velocity and the turning of the end segment go on; a path of one pose stands still.
+    Beyond either end the velocity and the rotating of the end segment go on; a path of one pose is stationary.
 
     Args:
         timestamps_ns: (N,) int64 [ns], strictly increasing, N >= 1.
@@ -57,11 +57,11 @@ def interpolate_poses(
     fraction = np.where(late, 1.0, -1.0) * since / spans
     fraction[before == after] = 0.0
     start, stop = positions[before], positions[after]
-    places = start + fraction[:, None] * (stop - start)
-    turns = slerp(quaternions_xyzw[before], quaternions_xyzw[after], fraction)
-    places[coverage == OUT_OF_REACH] = np.nan
-    turns[coverage == OUT_OF_REACH] = np.nan
-    return places, turns, coverage
+    locations = start + fraction[:, None] * (stop - start)
+    rotations = slerp(quaternions_xyzw[before], quaternions_xyzw[after], fraction)
+    locations[coverage == OUT_OF_REACH] = np.nan
+    rotations[coverage == OUT_OF_REACH] = np.nan
+    return locations, rotations, coverage
 
 
 def _within_reach(
@@ -119,12 +119,14 @@ def thin_poses(
     level = 0
     while len(open_poses):
         knots_ns = np.union1d(required, timestamps_ns[kept])
-        places, turns, _ = interpolate_poses(timestamps_ns, positions, unit, knots_ns, reach_ns=_ANY_REACH_NS)
+        locations, rotations, _ = interpolate_poses(
+            timestamps_ns, positions, unit, knots_ns, reach_ns=_ANY_REACH_NS
+        )
         times = timestamps_ns[open_poses]
-        near, turned, _ = interpolate_poses(knots_ns, places, turns, times)
+        near, rotated, _ = interpolate_poses(knots_ns, locations, rotations, times)
         misfits = np.maximum(
             np.linalg.norm(near - positions[open_poses], axis=1) / position_tolerance,
-            angle_between(turned, unit[open_poses]) / rotation_tolerance,
+            angle_between(rotated, unit[open_poses]) / rotation_tolerance,
         )
         misfits[np.isnan(misfits)] = np.inf  # poses that are no numbers are kept
         chosen, undecided = _split(
@@ -137,7 +139,7 @@ def thin_poses(
 
 
 def _split(segments: Int64Array, misfits: Float64Array, *, at_worst: bool) -> tuple[Int64Array, BoolArray]:
-    """Choose one pose of every segment that does not fit, and tell which poses have to be judged again.
+    """Choose one pose of every segment that does not fit, and report which poses have to be judged again.
 
     Splitting at the worst pose gives few poses, but may take as many levels as there are poses; splitting in
     the middle (not `at_worst`) bounds the levels.

@@ -105,7 +105,7 @@ class RigidTransform:
     def apply(self, points: FloatArray) -> Float64Array:
         """Take (..., 3) points [m] of frame b into frame a."""
         moved: Float64Array = np.asarray(points, np.float64) @ self.rotation.T
-        # In place: of many points another array would cost twice as long as the sum.
+        # In location: of many points another array would cost twice as long as the sum.
         moved += self.translation
         return moved
 
@@ -119,7 +119,7 @@ class RigidTransform:
 def _measure(rotation: Float64Array) -> tuple[float, float]:
     """Max abs of R Rᵀ - I, infinite if something is not finite, and the determinant.
 
-    By plain numbers: transforms are made for each picture and sweep, and NumPy takes several times as long for nine.
+    By plain numbers: transforms are made for each image and sweep, and NumPy takes several times as long for nine.
     """
     (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
     off = (

@@ -13,7 +13,7 @@ from sceneloom.errors import ArrayError, CalibrationError
 SILENT_ERROR = 1e-3
 GREATEST_ERROR = 1e-2
 """Errors of a rotation read from a file, max abs of R·Rᵀ - I: up to the first normalised in silence (the examples of
-the specifications are 2e-4 off), up to the second with a notice, beyond it refused."""
+the specifications are 2e-4 off), up to the second with a warning, beyond it refused."""
 
 _CONJUGATION = np.array([-1.0, -1.0, -1.0, 1.0])
 
@@ -130,12 +130,12 @@ def _arc(a: Float64Array, b: Float64Array) -> Float64Array:
 
 
 def slerp(a: ArrayLike, b: ArrayLike, fraction: ArrayLike) -> Float64Array:
-    """Turn from a (fraction 0) towards b (fraction 1) at constant speed along the shorter way.
+    """Rotate from a (fraction 0) towards b (fraction 1) at constant speed along the shorter arc.
 
     Args:
         a: (..., 4) quaternions, normalised here.
         b: (..., 4) quaternions, normalised here.
-        fraction: (...) float; below 0 and above 1 the turning goes on.
+        fraction: (...) float; below 0 and above 1 the rotating goes on.
 
     Raises:
         ArrayError: a quaternion is zero.
@@ -145,10 +145,10 @@ def slerp(a: ArrayLike, b: ArrayLike, fraction: ArrayLike) -> Float64Array:
     """
     start, stop = _on_one_side(normalise_quaternion(a), normalise_quaternion(b))
     along = np.asarray(fraction, np.float64)[..., None]
-    half_turns = _arc(start, stop)[..., None] / np.pi
-    whole = np.sinc(half_turns)
-    weight_start = (1.0 - along) * np.sinc((1.0 - along) * half_turns) / whole
-    weight_stop = along * np.sinc(along * half_turns) / whole
+    half_rotations = _arc(start, stop)[..., None] / np.pi
+    whole = np.sinc(half_rotations)
+    weight_start = (1.0 - along) * np.sinc((1.0 - along) * half_rotations) / whole
+    weight_stop = along * np.sinc(along * half_rotations) / whole
     return normalise_quaternion(weight_start * start + weight_stop * stop)
 
 

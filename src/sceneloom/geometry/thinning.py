@@ -13,14 +13,16 @@ _FIRST_REACH = 16
 
 
 def thin_greedily(count: int, misfits: Misfits) -> Int64Array:
-    """Choose the points of a curve that stay: from each the farthest from which all between them are told well enough.
+    """Choose the points of a curve that stay.
+
+    From each the farthest from which all between them are reported well enough.
 
     The reach is doubled while it fits and then halved down to the last point that does, so that a long curve that needs
     few points is not looked at point by point. What fits is tested, never inferred.
 
     Args:
         count: how many points there are.
-        misfits: tells what would be lost by leaving out all between two; up to 1.0 is allowed, NaN is not.
+        misfits: reports what would be lost by leaving out all between two; up to 1.0 is allowed, NaN is not.
 
     Returns:
         (K,) int64, rising, the first and the last among them.

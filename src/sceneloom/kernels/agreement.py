@@ -1,4 +1,4 @@
-"""How well points that fall into a picture agree with it: sums over its edges, and over shared grey levels."""
+"""How well points that fall into an image agree with it: sums over its edges, and over shared grey levels."""
 
 import numba
 from numba import float32, float64, int16, int64, types, uint8, void
@@ -44,10 +44,10 @@ def sum_edges(
     sums: Float64Array,
     totals: Float64Array,
 ) -> None:
-    """Add up how strong a picture's edges are where edges of a cloud fall.
+    """Add up how strong an image's edges are where edges of a cloud fall.
 
     Args:
-        point_ids: (M,), those of N points that fall into the picture.
+        point_ids: (M,), those of N points that fall into the image.
         pixels: (M, 2) [px], where.
         kinds: (N,), the image of `edges` that counts for each point.
         weights: (N,).
@@ -71,10 +71,10 @@ def fill_histogram(
     image: Float32Array,
     histogram: Float64Array,
 ) -> None:
-    """Count points by their level and that of the picture where they fall, each shared among the four nearest bins.
+    """Count points by their level and that of the image where they fall, each shared among the four nearest bins.
 
     Args:
-        point_ids: (M,), those of N points that fall into the picture.
+        point_ids: (M,), those of N points that fall into the image.
         pixels: (M, 2) [px], where.
         levels: (N,), 0 to B - 1.
         image: (H, W), 0 to B - 1.
@@ -106,10 +106,10 @@ def sum_by_table(
     sums: Float64Array,
     totals: Float64Array,
 ) -> None:
-    """Add up what a table says of points by their level and that of the picture where they fall.
+    """Add up what a table says of points by their level and that of the image where they fall.
 
     Args:
-        point_ids: (M,), those of N points that fall into the picture.
+        point_ids: (M,), those of N points that fall into the image.
         pixels: (M, 2) [px], where.
         levels: (N,), 0 to B - 1.
         cells: (N,), the sum that each point counts in.

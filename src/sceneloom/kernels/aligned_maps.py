@@ -1,4 +1,4 @@
-"""What maps say at pixels that move with a few numbers, and how that changes with them."""
+"""What maps state at pixels that move with a few numbers, and how that changes with them."""
 
 from numba import float32, float64, int32, types, void
 

@@ -25,7 +25,7 @@ def _shortest_path(
     seen_columns: BoolArray,
     open_columns: Int64Array,
 ) -> int:
-    """Find the column without an owner that is nearest to a row over reduced costs; `before` tells the way back."""
+    """Find the column without an owner that is nearest to a row over reduced costs; `before` reports the way back."""
     count = costs.shape[1]
     for j in range(count):
         # from the last to the first, so that equal costs end in the first columns
@@ -111,12 +111,12 @@ def best_columns(gains: Float64Array) -> Int64Array:
         return np.full(rows, -1, np.int64)
     if rows <= columns:
         return _cheapest(-gains)
-    turned = np.empty((columns, rows))
+    rotated = np.empty((columns, rows))
     for i in range(rows):
         for j in range(columns):
-            turned[j, i] = -gains[i, j]
+            rotated[j, i] = -gains[i, j]
     paired = np.full(rows, -1, np.int64)
-    owned = _cheapest(turned)
+    owned = _cheapest(rotated)
     for j in range(columns):
         paired[owned[j]] = j
     return paired

@@ -36,7 +36,7 @@ def _factor(matrix: Float64Array) -> bool:
 
 @kernel(types.void(_M, _M), **INNER)
 def _solve_columns(factor: Float64Array, right: Float64Array) -> None:
-    """Put the solution of L Lᵀ X = B in place of B, (n, m)."""
+    """Put the solution of L Lᵀ X = B instead of B, (n, m)."""
     n, m = right.shape
     for i in range(n):
         for k in range(i):

@@ -1,4 +1,7 @@
-"""What bounds boxes in a picture: their edges as curves of any lens, and corners of the picture that look at them."""
+"""What bounds boxes in an image: their edges as curves of any camera model.
+
+And corners of the image that look at them.
+"""
 
 import numpy as np
 from numba import njit
@@ -91,7 +94,7 @@ def sample_edges(
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def _extend(extents, b, u0, v0, u1, v1, width, height):  # type: ignore[no-untyped-def]
-    """Let the bounds of a box hold the part of a segment that lies in the picture.
+    """Let the bounds of a box hold the part of a segment that lies in the image.
 
     Source: Liang and Barsky 1984, "A New Concept and Method for Line Clipping".
     """
@@ -118,7 +121,7 @@ def _extend(extents, b, u0, v0, u1, v1, width, height):  # type: ignore[no-untyp
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def _bulge(before, middle, after):  # type: ignore[no-untyped-def]
-    """Where a parabola through three places turns; the middle one where it does not turn near it."""
+    """Where a parabola through three locations rotates; the middle one where it does not rotate near it."""
     bend, slope = before - 2.0 * middle + after, (after - before) / 2.0
     if bend != 0.0 and abs(slope) <= abs(bend):
         return middle - slope * slope / (2.0 * bend)
@@ -134,19 +137,20 @@ def _bulge(before, middle, after):  # type: ignore[no-untyped-def]
 def bound_edges(
     pixels: Float64Array, starts: Int64Array, count: int, width: float, height: float
 ) -> tuple[Float64Array, Float64Array, Int64Array]:
-    """Bound the edges of boxes within the picture.
+    """Bound the edges of boxes within the image.
 
     Args:
-        pixels: (P, 2) [px], corner convention, of `sample_edges`; NaN beyond the lens.
+        pixels: (P, 2) [px], corner convention, of `sample_edges`; NaN beyond the camera model.
         starts: (B + 1,), where those of each box begin.
         count: edges of each box.
-        width, height: of the picture [px].
+        width, height: of the image [px].
 
     Returns:
         extents: (B, 4) float64 [px], left, top, right, bottom; infinities the wrong way round where no edge is in the
-            picture.
-        shares: (B,) float64, which share of the directions the picture shows.
-        leaving: (L, 3) int64, steps in which an edge leaves the lens: the box, the row within and the row beyond.
+            image.
+        shares: (B,) float64, which share of the directions the image shows.
+        leaving: (L, 3) int64, steps in which an edge leaves the camera model: the box, the row within and the row
+            beyond.
     """
     boxes, lost = len(starts) - 1, 0
     extents, shares = np.empty((boxes, 4)), np.empty(boxes)
@@ -163,10 +167,16 @@ def bound_edges(
                 inside += within
                 if within and first < k < first + samples - 1:
                     # how far curved edges reach between their samples
-                    turn_u = _bulge(pixels[k - 1, 0], u, pixels[k + 1, 0])
-                    turn_v = _bulge(pixels[k - 1, 1], v, pixels[k + 1, 1])
-                    extents[b, 0], extents[b, 2] = min(extents[b, 0], turn_u), max(extents[b, 2], turn_u)
-                    extents[b, 1], extents[b, 3] = min(extents[b, 1], turn_v), max(extents[b, 3], turn_v)
+                    rotation_u = _bulge(pixels[k - 1, 0], u, pixels[k + 1, 0])
+                    rotation_v = _bulge(pixels[k - 1, 1], v, pixels[k + 1, 1])
+                    extents[b, 0], extents[b, 2] = (
+                        min(extents[b, 0], rotation_u),
+                        max(extents[b, 2], rotation_u),
+                    )
+                    extents[b, 1], extents[b, 3] = (
+                        min(extents[b, 1], rotation_v),
+                        max(extents[b, 3], rotation_v),
+                    )
                 if k == first:
                     continue
                 here, before = np.isfinite(u), np.isfinite(pixels[k - 1, 0])
@@ -196,13 +206,13 @@ def extend_bounds(
     width: float,
     height: float,
 ) -> None:
-    """Let bounds hold the last parts of edges that leave the lens.
+    """Let bounds hold the last parts of edges that leave the camera model.
 
     Args:
         extents: (B, 4) [px], changed.
         leaving: (L, 3) of `bound_edges`.
         begin, end: (L, 2) [px], corner convention, where those parts begin and end.
-        width, height: of the picture [px].
+        width, height: of the image [px].
     """
     for k in range(len(leaving)):
         _extend(extents, leaving[k, 0], begin[k, 0], begin[k, 1], end[k, 0], end[k, 1], width, height)
@@ -217,12 +227,12 @@ def extend_bounds(
 def halve_steps(
     known: Float64Array, unknown: Float64Array, middles: Float64Array, pixels: Float64Array
 ) -> None:
-    """Take the half of each step in which it leaves the lens, and give the middle of that.
+    """Take the half of each step in which it leaves the camera model, and give the middle of that.
 
     Args:
-        known, unknown: (L, 3), changed: directions within the lens and beyond it.
+        known, unknown: (L, 3), changed: directions within the camera model and beyond it.
         middles: (L, 3), unit, between them; changed.
-        pixels: (L, 2), where those are in the picture; NaN beyond the lens.
+        pixels: (L, 2), where those are in the image; NaN beyond the camera model.
     """
     for k in range(len(known)):
         if np.isfinite(pixels[k, 0]):
@@ -241,14 +251,14 @@ def halve_steps(
     error_model="numpy",
 )
 def extend_to_corners(
-    extents: Float64Array, corners: Float64Array, places: Float64Array, rays: Float64Array
+    extents: Float64Array, corners: Float64Array, locations: Float64Array, rays: Float64Array
 ) -> None:
-    """Let bounds hold those corners of the picture that look at a box.
+    """Let bounds hold those corners of the image that look at a box.
 
     Args:
         extents: (B, 4) [px], changed.
         corners: (B, 8, 3) [m], in the order of `geometry.boxes.CORNER_SIGNS`.
-        places: (C, 2) [px], corner convention.
+        locations: (C, 2) [px], corner convention.
         rays: (C, 3), along which they look; NaN for none.
 
     Source: Kay and Kajiya 1986, "Ray Tracing Complex Scenes": a ray is in a box while it is between all pairs of faces.
@@ -268,10 +278,10 @@ def extend_to_corners(
                 enter, leave = max(enter, min(first, second)), min(leave, max(first, second))
             if enter <= leave and enter > 0.0 and np.isfinite(rays[c, 0]):
                 extents[b, 0], extents[b, 2] = (
-                    min(extents[b, 0], places[c, 0]),
-                    max(extents[b, 2], places[c, 0]),
+                    min(extents[b, 0], locations[c, 0]),
+                    max(extents[b, 2], locations[c, 0]),
                 )
                 extents[b, 1], extents[b, 3] = (
-                    min(extents[b, 1], places[c, 1]),
-                    max(extents[b, 3], places[c, 1]),
+                    min(extents[b, 1], locations[c, 1]),
+                    max(extents[b, 3], locations[c, 1]),
                 )

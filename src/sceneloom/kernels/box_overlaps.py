@@ -1,4 +1,4 @@
-"""How upright boxes in a picture overlap: boxes of two lists with one another, and with nearer ones of their own."""
+"""How upright boxes in an image overlap: boxes of two lists with one another, and with nearer ones of their own."""
 
 import numpy as np
 from numba import njit
@@ -40,7 +40,7 @@ def pair_gains(
     one_unknown: float,
     surer: float,
 ) -> Float64Array:
-    """Say what it is worth to take a box of one list and one of another for the same object.
+    """Report what it is worth to take a box of one list and one of another for the same object.
 
     Args:
         first, second: (N, 4) and (M, 4) [px], left, top, right, bottom; finite.
@@ -108,7 +108,7 @@ def hide_covered(
         gaps: (N,) [m], how far from the eye each begins.
         likely: (N,), how likely it is that each exists.
         near: what begins nearer than this is around the eye [m].
-        margin: boxes that are less nearer than this are in one place, and cover nothing [m].
+        margin: boxes that are less nearer than this are in one location, and cover nothing [m].
     """
     for i in range(len(boxes)):
         if gaps[i] <= near or boxes[i, 2] <= boxes[i, 0] or boxes[i, 3] <= boxes[i, 1]:

@@ -1,4 +1,4 @@
-"""What the sides of a box in a picture tell of where the box is in space and how large, by Kalman's update."""
+"""What the sides of a box in an image report where the box is in space and how large, by Kalman's update."""
 
 import numpy as np
 from numba import njit
@@ -9,7 +9,7 @@ from sceneloom.kernels.cache import kernel
 
 @njit(nogil=True, error_model="numpy")
 def _find_sides(pixels, n, box, limits, border, sides, m):  # type: ignore[no-untyped-def]
-    """Fill in the corners that bound a box in a picture, -1 for both of a pair of sides that it may cut."""
+    """Fill in the corners that bound a box in an image, -1 for both of a pair of sides that it may cut."""
     seen = True
     for k in range(8):
         seen = seen and np.isfinite(pixels[n, k, 0]) and np.isfinite(pixels[n, k, 1])
@@ -41,14 +41,14 @@ def shifted_sides(
     border: float,
     step: float,
 ) -> tuple[Int64Array, Int64Array, Float64Array]:
-    """Find the corners that bound boxes in a picture, where it cuts neither them nor their partners, and move them.
+    """Find the corners that bound boxes in an image, where it cuts neither them nor their partners, and move them.
 
     Args:
         corners: (N, 8, 3) [m].
-        pixels: (N, 8, 2) [px], of the corners; NaN for those that the lens does not see.
-        partners: (N,), which box of the picture is a box's partner, -1 for none.
-        boxes_xyxy: (M, 4) [px], boxes of the picture.
-        width, height: of the picture [px].
+        pixels: (N, 8, 2) [px], of the corners; NaN for those that the camera model does not see.
+        partners: (N,), which box of the image is a box's partner, -1 for none.
+        boxes_xyxy: (M, 4) [px], boxes of the image.
+        width, height: of the image [px].
         border: what comes so near to the border may be cut there [px].
         step: how far corners are moved [m].
 
@@ -56,8 +56,8 @@ def shifted_sides(
         rows: (P,) int64, the boxes with a partner; then of these
         sides: (P, 4) int64, the corners at the left, top, right and bottom; -1 for both of a pair of sides that may be
             cut, and for all four where a corner is not seen;
-        shifted: (P * 4 * 6, 3) float64 [m], of each of those corners, or any for -1, the place after a move along x, y,
-            z of its frame, then back along x, y, z.
+        shifted: (P * 4 * 6, 3) float64 [m], of each of those corners, or any for -1, the location after a move along x,
+            y, z of its frame, then back along x, y, z.
     """
     rows = np.flatnonzero(partners >= 0)
     sides, shifted = np.empty((len(rows), 4), np.int64), np.empty((len(rows) * 24, 3))
@@ -103,7 +103,7 @@ def _update(states, covariances, n, row, residual, variance, gain):  # type: ign
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def _deviation(box, number, sigmas, n):  # type: ignore[no-untyped-def]
-    """Deviation of a number of the picture: of the middle across or upright, or of the height [px]."""
+    """Deviation of a number of the image: of the middle across or upright, or of the height [px]."""
     scale = box[2] - box[0] if number == 0 else box[3] - box[1]
     return sigmas[n, 2 * number] + sigmas[n, 2 * number + 1] * scale
 
@@ -133,7 +133,7 @@ def update_by_sides(
     farthest: float,
     least_share: float,
 ) -> None:
-    """Update boxes by the middle of their partners in the picture, and by the height of those.
+    """Update boxes by the middle of their partners in the image, and by the height of those.
 
     Each of the three numbers z = h(state) + noise is taken by itself, one after the other, with the slopes H of h where
     the box was before all of them. One that is too far from what was expected there is left out.
@@ -146,10 +146,10 @@ def update_by_sides(
         signs: (8, 3), on which side of the middle each corner lies.
         pixels: (N, 8, 2) [px], of the corners.
         rows, sides: (P,) and (P, 4) of `shifted_sides`.
-        shifted: (P, 4, 6, 2) [px], where its corners are in the picture.
+        shifted: (P, 4, 6, 2) [px], where its corners are in the image.
         step: [m].
         partners: (N,), of `shifted_sides`.
-        boxes_xyxy: (M, 4) [px], boxes of the picture.
+        boxes_xyxy: (M, 4) [px], boxes of the image.
         sigmas: (N, 6), deviations of the middle across: [px], and beside that as a share of the box's width; of the
             middle upright and of the height likewise, as shares of the height.
         farthest: a number farther off than so many deviations is left out.

@@ -1,6 +1,6 @@
 """Delaunay triangulation of points with whole coordinates: exact, by insertion.
 
-Each point goes to its place by walking over the triangles from that of the point before. The triangles whose
+Each point goes to its location by walking over the triangles from that of the point before. The triangles whose
 circumcircle holds it are taken away, and the hole is closed with triangles around it. With coordinates below
 `MOST_EXTENT` both predicates are exact in 64 bits, so the hole is always star-shaped and nothing can go wrong.
 
@@ -30,12 +30,12 @@ _PART: dict[str, Any] = {"nogil": True, "inline": "always", "error_model": "nump
 
 
 @numba.njit(**_PART)
-def _turn(points: Int64Array, a: int, b: int, p: int) -> int:
+def _rotation(points: Int64Array, a: int, b: int, p: int) -> int:
     """Positive where p lies to the side of the line from a to b that inner points of triangles lie on."""
-    turn: int = (points[b, 0] - points[a, 0]) * (points[p, 1] - points[a, 1]) - (
+    rotation_of_vector: int = (points[b, 0] - points[a, 0]) * (points[p, 1] - points[a, 1]) - (
         points[b, 1] - points[a, 1]
     ) * (points[p, 0] - points[a, 0])
-    return turn
+    return rotation_of_vector
 
 
 @numba.njit(**_PART)
@@ -50,13 +50,13 @@ def _in_circle(points: Int64Array, corners: AnyArray, p: int) -> bool:
 @numba.njit(**_PART)
 def _locate(points: Int64Array, triangles: AnyArray, beside: AnyArray, start: int, p: int) -> int:
     """Walk to the triangle that holds the point."""
-    at, turned = start, True
-    while turned:
-        turned = False
+    at, rotated = start, True
+    while rotated:
+        rotated = False
         for k in range(3):
             a, b = triangles[at, (k + 1) % 3], triangles[at, (k + 2) % 3]
-            if _turn(points, a, b, p) < 0:
-                at, turned = beside[at, k], True
+            if _rotation(points, a, b, p) < 0:
+                at, rotated = beside[at, k], True
                 break
     return at
 
@@ -133,7 +133,7 @@ def triangulate(points: Int64Array, order: Int64Array, triangles: AnyArray) -> i
         points: (4 + N, 2); the first four are corners (left top, right top, right bottom, left bottom) of a rectangle
             inside which all others lie.
         order: (N,) the rows of the others in the order of their insertion, best along a curve that fills the plane.
-        triangles: (2 N + 2, 3), written: rows of `points`, all turning the same way.
+        triangles: (2 N + 2, 3), written: rows of `points`, all rotating the same way.
 
     Returns:
         How many triangles were written. Those of the corners are among them; the second of two equal points is in none.

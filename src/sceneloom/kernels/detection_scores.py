@@ -62,7 +62,7 @@ def _counted(
 
 @kernel("boolean[::1](float64[:,::1], float64)", nogil=True, cache=True)
 def _near_something(overlaps: Float64Array, least: float) -> BoolArray:
-    """Say which detections of a frame overlap a true object by more than `least`."""
+    """Report which detections of a frame overlap a true object by more than `least`."""
     near = np.zeros(overlaps.shape[1], np.bool_)
     for i in range(overlaps.shape[0]):
         for j in range(overlaps.shape[1]):
@@ -122,7 +122,7 @@ def score_steps(
     scores: Float64Array,
     least: float,
 ) -> Int64Array:
-    """Say by how much counts change when the least score of detections that count falls to that of each.
+    """Report by how much counts change when the least score of detections that count falls to that of each.
 
     With each least score the objects are paired anew: each true one, in their order, with the detection that overlaps
     it most.

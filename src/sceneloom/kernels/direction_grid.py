@@ -9,7 +9,7 @@ from numba import float32, float64, int64, types, void
 
 from sceneloom.arrays import AnyArray, Float32Array
 from sceneloom.kernels.cache import kernel
-from sceneloom.kernels.crew import ALONE, Crew
+from sceneloom.kernels.thread_pool import ALONE, ThreadPool
 
 INNER: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 """Options of the functions that are compiled, and cached, as parts of others."""
@@ -19,18 +19,18 @@ BLOCK = 512
 
 _EDGE = np.float32(2.1)
 """No direction lies farther than this from the axis in the equal-area map."""
-_NOTHING, _ENDLESS = np.float32(0.0), np.float32(math.inf)
+_NOTHING, _STATIC = np.float32(0.0), np.float32(math.inf)
 _LEAST, _GREATEST, _SIGN = np.int32(-(2**31)), np.int32(2**31 - 1), np.int32(31)
 _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
 _PARTS, _LAST_PART = np.float32(65536.0), np.int32(0xFFFF)
 _PART = np.float32(1.0 / 65536.0)
-"""How finely the place in a cell is kept: float32 knows it no better, but at the far edge of the map."""
+"""How finely the location in a cell is kept: float32 knows it no better, but at the far edge of the map."""
 
 
 @numba.njit(**INNER)
 def _is_placed(a: Any, b: Any, inverse_range: Any) -> Any:
-    """Say whether a point takes part; NaN does not."""
-    return (inverse_range > _NOTHING) & (inverse_range < _ENDLESS) & (abs(a) <= _EDGE) & (abs(b) <= _EDGE)
+    """Report whether a point takes part; NaN does not."""
+    return (inverse_range > _NOTHING) & (inverse_range < _STATIC) & (abs(a) <= _EDGE) & (abs(b) <= _EDGE)
 
 
 @numba.njit(**INNER)
@@ -56,7 +56,7 @@ def _number(column: Any, row: Any, grid: tuple[Any, Any, Any, int, int]) -> Any:
 
 @numba.njit(**INNER)
 def _order(bits: Any) -> Any:
-    """Turn the bits of a float into an integer that is ordered as the floats are, and back."""
+    """Rotate the bits of a float into an integer that is ordered as the floats are, and back."""
     return np.int32(bits ^ np.int32(np.int32(bits >> _SIGN) & _GREATEST))
 
 
@@ -75,30 +75,30 @@ def _measure_extent(
     if left <= right:
         found[0], found[1], found[2], found[3] = _order(left), _order(right), _order(top), _order(bottom)
     else:
-        extent[0] = extent[2] = _ENDLESS
-        extent[1] = extent[3] = -_ENDLESS
+        extent[0] = extent[2] = _STATIC
+        extent[1] = extent[3] = -_STATIC
 
 
 def measure_extent(
-    directions: Float32Array, inverse_ranges: Float32Array, *, crew: Crew = ALONE
+    directions: Float32Array, inverse_ranges: Float32Array, *, thread_pool: ThreadPool = ALONE
 ) -> Float32Array:
     """Give how far points reach in the equal-area map.
 
     Args:
         directions: (2, M) in the equal-area map [rad].
         inverse_ranges: (M,) [1/m]; only points between zero and infinity take part.
-        crew: the threads that share the points.
+        thread_pool: the threads that share the points.
 
     Returns:
         (4,) float32 [rad]: the least and the greatest rightward, the least and the greatest downward; infinity and
         minus infinity where no point takes part.
     """
-    found = np.empty((crew.size, 4), np.float32)
+    found = np.empty((thread_pool.size, 4), np.float32)
 
     def measure(part: int, a: int, b: int) -> None:
         _measure_extent(directions[0, a:b], directions[1, a:b], inverse_ranges[a:b], found[part])
 
-    crew.share(len(inverse_ranges), measure)
+    thread_pool.share(len(inverse_ranges), measure)
     extent: Float32Array = found.min(axis=0)
     extent[1::2] = found[:, 1::2].max(axis=0)
     return extent
@@ -126,14 +126,14 @@ def fit_grid(extent: Float32Array, cell: float, border: int) -> tuple[Any, Any, 
 
 
 @kernel(void(_IN_F32_1D, float64, int64, int64[::1]), cache=True, nogil=True, error_model="numpy")
-def _place_grid(extent: Float32Array, cell: float, border: int, grid: AnyArray) -> None:
+def _position_grid(extent: Float32Array, cell: float, border: int, grid: AnyArray) -> None:
     _, grid[0], grid[1], grid[2], grid[3] = fit_grid(extent, cell, border)
 
 
-def place_grid(extent: Float32Array, cell: float, border: int) -> list[int]:
+def position_grid(extent: Float32Array, cell: float, border: int) -> list[int]:
     """Give what `fit_grid` gives but for the first: first column and row, columns and rows."""
     grid = np.empty(4, np.int64)
-    _place_grid(extent, cell, border, grid)
+    _position_grid(extent, cell, border, grid)
     first_and_sizes: list[int] = grid.tolist()
     return first_and_sizes
 

@@ -9,7 +9,7 @@ from numba import float32, float64, int64, types, void
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array
 from sceneloom.kernels.cache import kernel
-from sceneloom.kernels.crew import ALONE, Crew
+from sceneloom.kernels.thread_pool import ALONE, ThreadPool
 
 _IN_F64_2D = types.Array(float64, 2, "C", readonly=True)
 _IN_I64_1D = types.Array(int64, 1, "C", readonly=True)
@@ -53,10 +53,10 @@ def _move(
 
 
 @numba.njit(**_INNER)
-def turn_to_directions(
+def rotation_to_directions(
     rightward: Float32Array, downward: Float32Array, z_camera: Float32Array, inverse_ranges: Float32Array
 ) -> None:
-    """Put directions in the place of coordinates x and y in the camera frame; see `map_directions`."""
+    """Put directions in the position of coordinates x and y in the camera frame; see `map_directions`."""
     for i in range(inverse_ranges.shape[0]):
         x, y, z = rightward[i], downward[i], z_camera[i]
         range_m = math.sqrt(x * x + y * y + z * z)
@@ -98,7 +98,7 @@ def _map_all(
         _gather(points_world, point_ids[start:stop], x, y, z)
         right, down = rightward[start:stop], downward[start:stop]
         _move(x, y, z, pose, right, down, depths)
-        turn_to_directions(right, down, depths, inverse_ranges[start:stop])
+        rotation_to_directions(right, down, depths, inverse_ranges[start:stop])
 
 
 def map_directions(
@@ -108,13 +108,13 @@ def map_directions(
     directions: Float32Array,
     inverse_ranges: Float32Array,
     *,
-    crew: Crew = ALONE,
+    thread_pool: ThreadPool = ALONE,
 ) -> None:
     """Write the direction and the inverse range of the points with the given ids.
 
     The map is Lambert's azimuthal one around the optical axis: a direction at angle θ off the axis lies at radius
     2 sin(θ/2). Its scale is cos(θ/2) along the radius and 1/cos(θ/2) across it, so that a distance in it is nearly an
-    angle, whatever the lens does to pixels.
+    angle, whatever the camera model does to pixels.
 
     Args:
         points_world: (N, 3) [m].
@@ -123,11 +123,11 @@ def map_directions(
         directions: (2, M), written: rightward and downward, inside the disc of radius 2.
         inverse_ranges: (M,) [1/m], written; 0 for a point that is not finite, lies in the camera's centre, or
             does not exist.
-        crew: the threads that share the points.
+        thread_pool: the threads that share the points.
 
     Source: J. P. Snyder, Map Projections - A Working Manual, 1987, eq. 24-1 and 24-2.
     """
-    crew.share(
+    thread_pool.share(
         len(point_ids),
         lambda _, a, b: _map_all(
             points_world,

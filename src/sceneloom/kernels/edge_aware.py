@@ -1,11 +1,11 @@
-"""Smoothing along a picture's surfaces but not across its edges: a least-squares fit, axis by axis.
+"""Smoothing along an image's surfaces but not across its edges: a least-squares fit, axis by axis.
 
 Along each row and column the values x that minimise Σ (x - value)² + λ Σ link (x - next x)² follow from one
-tridiagonal system; rows and columns take turns while λ falls. With weights, values and weights are smoothed alike and
+tridiagonal system; rows and columns take rotates while λ falls. With weights, values and weights are smoothed alike and
 divided, so that what is trusted flows into what is not.
 
 Source: Min et al. 2014, "Fast Global Image Smoothing Based on Weighted Least Squares", IEEE TIP 23 (12), eq. 9 and 11
-(λ of turn t of T: 1.5 · 4^(T-t) / (4^T - 1) · λ).
+(λ of rotation t of T: 1.5 · 4^(T-t) / (4^T - 1) · λ).
 """
 
 from typing import Any

@@ -1,4 +1,4 @@
-"""Corners of pictures, and where they are in the next picture."""
+"""Corners of images, and where they are in the next image."""
 
 import math
 
@@ -14,7 +14,7 @@ _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
 
 @kernel(void(_IN_F32_2D, int64, float32[:, ::1]), cache=True, nogil=True, error_model="numpy")
 def corner_strengths(grey: Float32Array, half: int, strengths: Float32Array) -> None:
-    """Tell how well a window around each pixel can be told from its neighbours, in both directions.
+    """Report how well a window around each pixel can be distinguished from its neighbours, in both directions.
 
     Args:
         grey: (H, W).
@@ -53,7 +53,7 @@ def corner_strengths(grey: Float32Array, half: int, strengths: Float32Array) -> 
 
 @numba.njit(inline="always")
 def _between(grey: Float32Array, u: float, v: float) -> float:
-    """The brightness at a place between four pixels."""
+    """The brightness at a location between four pixels."""
     j, i = math.floor(u), math.floor(v)
     a, b = u - j, v - i
     upper = (1.0 - a) * grey[i, j] + a * grey[i, j + 1]
@@ -63,7 +63,7 @@ def _between(grey: Float32Array, u: float, v: float) -> float:
 
 @numba.njit(inline="always")
 def _holds(grey: Float32Array, u: float, v: float, half: int) -> bool:
-    """Whether a window around a place, and one pixel more, lies inside the picture."""
+    """Whether a window around a location, and one pixel more, lies inside the image."""
     height, width = grey.shape
     reach = half + 1.0
     return bool((u >= reach) & (v >= reach) & (u < width - reach - 1) & (v < height - reach - 1))
@@ -84,19 +84,19 @@ def follow_corners(
     followed: Float32Array,
     found: BoolArray,
 ) -> None:
-    """Find what windows of one picture show in another one.
+    """Find what windows of one image show in another one.
 
     What the windows differ in by brightness as a whole does not count.
 
     Args:
         first, second: (H, W) both.
-        pixels: (N, 2) [px], column and row in the first picture.
+        pixels: (N, 2) [px], column and row in the first image.
         half: windows reach so many pixels to each side.
         rounds: at most so many steps.
-        followed: (N, 2) [px], in the second picture: where to begin; written.
+        followed: (N, 2) [px], in the second image: where to begin; written.
         found: (N,), written: whether the window was found.
 
-    Source: Lucas and Kanade 1981, with the gradient of the first picture, Baker and Matthews 2004, section 3.2.
+    Source: Lucas and Kanade 1981, with the gradient of the first image, Baker and Matthews 2004, section 3.2.
     """
     side = 2 * half + 1
     count = side * side

@@ -8,23 +8,23 @@ from numba import njit
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.kernels.cache import kernel
 
-_NEAR_HALF_TURN = math.radians(179.0)
-"""Which way is the shorter one is for rounding to say beyond this [rad]."""
+_NEAR_HALF_ROTATION = math.radians(179.0)
+"""Which trajectory is the shorter one is for rounding to state beyond this [rad]."""
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def _shortest(angle):  # type: ignore[no-untyped-def]
-    """The same turn, from -π to π [rad]."""
+    """The same rotation, from -π to π [rad]."""
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
 @njit(nogil=True, error_model="numpy")
-def _tells(times, boxes, place, turn, a, b):  # type: ignore[no-untyped-def]
-    """Say whether two keyframes tell all rows between them: straight centre and size, turned the shorter way."""
+def _reports(times, boxes, location, rotation_of_vector, a, b):  # type: ignore[no-untyped-def]
+    """Report whether two keyframes report all rows between them: straight centre and size, rotated the shorter arc."""
     if b == a + 1:
         return True
-    turned = _shortest(boxes[b, 6] - boxes[a, 6])
-    if abs(turned) > _NEAR_HALF_TURN:
+    rotated = _shortest(boxes[b, 6] - boxes[a, 6])
+    if abs(rotated) > _NEAR_HALF_ROTATION:
         return False
     for k in range(a + 1, b):
         share = (times[k] - times[a]) / (times[b] - times[a])
@@ -32,8 +32,10 @@ def _tells(times, boxes, place, turn, a, b):  # type: ignore[no-untyped-def]
         for c in range(3):
             away += (boxes[a, c] + share * (boxes[b, c] - boxes[a, c]) - boxes[k, c]) ** 2
             larger += (boxes[a, c + 3] + share * (boxes[b, c + 3] - boxes[a, c + 3]) - boxes[k, c + 3]) ** 2
-        apart = abs(_shortest(boxes[a, 6] + share * turned - boxes[k, 6]))
-        if not (away <= place * place and larger <= place * place and apart <= turn):
+        apart = abs(_shortest(boxes[a, 6] + share * rotated - boxes[k, 6]))
+        if not (
+            away <= location * location and larger <= location * location and apart <= rotation_of_vector
+        ):
             return False
     return True
 
@@ -41,22 +43,24 @@ def _tells(times, boxes, place, turn, a, b):  # type: ignore[no-untyped-def]
 @kernel(
     "int64[::1](int64[::1], float64[:,::1], float64, float64)", nogil=True, cache=True, error_model="numpy"
 )
-def fewest_keyframes(times: Int64Array, boxes: Float64Array, place: float, turn: float) -> Int64Array:
+def fewest_keyframes(
+    times: Int64Array, boxes: Float64Array, location: float, rotation_of_vector: float
+) -> Int64Array:
     """Choose the fewest rows of a box over time from which interpolation gives all others within tolerances.
 
-    The rows are joined wherever two of them tell all between them, and the way of the fewest joints from the first to
-    the last is taken: a search in breadth, which looks at the farthest row first.
+    The rows are joined wherever two of them report all between them, and the trajectory of the fewest joints from the
+    first to the last is taken: a search in breadth, which looks at the farthest row first.
 
     Args:
         times: (K,) int64, rising.
         boxes: (K, 7), centre and size [m] and heading [rad].
-        place: largest distance of centres, and of sizes as vectors [m].
-        turn: largest difference of headings [rad].
+        location: largest distance of centres, and of sizes as vectors [m].
+        rotation_of_vector: largest difference of headings [rad].
 
     Returns:
         (N,) int64, rising, the first and the last row among them.
 
-    Source: Imai and Iri 1988, "Polygonal approximations of a curve", which the shortest way over such joints is.
+    Source: Imai and Iri 1988, "Polygonal approximations of a curve", which the shortest arc over such joints is.
     """
     count = len(times)
     if count < 3:
@@ -67,7 +71,7 @@ def fewest_keyframes(times: Int64Array, boxes: Float64Array, place: float, turn:
         a = queue[head]
         head += 1
         for b in range(count - 1, a, -1):
-            if before[b] < 0 and _tells(times, boxes, place, turn, a, b):
+            if before[b] < 0 and _reports(times, boxes, location, rotation_of_vector, a, b):
                 before[b], queue[tail] = a, b
                 tail += 1
     kept, row = np.empty(count, np.int64), count - 1

@@ -1,7 +1,7 @@
 """How boxes of two lists overlap, frame by frame: each box with all those of the other list in its frame.
 
-Lists are sorted by frame; `starts` (F + 1,) tells where the boxes of each frame begin. What is said of pairs stands in
-one flat array: frame after frame, and in each the first list's boxes as rows and the second's as columns.
+Lists are sorted by frame; `starts` (F + 1,) reports where the boxes of each frame begin. What is stated for pairs
+stands in one flat array: frame after frame, and in each the first list's boxes as rows and the second's as columns.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ _NOTHING = float(np.finfo(np.float64).eps)
 
 @kernel("int64[::1](int64[::1], int64[::1])", nogil=True, cache=True)
 def pair_starts(first_starts: Int64Array, second_starts: Int64Array) -> Int64Array:
-    """Say where the pairs of each frame begin, (F + 1,) int64."""
+    """Report where the pairs of each frame begin, (F + 1,) int64."""
     starts = np.zeros(len(first_starts), np.int64)
     for f in range(len(first_starts) - 1):
         rows = first_starts[f + 1] - first_starts[f]
@@ -40,14 +40,14 @@ def _areas(first, i, second, j):  # type: ignore[no-untyped-def]
     cache=True,
     error_model="numpy",
 )
-def picture_overlaps(
+def image_overlaps(
     first: Float64Array,
     second: Float64Array,
     first_starts: Int64Array,
     second_starts: Int64Array,
     starts: Int64Array,
 ) -> Float64Array:
-    """Give the intersection over the union of boxes of a picture.
+    """Give the intersection over the union of boxes of an image.
 
     Args:
         first, second: (N, 4) and (M, 4) [px], left, top, right, bottom.
@@ -74,14 +74,14 @@ def picture_overlaps(
     cache=True,
     error_model="numpy",
 )
-def picture_shares(
+def image_shares(
     regions: Float64Array,
     boxes: Float64Array,
     region_starts: Int64Array,
     box_starts: Int64Array,
     starts: Int64Array,
 ) -> Float64Array:
-    """Give the share of each box of a picture that lies in each region.
+    """Give the share of each box of an image that lies in each region.
 
     Args:
         regions, boxes: (N, 4) and (M, 4) [px], left, top, right, bottom.
@@ -116,11 +116,11 @@ def nearnesses(
     starts: Int64Array,
     reach: float,
 ) -> Float64Array:
-    """Say how near places are: 1 for the same place, falling with the distance to 0 at `reach` [m].
+    """Report how near locations are: 1 for the same location, falling with the distance to 0 at `reach` [m].
 
     Args:
         first, second: (N, D) and (M, D) [m].
-        first_starts, second_starts, starts: (F + 1,), of the places and of the pairs.
+        first_starts, second_starts, starts: (F + 1,), of the locations and of the pairs.
         reach: where it is 0 [m].
 
     Returns:

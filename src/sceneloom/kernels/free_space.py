@@ -34,7 +34,7 @@ def fill_directions(
 
     Args:
         points_world: (N, 3) [m].
-        fractions: (N,), how far along its way the lidar was at each point.
+        fractions: (N,), how far along its trajectory the lidar was at each point.
         ends_world: (2, 3) [m], the ends of that way.
         nearest: (rows, columns), rows of points are written, -1 for none.
     """
@@ -59,8 +59,8 @@ def fill_directions(
 def _near(row: int, column: int, nearest: AnyArray) -> int:
     """Some point of the cells around one, or -1."""
     rows, columns = nearest.shape
-    for place in range(9):
-        r, c = row + place // 3 - 1, (column + place % 3 - 1) % columns
+    for location in range(9):
+        r, c = row + location // 3 - 1, (column + location % 3 - 1) % columns
         if 0 <= r < rows and nearest[r, c] >= 0:
             return int(nearest[r, c])
     return -1
@@ -71,13 +71,16 @@ def _vote(
     x: float, y: float, z: float, distance: float, row: int, column: int, others_world: Float32Array,
     fractions: Float32Array, ends_world: Float64Array, nearest: AnyArray, numbers: Float64Array,
 ) -> int:  # fmt: skip
-    """What the rays around a direction say of a point in it: 1 they pass through, 2 they meet something there, or 0."""
+    """What the rays around a direction state of a point in it: 1 they pass through, 2 they meet something there.
+
+    Or 0.
+    """
     rows, columns = nearest.shape
     inverse = 1.0 / distance
     margin = numbers[1] * inverse * inverse + numbers[2] * inverse
     through, stopped = False, False
-    for place in range(9):
-        r, c = row + place // 3 - 1, (column + place % 3 - 1) % columns
+    for location in range(9):
+        r, c = row + location // 3 - 1, (column + location % 3 - 1) % columns
         if not 0 <= r < rows or nearest[r, c] < 0:
             continue
         k = nearest[r, c]
@@ -114,10 +117,10 @@ def vote_free_space(
     free: UInt8Array,
     met: UInt8Array,
 ) -> None:
-    """Count for each point whether another sweep looked through its place, or met something there.
+    """Count for each point whether another sweep looked through its location, or met something there.
 
     Inverse range changes on a surface by at most the angle over the distance at which its plane passes the lidar; what
-    changes by more lies before or behind it. Rays that pass a point too far aside say nothing.
+    changes by more lies before or behind it. Rays that pass a point too far aside state nothing.
 
     Args:
         points_world: (N, 3) [m].

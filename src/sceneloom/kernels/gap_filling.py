@@ -101,7 +101,7 @@ def fill_down(
     spread_image: Float32Array,
     gap_image: Float32Array,
 ) -> None:
-    """Fill gaps along columns: between two samples by both, beyond the last one a little way by this one.
+    """Fill gaps along columns: between two samples by both, beyond the last one a little trajectory by this one.
 
     Args:
         widened: (H, W) [m], the samples, 0 for nothing.
@@ -156,7 +156,7 @@ def fill_across(
     spread_image: Float32Array,
     gap_image: Float32Array,
 ) -> None:
-    """Fill gaps along rows where that is the shorter way, as `fill_down` does along columns.
+    """Fill gaps along rows where that is the shorter arc, as `fill_down` does along columns.
 
     Args:
         sparse: (H, W) [m], the samples, 0 for nothing.

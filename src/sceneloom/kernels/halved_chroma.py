@@ -1,4 +1,4 @@
-"""Red, green and blue of pictures whose colour has half the resolution of their brightness, in 16-bit numbers."""
+"""Red, green and blue of images whose colour has half the resolution of their brightness, in 16-bit numbers."""
 
 from typing import Any
 
@@ -83,7 +83,7 @@ def _spread_colours(blue, red, factors, half_columns, scaled, spread):  # type: 
 
 @numba.njit(**_PART)
 def _paint(luma, near, far, factors, line):  # type: ignore[no-untyped-def]
-    """Fill a row of pixels, which lies a quarter of the way from one row of samples to the next one."""
+    """Fill a row of pixels, which lies a quarter of the trajectory from one row of samples to the next one."""
     gain, offset = np.int16(factors[0]), np.int16(factors[1])
     reds, greens, blues = near[0], near[1], near[2]
     far_reds, far_greens, far_blues = far[0], far[1], far[2]
@@ -108,12 +108,12 @@ def rgb_from_halved_chroma(
     half_columns: int,
     rgb: UInt8Array,
 ) -> None:
-    """Turn brightness and halved colours into red, green and blue; colours are linearly interpolated.
+    """Rotate brightness and halved colours into red, green and blue; colours are linearly interpolated.
 
     A sample of colour lies midway between two rows, and on the even column or midway between two columns.
 
     Args:
-        luma: (height, at least width), whose first columns are the picture's.
+        luma: (height, at least width), whose first columns are the image's.
         blue, red: (height / 2, at least width / 2), differences of blue and red from brightness.
         factors: (6,) below 32768, the formula's factors as `conversion_factors` gives them.
         half_columns: how far right of the even column a sample of colour lies, in halves of a pixel: 0 or 1.

@@ -1,4 +1,4 @@
-"""Labels of pictures onto points, and of points into pictures: always those of single pixels and points."""
+"""Labels of images onto points, and of points into images: always those of single pixels and points."""
 
 import math
 
@@ -30,14 +30,14 @@ def take_labels(
     votes: UInt16Array,
     trust: Float32Array,
 ) -> None:
-    """Give each point that a picture shows the label of its nearest pixel.
+    """Give each point that an image shows the label of its nearest pixel.
 
     Args:
         point_ids: (M,), rows of the outputs.
         pixels: (M, 2) [px].
         weights: (M,), 0 for points that are not visible, which are passed over.
         labels: (H, W).
-        votes, trust: (N,), written where the picture shows the point.
+        votes, trust: (N,), written where the image shows the point.
     """
     height, width = labels.shape
     for i in range(point_ids.shape[0]):
@@ -55,10 +55,10 @@ def take_labels(
     error_model="numpy",
 )
 def count_votes(votes: UInt16Array, trust: Float32Array, none: int, labels: UInt16Array) -> None:
-    """Give each point the label that most pictures give it; of equally many the one that is trusted more.
+    """Give each point the label that most images give it; of equally many the one that is trusted more.
 
     Args:
-        votes: (V, N), `none` where a picture says nothing.
+        votes: (V, N), `none` where an image says nothing.
         trust: (V, N).
         none: what stands for no label.
         labels: (N,), written.
@@ -105,7 +105,7 @@ def draw_labels(
     depth_image: Float32Array,
     label_image: UInt16Array,
 ) -> None:
-    """Draw the labels of visible points into a picture, each as a square; the nearest point of a pixel counts.
+    """Draw the labels of visible points into an image, each as a square; the nearest point of a pixel counts.
 
     Points without a label cover what is behind them, too, and leave their pixels as they are.
 

@@ -72,7 +72,7 @@ def longest_fold(size: int) -> int:
 
 @kernel(int64(_IN_U8, uint8[::1]), cache=True, nogil=True)
 def fold(plain: UInt8Array, packed: UInt8Array) -> int:
-    """Fold bytes into an LZF stream, which `unfold` describes: the last place of each three bytes is looked back to.
+    """Fold bytes into an LZF stream, which `unfold` describes: the last location of each three bytes is looked back to.
 
     Args:
         plain: what is packed.
@@ -81,15 +81,15 @@ def fold(plain: UInt8Array, packed: UInt8Array) -> int:
     Returns:
         How many bytes the stream has.
     """
-    places = np.full(1 << _TABLE_BITS, -1, np.int64)
+    locations = np.full(1 << _TABLE_BITS, -1, np.int64)
     source, target, literals = 0, 1, 0
     while source < plain.size:
         length, back = 0, 0
         if source + 2 < plain.size:
             three = (int(plain[source]) << 16) | (int(plain[source + 1]) << 8) | int(plain[source + 2])
             row = ((three * 2654435761) >> 8) & ((1 << _TABLE_BITS) - 1)
-            before = places[row]
-            places[row] = source
+            before = locations[row]
+            locations[row] = source
             back = source - before - 1
             if before >= 0 and back < _FARTHEST_BACK:
                 longest = min(_LONGEST_COPY, plain.size - source)

@@ -1,7 +1,7 @@
 """How well a chain of motion states fits what was measured, and the normal equations of the step to a better one.
 
-A state is a small turn about the body's axes, then position, velocity along the world's axes, bias of the gyroscope,
-bias of the accelerometer: 15 numbers.
+A state is a small rotation about the body's axes, then position, velocity along the world's axes, bias of the
+gyroscope, bias of the accelerometer: 15 numbers.
 """
 
 from typing import Any
@@ -11,11 +11,17 @@ from numba import float64, int64, types
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.rotating import (
+    right_slope,
+    rotation_of_vector,
+    rotation_vector,
+    times,
+    transposed_times,
+)
 from sceneloom.kernels.surface_map import INNER
-from sceneloom.kernels.turning import right_slope, times, transposed_times, turn, turn_vector
 
 SIZE = 15
-TURN, POSITION, VELOCITY, GYROSCOPE, ACCELEROMETER = (
+ROTATION, POSITION, VELOCITY, GYROSCOPE, ACCELEROMETER = (
     slice(0, 3),
     slice(3, 6),
     slice(6, 9),
@@ -28,7 +34,7 @@ _V, _M, _T = float64[::1], float64[:, ::1], float64[:, :, ::1]
 _READ_1D = types.Array(float64, 1, "C", readonly=True)
 _READ_2D = types.Array(float64, 2, "C", readonly=True)
 _READ_3D = types.Array(float64, 3, "C", readonly=True)
-_PLACES = types.Array(int64, 1, "C", readonly=True)
+_LOCATIONS = types.Array(int64, 1, "C", readonly=True)
 _COMPILED: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 
 
@@ -64,11 +70,11 @@ def _add_pair(
 
 
 @kernel(types.void(_READ_2D, _READ_2D, _READ_2D, _READ_2D, _READ_1D, _V, _M, _M), **INNER)
-def _turn_residual(
+def _rotation_residual(
     rotation: Float64Array, after: Float64Array, measured: Float64Array, slope: Float64Array, change: Float64Array,
     residual: Float64Array, first: Float64Array, second: Float64Array,
 ) -> None:  # fmt: skip
-    """Write rows 0-2: Log((measured Exp(slope · change))ᵀ Rᵀ R'), and its slopes by the two turns and the bias.
+    """Write rows 0-2: Log((measured Exp(slope · change))ᵀ Rᵀ R'), and its slopes by the two rotations and the bias.
 
     Source: Forster et al. 2017, eq. 37 and appendix C.
     """
@@ -77,7 +83,7 @@ def _turn_residual(
     inverse, forward = np.empty((3, 3)), np.empty((3, 3))
     for k in range(3):
         small[k] = slope[k, 0] * change[0] + slope[k, 1] * change[1] + slope[k, 2] * change[2]
-    turn(small, correction)
+    rotation_of_vector(small, correction)
     expected[:] = measured
     times(expected, correction, work)
     expected[:] = work
@@ -87,7 +93,7 @@ def _turn_residual(
                 rotation[0, a] * after[0, b] + rotation[1, a] * after[1, b] + rotation[2, a] * after[2, b]
             )
     transposed_times(expected, relative, rest)
-    turn_vector(rest, residual)
+    rotation_vector(rest, residual)
     right_slope(residual[0:3], -1.0, inverse)
     right_slope(small, 1.0, forward)
     for a in range(3):
@@ -141,15 +147,15 @@ def add_walk(
 
 @kernel(
     float64(
-        _READ_3D, _READ_2D, _READ_2D, _READ_2D, _READ_1D, float64, _PLACES, _READ_3D, _READ_2D, _READ_2D, _READ_3D,
+        _READ_3D, _READ_2D, _READ_2D, _READ_2D, _READ_1D, float64, _LOCATIONS, _READ_3D, _READ_2D, _READ_2D, _READ_3D,
         _READ_3D, _READ_2D, _T, _T, _M,
     ),
     **_COMPILED,
 )  # fmt: skip
 def add_inertial(
     rotations: Float64Array, positions: Float64Array, velocities: Float64Array, biases: Float64Array,
-    seconds: Float64Array, gravity: float, places: Int64Array, turns: Float64Array, gains: Float64Array,
-    ways: Float64Array, slopes: Float64Array, information: Float64Array, linearised: Float64Array,
+    seconds: Float64Array, gravity: float, locations: Int64Array, delta_rotations: Float64Array, gains: Float64Array,
+    trajectories: Float64Array, slopes: Float64Array, information: Float64Array, linearised: Float64Array,
     blocks: Float64Array, couplings: Float64Array, right: Float64Array,
 ) -> float:  # fmt: skip
     """Add what an IMU measured between neighbouring states.
@@ -157,9 +163,9 @@ def add_inertial(
     Args:
         rotations: (K, 3, 3) `world_from_body`; positions, velocities: (K, 3); biases: (K, 6).
         seconds: (K - 1,) between the states; gravity: down the world's z axis [m/s²].
-        places: (F,) numbers of the states at which measured intervals begin.
-        turns, gains, ways, slopes: (K - 1, …) as `preintegrate` gives them for biases `linearised`, (K - 1, 6).
-        information: (K - 1, 9, 9) of turn, velocity, position.
+        locations: (F,) numbers of the states at which measured intervals begin.
+        rotates, gains, ways, slopes: (K - 1, …) as `preintegrate` gives them for biases `linearised`, (K - 1, 6).
+        information: (K - 1, 9, 9) of rotation, velocity, position.
         blocks, couplings, right: normal equations, added to.
 
     Returns:
@@ -170,29 +176,31 @@ def add_inertial(
     residual, change = np.empty(9), np.empty(6)
     first, second = np.zeros((9, 15)), np.zeros((9, 15))
     cost = 0.0
-    for f in range(places.shape[0]):
-        i = places[f]
+    for f in range(locations.shape[0]):
+        i = locations[f]
         dt, rotation = seconds[i], rotations[i]
         first[:, :] = 0.0
         second[:, :] = 0.0
         for k in range(6):
             change[k] = biases[i, k] - linearised[i, k]
-        _turn_residual(rotation, rotations[i + 1], turns[i], slopes[i, 0:3], change, residual, first, second)
+        _rotation_residual(
+            rotation, rotations[i + 1], delta_rotations[i], slopes[i, 0:3], change, residual, first, second
+        )
         for a in range(3):
-            speed, way = 0.0, 0.0
+            speed, trajectory = 0.0, 0.0
             for k in range(3):
                 down = -gravity if k == 2 else 0.0
                 dv = velocities[i + 1, k] - velocities[i, k] - dt * down
                 dp = positions[i + 1, k] - positions[i, k] - dt * velocities[i, k] - 0.5 * dt * dt * down
                 speed += rotation[k, a] * dv
-                way += rotation[k, a] * dp
+                trajectory += rotation[k, a] * dp
                 second[3 + a, 6 + k] = rotation[k, a]
                 first[3 + a, 6 + k] = -rotation[k, a]
                 second[6 + a, 3 + k] = rotation[k, a]
                 first[6 + a, 3 + k] = -rotation[k, a]
                 first[6 + a, 6 + k] = -dt * rotation[k, a]
-            residual[3 + a], residual[6 + a] = speed, way
-        # by the turn at i: [Rᵀ d]×
+            residual[3 + a], residual[6 + a] = speed, trajectory
+        # by the rotation at i: [Rᵀ d]×
         for row in (3, 6):
             x, y, z = residual[row], residual[row + 1], residual[row + 2]
             first[row, 1], first[row, 2] = -z, y
@@ -200,7 +208,7 @@ def add_inertial(
             first[row + 2, 0], first[row + 2, 1] = -y, x
         for a in range(3):
             residual[3 + a] -= gains[i, a]
-            residual[6 + a] -= ways[i, a]
+            residual[6 + a] -= trajectories[i, a]
             for k in range(6):
                 residual[3 + a] -= slopes[i, 3 + a, k] * change[k]
                 residual[6 + a] -= slopes[i, 6 + a, k] * change[k]
@@ -215,12 +223,12 @@ def add_inertial(
 
 @kernel(
     float64(
-        _READ_3D, _READ_2D, _PLACES, _READ_3D, _READ_2D, _READ_3D, _T, _T, _M, _M,
+        _READ_3D, _READ_2D, _LOCATIONS, _READ_3D, _READ_2D, _READ_3D, _T, _T, _M, _M,
     ),
     **_COMPILED,
 )  # fmt: skip
 def add_relative_poses(
-    rotations: Float64Array, positions: Float64Array, places: Int64Array, turns: Float64Array, ways: Float64Array,
+    rotations: Float64Array, positions: Float64Array, locations: Int64Array, delta_rotations: Float64Array, trajectories: Float64Array,
     information: Float64Array, blocks: Float64Array, couplings: Float64Array, right: Float64Array,
     residuals: Float64Array,
 ) -> float:  # fmt: skip
@@ -228,10 +236,10 @@ def add_relative_poses(
 
     Args:
         rotations, positions: (K, 3, 3) and (K, 3) of the states.
-        places: (F,) numbers of the earlier states; turns: (F, 3, 3), ways: (F, 3) [m]: `earlier_from_later`.
-        information: (F, 6, 6) of turn [rad] and way.
+        locations: (F,) numbers of the earlier states; rotates: (F, 3, 3), ways: (F, 3) [m]: `earlier_from_later`.
+        information: (F, 6, 6) of rotation [rad] and trajectory.
         blocks, couplings, right: normal equations, added to.
-        residuals: (F, 6), written here: turn, way.
+        residuals: (F, 6), written here: rotate, trajectory.
 
     Returns:
         The sum of squares of the residuals, weighted.
@@ -239,25 +247,27 @@ def add_relative_poses(
     residual, no_change, no_slope = np.empty(6), np.zeros(3), np.zeros((3, 3))
     first, second = np.zeros((6, 15)), np.zeros((6, 15))
     cost = 0.0
-    for f in range(places.shape[0]):
-        i = places[f]
+    for f in range(locations.shape[0]):
+        i = locations[f]
         rotation = rotations[i]
         first[:, :] = 0.0
         second[:, :] = 0.0
-        _turn_residual(rotation, rotations[i + 1], turns[f], no_slope, no_change, residual, first, second)
+        _rotation_residual(
+            rotation, rotations[i + 1], delta_rotations[f], no_slope, no_change, residual, first, second
+        )
         for a in range(3):
-            way = 0.0
+            trajectory = 0.0
             for k in range(3):
-                way += rotation[k, a] * (positions[i + 1, k] - positions[i, k])
+                trajectory += rotation[k, a] * (positions[i + 1, k] - positions[i, k])
                 second[3 + a, 3 + k] = rotation[k, a]
                 first[3 + a, 3 + k] = -rotation[k, a]
-            residual[3 + a] = way
+            residual[3 + a] = trajectory
         x, y, z = residual[3], residual[4], residual[5]
         first[3, 1], first[3, 2] = -z, y
         first[4, 0], first[4, 2] = z, -x
         first[5, 0], first[5, 1] = -y, x
         for a in range(3):
-            residual[3 + a] -= ways[f, a]
+            residual[3 + a] -= trajectories[f, a]
         _add_pair(first, second, information[f], residual, blocks, couplings, right, i)
         for a in range(6):
             residuals[f, a] = residual[a]
@@ -267,32 +277,32 @@ def add_relative_poses(
 
 
 @kernel(
-    float64(_READ_2D, _READ_2D, _READ_1D, _PLACES, float64, _T, _T, _M),
+    float64(_READ_2D, _READ_2D, _READ_1D, _LOCATIONS, float64, _T, _T, _M),
     **_COMPILED,
 )
 def add_coasting(
-    positions: Float64Array, velocities: Float64Array, seconds: Float64Array, places: Int64Array, density: float,
+    positions: Float64Array, velocities: Float64Array, seconds: Float64Array, locations: Int64Array, density: float,
     blocks: Float64Array, couplings: Float64Array, right: Float64Array,
 ) -> float:  # fmt: skip
     """Add, where no IMU measured, that the velocity changes by white acceleration only.
 
     Args:
-        places: (F,) numbers of the states at which such intervals begin.
+        locations: (F,) numbers of the states at which such intervals begin.
         density: of the acceleration, (m/s²)²/Hz; the others as in `add_inertial`.
 
     Source: Bar-Shalom, Li and Kirubarajan 2001, "Estimation with Applications to Tracking and Navigation", 6.2.2.
     """
     cost = 0.0
-    for f in range(places.shape[0]):
-        i = places[f]
+    for f in range(locations.shape[0]):
+        i = locations[f]
         dt = seconds[i]
         pp, pv, vv = 12.0 / (density * dt**3), -6.0 / (density * dt**2), 4.0 / (density * dt)
         for k in range(3):
             p, v = 3 + k, 6 + k
-            way = positions[i + 1, k] - positions[i, k] - dt * velocities[i, k]
+            trajectory = positions[i + 1, k] - positions[i, k] - dt * velocities[i, k]
             speed = velocities[i + 1, k] - velocities[i, k]
-            wp, wv = pp * way + pv * speed, pv * way + vv * speed
-            cost += way * wp + speed * wv
+            wp, wv = pp * trajectory + pv * speed, pv * trajectory + vv * speed
+            cost += trajectory * wp + speed * wv
             blocks[i, p, p] += pp
             blocks[i, p, v] += pp * dt + pv
             blocks[i, v, p] += pp * dt + pv
@@ -314,14 +324,14 @@ def add_coasting(
 
 @kernel(
     float64(
-        _READ_3D, _READ_2D, _READ_2D, _READ_2D, _PLACES, _READ_1D, _READ_2D, _READ_2D, _READ_1D, _READ_3D, _READ_2D,
+        _READ_3D, _READ_2D, _READ_2D, _READ_2D, _LOCATIONS, _READ_1D, _READ_2D, _READ_2D, _READ_1D, _READ_3D, _READ_2D,
         _READ_2D, _T, _M, _M,
     ),
     **_COMPILED,
 )  # fmt: skip
 def add_fixes(
     rotations: Float64Array, positions: Float64Array, velocities: Float64Array, biases: Float64Array,
-    places: Int64Array, seconds: Float64Array, fixes: Float64Array, levers: Float64Array, falls: Float64Array,
+    locations: Int64Array, seconds: Float64Array, fixes: Float64Array, levers: Float64Array, falls: Float64Array,
     slopes: Float64Array, linearised: Float64Array, information: Float64Array, blocks: Float64Array,
     right: Float64Array, residuals: Float64Array,
 ) -> float:  # fmt: skip
@@ -329,7 +339,7 @@ def add_fixes(
 
     Args:
         rotations: (K, 3, 3) `world_from_body`; positions, velocities: (K, 3); biases: (K, 6).
-        places: (F,) numbers of the states; seconds: (F,) from these to the fixes.
+        locations: (F,) numbers of the states; seconds: (F,) from these to the fixes.
         fixes: (F, 3) [m], world; levers: (F, 3) [m], the antenna in the body's axes at the state, for biases
             `linearised`, (F, 6), by which it changes with `slopes`, (F, 3, 6).
         falls: (F,) [m] down the world's z axis.
@@ -339,8 +349,8 @@ def add_fixes(
     """
     cost = 0.0
     slope, lever = np.zeros(15), np.empty(3)
-    for f in range(places.shape[0]):
-        i, t, rotation = places[f], seconds[f], rotations[places[f]]
+    for f in range(locations.shape[0]):
+        i, t, rotation = locations[f], seconds[f], rotations[locations[f]]
         for a in range(3):
             lever[a] = levers[f, a]
             for k in range(6):
@@ -352,7 +362,7 @@ def add_fixes(
             if a == 2:
                 apart -= falls[f]
             residuals[f, a] = apart
-            # by the turn: -R [lever]×
+            # by the rotation: -R [lever]×
             slope[0] = -(rotation[a, 1] * z - rotation[a, 2] * y)
             slope[1] = -(rotation[a, 2] * x - rotation[a, 0] * z)
             slope[2] = -(rotation[a, 0] * y - rotation[a, 1] * x)
@@ -376,25 +386,25 @@ def add_fixes(
 
 
 @kernel(
-    float64(_READ_3D, _READ_2D, _PLACES, _READ_2D, _READ_1D, _READ_1D, _T, _M, _V),
+    float64(_READ_3D, _READ_2D, _LOCATIONS, _READ_2D, _READ_1D, _READ_1D, _T, _M, _V),
     **_COMPILED,
 )
 def add_body_speeds(
-    rotations: Float64Array, velocities: Float64Array, places: Int64Array, axes: Float64Array,
+    rotations: Float64Array, velocities: Float64Array, locations: Int64Array, axes: Float64Array,
     speeds: Float64Array, information: Float64Array, blocks: Float64Array, right: Float64Array,
     residuals: Float64Array,
 ) -> float:  # fmt: skip
     """Add known speeds along axes of the body.
 
     Args:
-        places: (F,) numbers of the states; axes: (F, 3) unit vectors in the body; speeds: (F,) [m/s].
+        locations: (F,) numbers of the states; axes: (F, 3) unit vectors in the body; speeds: (F,) [m/s].
         information: (F,) inverse variances.
         residuals: (F,), written here.
     """
     cost = 0.0
     slope, inside = np.empty(9), np.empty(3)
-    for f in range(places.shape[0]):
-        i, w = places[f], information[f]
+    for f in range(locations.shape[0]):
+        i, w = locations[f], information[f]
         rotation = rotations[i]
         x, y, z = axes[f, 0], axes[f, 1], axes[f, 2]
         for a in range(3):

@@ -42,11 +42,11 @@ def _with_room(column, room):  # type: ignore[no-untyped-def]
     error_model="numpy",
 )
 def gains_in_space(
-    places: Float64Array,
+    locations: Float64Array,
     spreads: Float64Array,
     codes: Int64Array,
     expected: Float64Array,
-    seen_places: Float64Array,
+    seen_positions: Float64Array,
     seen_spreads: Float64Array,
     seen_codes: Int64Array,
     seen_doubts: Float64Array,
@@ -57,34 +57,34 @@ def gains_in_space(
     """Compare where objects are expected with where boxes are.
 
     Args:
-        places, spreads: (N, 3) and (N, 3, 3) [m, m²], of objects.
+        locations, spreads: (N, 3) and (N, 3, 3) [m, m²], of objects.
         codes: (N, 2), class and family, -1 for none.
         expected: (N,), logarithm of how many boxes of other things lie around each [1/m²].
-        seen_places, seen_spreads, seen_codes: the same of M boxes.
+        seen_positions, seen_spreads, seen_codes: the same of M boxes.
         seen_doubts: (M,), what is added for each box.
         least_variance: is added along each axis [m²].
         freedom: degrees of freedom of Student's distribution.
-        most: how much pictures can add later; pairs that will stay below 0 are left out.
+        most: how much images can add later; pairs that will stay below 0 are left out.
 
     Returns:
         The pairs that may be one: (K,) int64 objects, rising, (K,) int64 boxes, and (K,) float64 logarithms of ratios
         of likelihoods on the ground.
     """
-    count = len(seen_places)
-    xs, ys, zs = seen_places[:, 0].copy(), seen_places[:, 1].copy(), seen_places[:, 2].copy()
+    count = len(seen_positions)
+    xs, ys, zs = seen_positions[:, 0].copy(), seen_positions[:, 1].copy(), seen_positions[:, 2].copy()
     reach = np.empty(count)
     for j in range(count):
         reach[j] = _trace(seen_spreads, j) + 3.0 * least_variance
-    room, found = 4 * (len(places) + count), 0
+    room, found = 4 * (len(locations) + count), 0
     rows, columns, gains = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
     near = np.empty(count, np.int64)
-    for i in range(len(places)):
-        # no pair is worth more than one whose places are known as well as can be; farther ones are hopeless
+    for i in range(len(locations)):
+        # no pair is worth more than one whose locations are known as well as can be; farther ones are hopeless
         best = most - expected[i] - np.log(2.0 * np.pi * least_variance)
         farthest = freedom * np.expm1(max(2.0 * best, 0.0) / (freedom + 3.0))
         own, nearby = _trace(spreads, i), 0
         for j in range(count):
-            x, y, z = xs[j] - places[i, 0], ys[j] - places[i, 1], zs[j] - places[i, 2]
+            x, y, z = xs[j] - locations[i, 0], ys[j] - locations[i, 1], zs[j] - locations[i, 2]
             near[nearby] = j
             nearby += x * x + y * y + z * z <= farthest * (own + reach[j])
         if found + nearby > room:
@@ -94,9 +94,9 @@ def gains_in_space(
             j = near[k]
             if not _may_be_one(codes, i, seen_codes, j):
                 continue
-            x = seen_places[j, 0] - places[i, 0]
-            y = seen_places[j, 1] - places[i, 1]
-            z = seen_places[j, 2] - places[i, 2]
+            x = seen_positions[j, 0] - locations[i, 0]
+            y = seen_positions[j, 1] - locations[i, 1]
+            z = seen_positions[j, 2] - locations[i, 2]
             a = spreads[i, 0, 0] + seen_spreads[j, 0, 0] + least_variance
             b = spreads[i, 0, 1] + seen_spreads[j, 0, 1]
             c = spreads[i, 0, 2] + seen_spreads[j, 0, 2]
@@ -124,7 +124,7 @@ def gains_in_space(
     cache=True,
     error_model="numpy",
 )
-def add_gains_in_picture(
+def add_gains_in_image(
     rows: Int64Array,
     columns: Int64Array,
     gains: Float64Array,
@@ -136,16 +136,16 @@ def add_gains_in_picture(
     least: float,
     freedom: float,
 ) -> None:
-    """Add to gains what boxes in a picture say.
+    """Add to gains what boxes in an image state.
 
     Args:
         rows, columns: (K,), pairs of objects and boxes.
         gains: (K,), are changed in place; -inf for what cannot be one.
         foreseen, corners: (N, 4) and (M, 4) [px], where objects are expected and where boxes are, NaN for none.
-        measured: (M,), whether there is a box in space behind the one in the picture.
+        measured: (M,), whether there is a box in space behind the one in the image.
         sigma: deviation of the share by which boxes of one object fail to overlap.
         usual: the share of overlap that says nothing.
-        least: a box in the picture alone that overlaps less is not of the object.
+        least: a box in the image alone that overlaps less is not of the object.
         freedom: degrees of freedom of Student's distribution.
     """
     neutral = _heavy(((1.0 - usual) / sigma) ** 2, 1.0, freedom)

@@ -1,6 +1,6 @@
 """A Kalman filter over many objects: their states moved on, and boxes read of them.
 
-A state is x = (middle 3, size 3, heading, velocity 3, turn rate).
+A state is x = (middle 3, size 3, heading, velocity 3, yaw rate).
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.kernels.cache import kernel
 
 SIZE, MEASURED = 11, 7
-_YAW, _TURN = 6, 10
+_YAW, _ROTATION = 6, 10
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
@@ -19,39 +19,39 @@ def _wrapped(angle):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, error_model="numpy")
-def _move(mean, slope, vehicle, seconds, turn_time):  # type: ignore[no-untyped-def]
+def _move(mean, slope, vehicle, seconds, rotation_time):  # type: ignore[no-untyped-def]
     """Move one state on in place, and write its slopes."""
     slope[:] = 0.0
     for k in range(SIZE):
         slope[k, k] = 1.0
-    x, y, rate = mean[7], mean[8], mean[_TURN]
+    x, y, rate = mean[7], mean[8], mean[_ROTATION]
     angle = rate * seconds if vehicle else 0.0
     lever = seconds if vehicle else 0.0
     cosine, sine = np.cos(angle), np.sin(angle)
-    turned_x, turned_y = cosine * x - sine * y, sine * x + cosine * y
+    rotated_x, rotated_y = cosine * x - sine * y, sine * x + cosine * y
     half = seconds / 2.0
-    mean[0] += half * (x + turned_x)
-    mean[1] += half * (y + turned_y)
+    mean[0] += half * (x + rotated_x)
+    mean[1] += half * (y + rotated_y)
     mean[2] += seconds * mean[9]
     mean[_YAW] = _wrapped(mean[_YAW] + rate * seconds)
-    mean[7], mean[8] = turned_x, turned_y
-    decay = np.exp(-seconds / turn_time)
-    mean[_TURN] = rate * decay
+    mean[7], mean[8] = rotated_x, rotated_y
+    decay = np.exp(-seconds / rotation_time)
+    mean[_ROTATION] = rate * decay
     slope[0, 7], slope[0, 8] = half * (1.0 + cosine), -half * sine
     slope[1, 7], slope[1, 8] = half * sine, half * (1.0 + cosine)
-    slope[0, _TURN], slope[1, _TURN] = -half * lever * turned_y, half * lever * turned_x
+    slope[0, _ROTATION], slope[1, _ROTATION] = -half * lever * rotated_y, half * lever * rotated_x
     slope[2, 9] = seconds
-    slope[_YAW, _TURN] = seconds
-    slope[7, 7], slope[7, 8], slope[7, _TURN] = cosine, -sine, -lever * turned_y
-    slope[8, 7], slope[8, 8], slope[8, _TURN] = sine, cosine, lever * turned_x
-    slope[_TURN, _TURN] = decay
+    slope[_YAW, _ROTATION] = seconds
+    slope[7, 7], slope[7, 8], slope[7, _ROTATION] = cosine, -sine, -lever * rotated_y
+    slope[8, 7], slope[8, 8], slope[8, _ROTATION] = sine, cosine, lever * rotated_x
+    slope[_ROTATION, _ROTATION] = decay
 
 
 @njit(nogil=True, error_model="numpy")
 def _shake(covariance, heading, seconds, variances):  # type: ignore[no-untyped-def]
     """Add to one covariance what white noise of accelerations does in so long."""
     along, across, climb, sizes = variances[0], variances[1], variances[2], variances[3]
-    yaw, turn = variances[4], variances[5]
+    yaw, rotation_of_vector = variances[4], variances[5]
     cosine, sine = np.cos(heading), np.sin(heading)
     xx = along * cosine * cosine + across * sine * sine
     yy = along * sine * sine + across * cosine * cosine
@@ -64,10 +64,10 @@ def _shake(covariance, heading, seconds, variances):  # type: ignore[no-untyped-
         covariance[7 + i, 7 + j] += value * seconds
     for k in range(3, 6):
         covariance[k, k] += sizes * seconds
-    covariance[_YAW, _YAW] += yaw * seconds + turn * cubed
-    covariance[_YAW, _TURN] += turn * squared
-    covariance[_TURN, _YAW] += turn * squared
-    covariance[_TURN, _TURN] += turn * seconds
+    covariance[_YAW, _YAW] += yaw * seconds + rotation_of_vector * cubed
+    covariance[_YAW, _ROTATION] += rotation_of_vector * squared
+    covariance[_ROTATION, _YAW] += rotation_of_vector * squared
+    covariance[_ROTATION, _ROTATION] += rotation_of_vector * seconds
 
 
 @kernel(
@@ -82,18 +82,18 @@ def predict(
     covariances: Float64Array,
     vehicles: BoolArray,
     seconds: float,
-    turn_time: float,
+    rotation_time: float,
     variances: Float64Array,
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
     """Move states on, with the noise of so long.
 
     Args:
         means, covariances: (N, 11) and (N, 11, 11).
-        vehicles: (N,), whether their velocity turns with them.
+        vehicles: (N,), whether their velocity rotates with them.
         seconds: how long.
-        turn_time: after which turns have died down [s].
+        rotation_time: after which rotates have died down [s].
         variances: (2, 6), of people and of vehicles: densities of the noise of acceleration along the heading, across
-            it and upwards, of sizes, of the heading and of turning.
+            it and upwards, of sizes, of the heading and of rotating.
 
     Returns:
         Means and covariances afterwards, and the slopes (N, 11, 11) of the means.
@@ -103,7 +103,7 @@ def predict(
     slopes, half = np.empty((count, SIZE, SIZE)), np.empty((SIZE, SIZE))
     for n in range(count):
         noise = variances[1 if vehicles[n] else 0]
-        _move(moved[n], slopes[n], vehicles[n], seconds, turn_time)
+        _move(moved[n], slopes[n], vehicles[n], seconds, rotation_time)
         half[:] = 0.0
         for i in range(SIZE):
             for k in range(SIZE):
@@ -205,7 +205,7 @@ def read_boxes(
     """Read a box of each of some states, in place.
 
     Headings that are off by more than a right angle are taken the other way round; boxes that are further off than
-    their covariances say are taken for less sure, as under Student's distribution.
+    their covariances state are taken for less sure, as under Student's distribution.
 
     Args:
         means, covariances: (N, 11) and (N, 11, 11), are changed.
@@ -221,8 +221,8 @@ def read_boxes(
         n, m = rows[k], columns[k]
         for i in range(MEASURED):
             apart[i] = measures[m, i] - means[n, i]
-        turn = _wrapped(apart[_YAW])
-        apart[_YAW] = turn - np.pi * np.round(turn / np.pi)
+        rotation_of_vector = _wrapped(apart[_YAW])
+        apart[_YAW] = rotation_of_vector - np.pi * np.round(rotation_of_vector / np.pi)
         if _weighed(covariances[n], noises[m], apart, root, spread, solved, freedom):
             _read(means[n], covariances[n], apart, root, crossed, gain)
 

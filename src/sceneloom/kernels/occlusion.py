@@ -8,14 +8,14 @@ from numba import float32, float64, int32, int64, types, void
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array
 from sceneloom.kernels.cache import kernel
-from sceneloom.kernels.crew import ALONE, Crew
-from sceneloom.kernels.direction_grid import keep_nearest, place_grid, read_keys
+from sceneloom.kernels.direction_grid import keep_nearest, position_grid, read_keys
 from sceneloom.kernels.occlusion_bounds import bound_hiding
 from sceneloom.kernels.occlusion_search import search_hiding
+from sceneloom.kernels.thread_pool import ALONE, ThreadPool
 
 _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
 _ROUNDS = 4
-"""Some parts of a cloud hide much and others nothing: each thread takes so many pieces."""
+"""Some parts of a cloud hide much and others nothing: each thread takes so many chunks."""
 _KERNEL: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 
 
@@ -85,7 +85,7 @@ def mark_unhidden(
     nearing: float,
     visible: BoolArray,
     *,
-    crew: Crew = ALONE,
+    thread_pool: ThreadPool = ALONE,
 ) -> None:
     """Write which points no nearer points hide.
 
@@ -105,11 +105,11 @@ def mark_unhidden(
         margin_share: … plus this share of the point's range.
         eyes: (2, 3) [m], camera frame, where the lidar was first and last; (0, 3) where that is not known.
         point_ids: (M,), each point's row in `fractions`.
-        fractions: (N,), how far between its two places the lidar was, 0 to 1.
+        fractions: (N,), how far between its two locations the lidar was, 0 to 1.
         nearing: to what share of its distance in the lidar's eyes a single thing must have come to hide; of no account
             where `eyes` are not known.
         visible: (M,), written.
-        crew: the threads that share the work; what comes out is the same.
+        thread_pool: the threads that share the work; what comes out is the same.
     """
     # From here on lengths are in cells.
     xx, xy, yy = near_xx * cell * cell, near_xy * cell * cell, near_yy * cell * cell
@@ -118,17 +118,17 @@ def mark_unhidden(
     size_x, size_y = math.ceil(reach_x), math.ceil(reach_y)
     border = max(math.ceil(radius), size_x, size_y)
     points = directions[0], directions[1], inverse_ranges
-    first_column, first_row, columns, rows = place_grid(extent, cell, border)
+    first_column, first_row, columns, rows = position_grid(extent, cell, border)
     cells, numbers = columns * rows, np.empty(len(inverse_ranges), np.int32)
-    keys = np.empty((crew.size, cells), np.int64)
+    keys = np.empty((thread_pool.size, cells), np.int64)
 
     def keep(part: int, a: int, b: int) -> None:
         some, corner = _some(points, a, b), (cell, first_column, first_row)
         _keep_nearest(*some, hiding[a:b], *corner, columns, rows, numbers[a:b], keys[part])
 
-    crew.share(len(numbers), keep)
+    thread_pool.share(len(numbers), keep)
     held, bounds = np.empty((3, cells), np.float32), np.empty((2, cells), np.float32)
-    crew.share(cells, lambda _, a, b: _read_keys(keys, a, b, held[0], held[1], held[2]))
+    thread_pool.share(cells, lambda _, a, b: _read_keys(keys, a, b, held[0], held[1], held[2]))
 
     def bound(_: int, first: int, last: int) -> None:
         # Each has the rows around its own as well.
@@ -137,7 +137,7 @@ def mark_unhidden(
         reach = (slope * cell, reach_x, reach_y)
         _bound_hiding(*around, columns, border, *reach, bounds[0, own], bounds[1, own])
 
-    crew.share(rows - 2 * border, bound)
+    thread_pool.share(rows - 2 * border, bound)
     limits = (radius * radius, (slope * cell) ** 2, margin, margin_share, xx, xy, yy, nearing)
     rule = np.array(limits, np.float32)
 
@@ -147,7 +147,7 @@ def mark_unhidden(
             bounds[0], bounds[1], size_x, size_y, border, rule, eyes, point_ids[a:b], fractions, visible[a:b],
         )  # fmt: skip
 
-    crew.share(len(numbers), search, rounds=_ROUNDS)
+    thread_pool.share(len(numbers), search, rounds=_ROUNDS)
 
 
 _Rows = tuple[Float32Array, Float32Array, Float32Array]

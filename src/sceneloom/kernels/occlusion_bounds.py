@@ -30,7 +30,7 @@ def _drop_upright(
 
 @numba.njit(**INNER)
 def _raise_to_three(target: Float32Array, source: Float32Array) -> None:
-    """Lift `target` to the largest of the three cells around its place, which lies one farther in `source`."""
+    """Lift `target` to the largest of the three cells around its location, which lies one farther in `source`."""
     for i in range(target.shape[0]):
         target[i] = max(target[i], source[i], source[i + 1], source[i + 2])
 
@@ -49,7 +49,7 @@ def _raise_along(
 
 
 @numba.njit(**INNER)
-def _raise_by_places(
+def _raise_by_locations(
     target: Float32Array, start: int, columns: int, nearest: Float32Array, right: Float32Array,
     down: Float32Array, reach_x: Any, reach_y: Any, slope: Any, room: Float32Array,
 ) -> None:  # fmt: skip
@@ -165,4 +165,4 @@ def bound_hiding(
             from_opposite[start - above : stop - above],
         )
         _raise_by_squares(levels, columns, size, slope, start, bounded, opposite, largest)
-        _raise_by_places(bounded, start, columns, nearest, right, down, reach_x, reach_y, slope, room)
+        _raise_by_locations(bounded, start, columns, nearest, right, down, reach_x, reach_y, slope, room)

@@ -23,7 +23,7 @@ _IN_I32_1D = types.Array(int32, 1, "C", readonly=True)
 _IN_I64_1D = types.Array(int64, 1, "C", readonly=True)
 
 _NOTHING, _ONE, _QUARTER, _BEHIND = np.float32(0.0), np.float32(1.0), np.float32(0.25), np.float32(1e-3)
-_ENDLESS = np.float32(math.inf)
+_STATIC = np.float32(math.inf)
 
 
 @numba.njit(**INNER)
@@ -49,14 +49,15 @@ def _list_cells(size_x: int, size_y: int, columns: int) -> tuple[Int64Array, Flo
 def _shift(
     rightward: Float32Array, downward: Float32Array, eye_fractions: Float32Array, eyes: Float64Array, per_cell: Any,
 ) -> None:  # fmt: skip
-    """Put shifts [cells m] in the place of directions: of what lies there, per inverse range, when the eye moves.
+    """Put shifts [cells m] in the position of directions: of what lies there, per inverse range, when the eye moves.
 
     It moves from the lidar to the camera.
 
-    Source: the derivative of Snyder 1987, eq. 24-1 and 24-2, along the part of the eye's way across the line of sight.
+    Source: the derivative of Snyder 1987, eq. 24-1 and 24-2, along the part of the eye's trajectory across the line of
+        sight.
     """
     first_x, first_y, first_z = np.float32(eyes[0, 0]), np.float32(eyes[0, 1]), np.float32(eyes[0, 2])
-    way_x, way_y, way_z = (
+    trajectory_x, trajectory_y, trajectory_z = (
         np.float32(eyes[1, 0] - eyes[0, 0]), np.float32(eyes[1, 1] - eyes[0, 1]), np.float32(eyes[1, 2] - eyes[0, 2])
     )  # fmt: skip
     for n in range(eye_fractions.shape[0]):
@@ -64,9 +65,9 @@ def _shift(
         half = np.float32(math.sqrt(max(_ONE - _QUARTER * squared, _BEHIND)))
         scale, x, y = _ONE / half, half * rightward[n], half * downward[n]
         z = _ONE - np.float32(0.5) * squared
-        eye_x = first_x + eye_fractions[n] * way_x
-        eye_y = first_y + eye_fractions[n] * way_y
-        eye_z = first_z + eye_fractions[n] * way_z
+        eye_x = first_x + eye_fractions[n] * trajectory_x
+        eye_y = first_y + eye_fractions[n] * trajectory_y
+        eye_z = first_z + eye_fractions[n] * trajectory_z
         along = x * eye_x + y * eye_y + z * eye_z
         across = along + _QUARTER * scale * scale * (eye_z - along * z)
         scale *= per_cell
@@ -87,8 +88,8 @@ def _pick(
     """List the points of a block that something may hide; let all others be seen that are in a cell."""
     for i in range(numbers.shape[0]):
         visible[i] = numbers[i] > 0
-        # Nothing exceeds what is endless.
-        thresholds[i] = _threshold(inverse_ranges[i], limits) if numbers[i] > 0 else _ENDLESS
+        # Nothing exceeds what is static.
+        thresholds[i] = _threshold(inverse_ranges[i], limits) if numbers[i] > 0 else _STATIC
     count = 0
     for i in range(numbers.shape[0]):
         if from_any[np.uint32(numbers[i])] > thresholds[i]:
@@ -102,7 +103,7 @@ def _gather(
     picked: AnyArray, rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array,
     numbers: AnyArray, per_cell: Any, limits: tuple[Any, Any, Any, Any], cells: AnyArray, room: Float32Array,
 ) -> None:  # fmt: skip
-    """Put side by side what is asked of the listed points: cell, place in it, threshold, square of the slope."""
+    """Put side by side what is asked of the listed points: cell, location in it, threshold, square of the slope."""
     for k in range(picked.shape[0]):
         i = np.uint32(picked[k])
         a, b = rightward[i], downward[i]
@@ -114,7 +115,7 @@ def _gather(
 
 @numba.njit(**INLINED)
 def _gains(excess: Any, x: Any, y: Any, slope_squared: Any) -> Any:
-    """Say whether something is nearer by more than a surface gains over so short a distance."""
+    """Report whether something is nearer by more than a surface gains over so short a distance."""
     return excess * excess > slope_squared * (x * x + y * y)
 
 
@@ -220,7 +221,7 @@ def _keep_bounded(
 
 
 @numba.njit(**INNER)
-def _gather_ways(
+def _gather_trajectories(
     listed: AnyArray, picked: AnyArray, rightward: Float32Array, downward: Float32Array,
     inverse_ranges: Float32Array, point_ids: Int64Array, fractions: Float32Array, room: Float32Array,
 ) -> None:  # fmt: skip
@@ -251,7 +252,7 @@ def _decide(
     for n in range(hidden):
         visible[picked[alone[n]]] = False
     if eyes.shape[0] > 0:
-        _gather_ways(
+        _gather_trajectories(
             alone[:hidden], picked, rightward, downward, inverse_ranges, point_ids, fractions, room[4:]
         )
         _shift(room[5], room[6], room[7, :hidden], eyes, per_cell)

@@ -104,7 +104,7 @@ def _line_share(s: float, d: float, ws: float, wd: float) -> float:
 
 @njit(**INNER)
 def _ground_weights(s: float, d: float, ws: float, wd: float, weights: Float64Array) -> None:
-    """Shares of asphalt, paint, pavement, kerb and grass at `s` along and `d` left of the ego's way."""
+    """Shares of asphalt, paint, pavement, kerb and grass at `s` along and `d` left of the ego trajectory."""
     road = band(d, -4.0, 7.5, wd)
     paint = min(road, _line_share(s, d, ws, wd)) if road > 0.0 else 0.0
     walk, kerb = 0.0, 0.0
@@ -147,7 +147,7 @@ def _road_coordinates(
         out[0], out[1], out[2], out[3] = 0.0, 1e3, 1.0, 0.0
         return
     a, b = u - i, v - j
-    # Beyond the strip that was drawn nothing is between the nodes: left and right of the way meet there.
+    # Beyond the strip that was drawn nothing is between the nodes: left and right of the trajectory meet there.
     edge = max(abs(road[i, j, 1]), abs(road[i + 1, j, 1]), abs(road[i, j + 1, 1]), abs(road[i + 1, j + 1, 1]))
     if edge >= _STRIP:
         out[0], out[1], out[2], out[3] = 0.0, 1e3, 1.0, 0.0
@@ -160,12 +160,12 @@ def _road_coordinates(
 @njit(**INNER)
 def _paint_ground(
     x: float, y: float, u: float, v: float, w: float, footprint: float, road: Float32Array, corner: Float64Array,
-    cell: float, palette: Float64Array, place: Float64Array, weights: Float64Array, color: Float64Array,
+    cell: float, palette: Float64Array, location: Float64Array, weights: Float64Array, color: Float64Array,
 ) -> None:  # fmt: skip
     """Write the colour of a ground point (x, y) seen along the direction (u, v, w)."""
-    _road_coordinates(x, y, road, corner, cell, place)
-    s, d, along = place[0], place[1], place[2] * u + place[3] * v
-    across = place[2] * v - place[3] * u
+    _road_coordinates(x, y, road, corner, cell, location)
+    s, d, along = location[0], location[1], location[2] * u + location[3] * v
+    across = location[2] * v - location[3] * u
     ws = footprint * math.sqrt(1.0 + (along / w) ** 2)
     wd = footprint * math.sqrt(1.0 + (across / w) ** 2)
     grain = 0.5 * (min(ws, wd) + math.sqrt(ws * wd))
@@ -247,8 +247,8 @@ def _paint_shape(
 
 
 @njit(**INNER)
-def _turn_to_world(frame: Float64Array, normal: Float64Array) -> None:
-    """Turn a normal (3,) from a frame (3, 4) `frame_from_world` into the world."""
+def _rotation_to_world(frame: Float64Array, normal: Float64Array) -> None:
+    """Rotate a normal (3,) from a frame (3, 4) `frame_from_world` into the world."""
     x, y, z = normal[0], normal[1], normal[2]
     for i in range(3):
         normal[i] = frame[0, i] * x + frame[1, i] * y + frame[2, i] * z
@@ -264,7 +264,7 @@ def _paint_chunk(
     cell: float, ground_palette: Float64Array, pixel_angle: float, colors: UInt8Array, facings: Float32Array,
 ) -> None:  # fmt: skip
     """Paint the rays from `start` to `stop`; the other arguments as in `paint_rays`."""
-    color, place, weights = np.empty(3), np.empty(4), np.empty(5)
+    color, location, weights = np.empty(3), np.empty(4), np.empty(5)
     scratch, own = np.empty((6, 3)), np.empty(6)
     for k in range(start, stop):
         r, origin, slot = rotations[pose_of_ray[k]], origins[pose_of_ray[k]], slots[k]
@@ -276,7 +276,9 @@ def _paint_chunk(
         if hit == SKY:
             _paint_sky(u, v, w, color)
         elif hit == GROUND:
-            _paint_ground(x, y, u, v, w, footprint, road, corner, cell, ground_palette, place, weights, color)
+            _paint_ground(
+                x, y, u, v, w, footprint, road, corner, cell, ground_palette, location, weights, color
+            )
             facing = w
         else:
             column = frame_of_shape[hit]
@@ -289,7 +291,7 @@ def _paint_chunk(
             )  # fmt: skip
             normal = scratch[1]
             if column >= 0:
-                _turn_to_world(frames[pose_of_ray[k], column], normal)
+                _rotation_to_world(frames[pose_of_ray[k], column], normal)
             light = _sunlight(normal[0], normal[1], normal[2])
             color[0], color[1], color[2] = light * color[0], light * color[1], light * color[2]
         facings[slot] = abs(facing)

@@ -14,7 +14,7 @@ _FAR = 1e7
 
 @njit(**INNER)
 def _swing_back(frame: Float64Array, angle: float, x: float, z: float) -> None:
-    """Turn a frame (3, 4) backwards about an axis along y through (x, z), as a part has swung forwards."""
+    """Rotate a frame (3, 4) backwards about an axis along y through (x, z), as a part has swung forwards."""
     cosine, sine = math.cos(angle), math.sin(angle)
     for i in range(4):
         forward, upward = frame[0, i], frame[2, i]
@@ -34,7 +34,7 @@ def _swing_back(frame: Float64Array, angle: float, x: float, z: float) -> None:
     cache=True,
     error_model="numpy",
 )
-def place_parts(
+def put_parts(
     states: Float64Array, there: BoolArray, mover_of_part: Int32Array, hinges: Float64Array, swings: Float64Array,
     leads: Float64Array, frames: Float64Array,
 ) -> None:  # fmt: skip

@@ -29,13 +29,13 @@ def _round(value: Any) -> Any:
 
 @numba.njit(**PART)
 def number_pixels(flat_pixels: Float32Array, width: int, height: int, numbers: AnyArray) -> None:
-    """Write the number of the nearest pixel, counted row by row; -1 outside the picture and for NaN.
+    """Write the number of the nearest pixel, counted row by row; -1 outside the image and for NaN.
 
-    The picture reaches from -0.5 to size - 0.5; its far border, which rounding to float32 can produce, counts with
+    The image reaches from -0.5 to size - 0.5; its far border, which rounding to float32 can produce, counts with
     the last row or column.
 
     Args:
-        flat_pixels: (2 M,) [px], u and v by turns.
+        flat_pixels: (2 M,) [px], u and v alternately.
         width: [px].
         height: [px].
         numbers: (M,) int32, written.

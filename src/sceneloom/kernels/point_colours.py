@@ -1,4 +1,4 @@
-"""Colours of pictures onto the points seen in them."""
+"""Colours of images onto the points seen in them."""
 
 import numba
 import numpy as np
@@ -99,17 +99,17 @@ def paint_points(
     colors: UInt8Array,
     camera_index: UInt8Array,
 ) -> None:
-    """Give each visible point its nearest pixel's colour if this picture shows it more centrally than those before.
+    """Give each visible point its nearest pixel's colour if this image shows it more centrally than those before.
 
     Args:
         point_ids: (M,), rows of the outputs.
         pixels: (M, 2) [px].
-        pixel_numbers: (M,), the nearest ones, counted row by row; negative outside the picture.
+        pixel_numbers: (M,), the nearest ones, counted row by row; negative outside the image.
         visible: (M,).
-        rgb: (H, W, 3), the picture.
+        rgb: (H, W, 3), the image.
         camera: number to write into `camera_index`.
-        eccentricities: (N,), updated: least squared distance so far from a picture's centre, in half diagonals; or
-            (0,) where this picture is the only one.
+        eccentricities: (N,), updated: least squared distance so far from an image's centre, in half diagonals; or
+            (0,) where this image is the only one.
         colors: (N, 3), updated.
         camera_index: (N,), updated.
     """

@@ -31,8 +31,8 @@ def _bounds(centers: Float64Array, rotations: Float64Array, halves: Float64Array
             for axis in range(2):
                 reach = 0.0
                 for c in range(3):
-                    way = 1.0 if knots > 1 else abs(rotations[k, b, axis, c])
-                    reach += (way * halves[k, b, c]) ** (2 if knots > 1 else 1)
+                    trajectory = 1.0 if knots > 1 else abs(rotations[k, b, axis, c])
+                    reach += (trajectory * halves[k, b, c]) ** (2 if knots > 1 else 1)
                 reach = math.sqrt(reach) if knots > 1 else reach
                 bounds[b, axis] = min(bounds[b, axis], centers[k, b, axis] - reach)
                 bounds[b, axis + 2] = max(bounds[b, axis + 2], centers[k, b, axis] + reach)
@@ -59,20 +59,20 @@ def _grid(bounds: Float64Array) -> tuple[float, float, float, int, int, Int64Arr
             break
         cell *= 2.0
     starts = np.zeros(columns * rows + 1, np.int64)
-    for turn in range(2):
-        if turn == 1:
+    for rotation_of_vector in range(2):
+        if rotation_of_vector == 1:
             listed = np.empty(starts[-1], np.int64)
         for b in range(len(bounds)):
             first_x, last_x = int((bounds[b, 0] - low_x) / cell), int((bounds[b, 2] - low_x) / cell)
             first_y, last_y = int((bounds[b, 1] - low_y) / cell), int((bounds[b, 3] - low_y) / cell)
             for x in range(first_x, min(last_x, columns - 1) + 1):
                 for y in range(first_y, min(last_y, rows - 1) + 1):
-                    if turn == 0:
+                    if rotation_of_vector == 0:
                         starts[x * rows + y + 1] += 1
                     else:
                         listed[starts[x * rows + y]] = b
                         starts[x * rows + y] += 1
-        if turn == 0:
+        if rotation_of_vector == 0:
             starts = np.cumsum(starts)
     starts[1:] = starts[:-1].copy()
     starts[0] = 0
@@ -83,7 +83,10 @@ def _grid(bounds: Float64Array) -> tuple[float, float, float, int, int, Int64Arr
 def _in_box(  # type: ignore[no-untyped-def]
     x, y, z, b, knot, share, centers, rotations, halves
 ):
-    """Say whether a point lies in a box, its faces included, at a share of the way from one knot to the next."""
+    """Report whether a point lies in a box, its faces included.
+
+    At a share of the trajectory from one knot to the next.
+    """
     after = min(knot + 1, centers.shape[0] - 1)
     dx = x - (centers[knot, b, 0] + share * (centers[after, b, 0] - centers[knot, b, 0]))
     dy = y - (centers[knot, b, 1] + share * (centers[after, b, 1] - centers[knot, b, 1]))
@@ -108,7 +111,7 @@ _REST = (float64[::1], float64[:, :, ::1], float64[:, :, :, ::1], float64[:, :, 
 @kernel([void(_ROWS_F32, *_REST), void(_ROWS_F64, *_REST)], nogil=True, cache=True, error_model="numpy")
 def find_points_in_boxes(
     points: FloatArray,
-    places: Float64Array,
+    locations: Float64Array,
     centers: Float64Array,
     rotations: Float64Array,
     halves: Float64Array,
@@ -119,16 +122,16 @@ def find_points_in_boxes(
 
     Args:
         points: (N, 3) [m], in the frame of the centres; one with a NaN lies nowhere.
-        places: (N,) where on the boxes' way each point was measured: 1.25 is a quarter of the way from knot 1 to knot
-            2; (0,) for boxes at knot 0.
+        locations: (N,) where on the boxes' trajectory each point was measured: 1.25 is a quarter of the trajectory from
+            knot 1 to knot 2; (0,) for boxes at knot 0.
         centers: (K, B, 3) [m], the boxes at K knots, B >= 1, all finite; between knots they go straight.
-        rotations: (K, B, 3, 3), whose columns are the boxes' axes; from knot to knot they turn by a few degrees.
+        rotations: (K, B, 3, 3), whose columns are the boxes' axes; from knot to knot they rotate by a few degrees.
         halves: (K, B, 3) [m], half of length, width and height.
         stops: (B,) added to: the points of each box. Where `point_ids` is to be filled: where in it each box's begin,
             and afterwards end.
         point_ids: filled with the rows of the points of each box, rising; (0,) to count only.
     """
-    knots, moving, listing = centers.shape[0], places.shape[0] > 0, point_ids.shape[0] > 0
+    knots, moving, listing = centers.shape[0], locations.shape[0] > 0, point_ids.shape[0] > 0
     low_x, low_y, cell, columns, rows, starts, listed = _grid(_bounds(centers, rotations, halves))
     knot, share = 0, 0.0
     for i in range(points.shape[0]):
@@ -137,8 +140,8 @@ def find_points_in_boxes(
         if not (0.0 <= column < columns and 0.0 <= row < rows):
             continue
         if moving:
-            knot = min(max(int(places[i]), 0), knots - 1)
-            share = min(max(places[i] - knot, 0.0), 1.0)
+            knot = min(max(int(locations[i]), 0), knots - 1)
+            share = min(max(locations[i] - knot, 0.0), 1.0)
         number = int(column) * rows + int(row)
         for k in range(starts[number], starts[number + 1]):
             b = listed[k]

@@ -1,4 +1,7 @@
-"""The points of a cloud that lie in any of several cones: what may be in boxes of a picture, before a lens is asked."""
+"""The points of a cloud that lie in any of several cones: what may be in boxes of an image.
+
+Before a camera model is asked.
+"""
 
 import numpy as np
 

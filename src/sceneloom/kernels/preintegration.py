@@ -1,14 +1,17 @@
-"""What an IMU measured between two moments, summed up in the frame of the first: turn, gain of speed, and way."""
+"""What an IMU measured between two moments, summed up in the frame of the first: rotate, gain of speed.
+
+And trajectory.
+"""
 
 import numpy as np
 from numba import float64, int64, types
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.rotating import rotation_of_vector, times, times_cross, transposed_times
 from sceneloom.kernels.surface_map import INNER
-from sceneloom.kernels.turning import times, times_cross, transposed_times, turn
 
-TURN, SPEED, WAY = slice(0, 3), slice(3, 6), slice(6, 9)
+ROTATION, SPEED, TRAJECTORY = slice(0, 3), slice(3, 6), slice(6, 9)
 """Rows of what is summed up: rotation vector [rad], velocity [m/s], position [m]."""
 
 _V, _M = float64[::1], float64[:, ::1]
@@ -18,7 +21,7 @@ _READ_2D = types.Array(float64, 2, "C", readonly=True)
 
 
 @kernel(types.void(_V, _V, float64, _V, _M), **INNER)
-def _turn_between(
+def _rotation_between(
     before: Float64Array, after: Float64Array, h: float, v: Float64Array, m: Float64Array
 ) -> None:
     """Write the rotation over h seconds in which the rate changes evenly. Source: Magnus 1954, second term."""
@@ -26,7 +29,7 @@ def _turn_between(
     v[0] = 0.5 * h * (before[0] + after[0]) + c * (before[1] * after[2] - before[2] * after[1])
     v[1] = 0.5 * h * (before[1] + after[1]) + c * (before[2] * after[0] - before[0] * after[2])
     v[2] = 0.5 * h * (before[2] + after[2]) + c * (before[0] * after[1] - before[1] * after[0])
-    turn(v, m)
+    rotation_of_vector(v, m)
 
 
 @kernel(types.void(_M, float64, _M, _M, _V, _V), **INNER)
@@ -38,7 +41,7 @@ def _step(
     velocity: Float64Array,
     position: Float64Array,
 ) -> None:
-    """Go on by h seconds in which rate and force change evenly: Simpson's rule over the turning force.
+    """Go on by h seconds in which rate and force change evenly: Simpson's rule over the rotating force.
 
     Args:
         readings: (4, 3) rate and force at the beginning, rate and force at the end, without biases.
@@ -50,8 +53,8 @@ def _step(
     middle, v = work[12], work[13]
     for k in range(3):
         middle[k] = 0.5 * (readings[0, k] + readings[2, k])
-    _turn_between(readings[0], middle, 0.5 * h, v, half)
-    _turn_between(readings[0], readings[2], h, v, whole)
+    _rotation_between(readings[0], middle, 0.5 * h, v, half)
+    _rotation_between(readings[0], readings[2], h, v, whole)
     times(rotation, half, at_half)
     times(rotation, whole, at_end)
     for k in range(3):
@@ -71,29 +74,31 @@ def _step(
 
 @kernel(types.void(_M, float64, _M, _M), **INNER)
 def _carry_slopes(work: Float64Array, h: float, slopes: Float64Array, pull: Float64Array) -> None:
-    """Carry the slopes by the biases, (9, 6), over one step; `pull` is written: how a turn turns the force, (3, 3).
+    """Carry the slopes by the biases, (9, 6), over one step; `pull` is written: how a rotation rotates the force.
+
+    (3, 3).
 
     Source: Forster, Carlone, Dellaert and Scaramuzza 2017, "On-Manifold Preintegration for Real-Time Visual-Inertial
     Odometry", appendix B, with the force at half-time.
     """
     half, whole, at_half = work[0:3], work[3:6], work[6:9]
-    by_turn, turned = np.empty((3, 3)), np.empty((3, 3))
+    by_rotation, rotated = np.empty((3, 3)), np.empty((3, 3))
     times_cross(at_half, work[12], pull)
-    by_turn[:] = slopes[0:3, 0:3]
-    transposed_times(half, by_turn, turned)
+    by_rotation[:] = slopes[0:3, 0:3]
+    transposed_times(half, by_rotation, rotated)
     for i in range(3):
-        turned[i, i] -= 0.5 * h
+        rotated[i, i] -= 0.5 * h
     for i in range(3):
         for k in range(3):
-            pulled = pull[i, 0] * turned[0, k] + pull[i, 1] * turned[1, k] + pull[i, 2] * turned[2, k]
+            pulled = pull[i, 0] * rotated[0, k] + pull[i, 1] * rotated[1, k] + pull[i, 2] * rotated[2, k]
             slopes[6 + i, k] += h * slopes[3 + i, k] - 0.5 * h * h * pulled
             slopes[3 + i, k] -= h * pulled
             slopes[6 + i, 3 + k] += h * slopes[3 + i, 3 + k] - 0.5 * h * h * at_half[i, k]
             slopes[3 + i, 3 + k] -= h * at_half[i, k]
-    transposed_times(whole, by_turn, turned)
+    transposed_times(whole, by_rotation, rotated)
     for i in range(3):
         for k in range(3):
-            slopes[i, k] = turned[i, k] - (h if i == k else 0.0)
+            slopes[i, k] = rotated[i, k] - (h if i == k else 0.0)
 
 
 @kernel(types.void(_M, float64, _M, _M, float64, float64), **INNER)
@@ -144,7 +149,7 @@ def _reading_at(
     times_ns: Int64Array, samples: Float64Array, after: int, time_ns: int, bias: Float64Array,
     rate: Float64Array, force: Float64Array,
 ) -> None:  # fmt: skip
-    """Write what the IMU told at a time, without biases: between the samples before `after` and at it, evenly."""
+    """Write what the IMU reported at a time, without biases: between the samples before `after` and at it, evenly."""
     last = times_ns.shape[0] - 1
     one = min(max(after, 1), last)
     share = (time_ns - times_ns[one - 1]) / (times_ns[one] - times_ns[one - 1])
@@ -181,14 +186,14 @@ def preintegrate(
 
     Args:
         times_ns: (N,) [ns], strictly increasing, N >= 2.
-        samples: (N, 6) turn rate [rad/s] and specific force [m/s²].
+        samples: (N, 6) yaw rate [rad/s] and specific force [m/s²].
         knots_ns: (K,) [ns], strictly increasing; beyond the first and the last sample these hold.
         biases: (K - 1, 6) to take off, as the samples.
         densities: (K - 1, 2) white noise of the rate, (rad/s)²/Hz, and of the force, (m/s²)²/Hz.
         rotations: (K - 1, 3, 3), `first_from_second`, written here, as all further ones.
-        velocities, positions: (K - 1, 3), gain of speed [m/s] and way [m] without gravity and without the speed at the
-            first knot, in the axes of the first knot.
-        slopes: (K - 1, 9, 6) by the biases: of turn (on the right side), velocity and position.
+        velocities, positions: (K - 1, 3), gain of speed [m/s] and trajectory [m] without gravity and without the speed
+            at the first knot, in the axes of the first knot.
+        slopes: (K - 1, 9, 6) by the biases: of rotation (on the right side), velocity and position.
         covariances: (K - 1, 9, 9) of the same.
     """
     readings, work, pull = np.empty((4, 3)), np.empty((14, 3)), np.empty((3, 3))

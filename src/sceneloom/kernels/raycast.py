@@ -149,11 +149,11 @@ def cull(
         near = math.sqrt(squared) - radius
         if near > reach:
             continue
-        place = count
-        while place > 0 and nears[place - 1] > near:
-            nears[place], chosen[place] = nears[place - 1], chosen[place - 1]
-            place -= 1
-        nears[place], chosen[place] = near, k
+        location = count
+        while location > 0 and nears[location - 1] > near:
+            nears[location], chosen[location] = nears[location - 1], chosen[location - 1]
+            location -= 1
+        nears[location], chosen[location] = near, k
         count += 1
     return count
 
@@ -163,7 +163,7 @@ def bundle_cone(
     directions: Float64Array, pose_of_ray: Int32Array, rotations: Float64Array, origins: Float64Array,
     start: int, stop: int, rays: Float64Array, axis: Float64Array,
 ) -> tuple[float, float]:  # fmt: skip
-    """Turn a bundle's directions into the world; give the cone around them: axis, cosine, spread of the origins."""
+    """Rotate a bundle's directions into the world; give the cone around them: axis, cosine, spread of the origins."""
     axis[0], axis[1], axis[2] = 0.0, 0.0, 0.0
     anchor, spread = origins[pose_of_ray[start]], 0.0
     for k in range(start, stop):
@@ -245,10 +245,10 @@ def trace_rays(
         slots: (N,) int64, where the answer of a ray goes.
         kinds: (P,) uint8, the unit body of each shape.
         maps: (P, 3, 4) float64, world, or the frame of what moves, to the space of the unit body.
-        frame_of_shape: (P,) int32, the column of `frames` that a shape moves with, -1 where it stands still.
+        frame_of_shape: (P,) int32, the column of `frames` that a shape moves with, -1 where it is stationary.
         frames: (M, F, 3, 4) float64 `frame_from_world` at the time of each pose.
         spheres: (P, 4) float64 [m], centre and radius of a ball around each shape, world frame; around all its
-            places where it moves.
+            locations where it moves.
         candidates: (C,) int32, the shapes to look at.
         reach: rays end here [m].
         ranges: (slots,) float64 [m], written: range of the first hit, 0 where there is none.

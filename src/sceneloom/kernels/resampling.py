@@ -1,4 +1,4 @@
-"""Pictures on another grid: each new pixel is blended from the four old ones around its place."""
+"""Images on another grid: each new pixel is blended from the four old ones around its location."""
 
 import numpy as np
 from numba import boolean, float32, types, uint8, void
@@ -16,14 +16,14 @@ _IN_U8_3D = types.Array(uint8, 3, "C", readonly=True)
     nogil=True,
     error_model="numpy",
 )
-def resample_bilinear(rgb: UInt8Array, places: Float32Array, out: UInt8Array, filled: BoolArray) -> None:
-    """Fill a picture with what another one shows at given places; what has no place there is left as it is.
+def resample_bilinear(rgb: UInt8Array, locations: Float32Array, out: UInt8Array, filled: BoolArray) -> None:
+    """Fill an image with what another one shows at given locations; what has no location there is left as it is.
 
-    A picture reaches half a pixel beyond the centres of its border pixels; there the border's colour holds.
+    An image reaches half a pixel beyond the centres of its border pixels; there the border's colour holds.
 
     Args:
-        rgb: (H, W, C), the picture.
-        places: (h, w, 2) [px], column and row in `rgb` of each new pixel; NaN for none.
+        rgb: (H, W, C), the image.
+        locations: (h, w, 2) [px], column and row in `rgb` of each new pixel; NaN for none.
         out: (h, w, C), written where `rgb` has something.
         filled: (h, w), written everywhere: whether it has.
     """
@@ -34,7 +34,7 @@ def resample_bilinear(rgb: UInt8Array, places: Float32Array, out: UInt8Array, fi
     line = np.int64(width * channels)
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
-            u, v = places[i, j, 0], places[i, j, 1]
+            u, v = locations[i, j, 0], locations[i, j, 1]
             inside = (u >= -0.5) & (u < width - 0.5) & (v >= -0.5) & (v < height - 0.5)
             filled[i, j] = inside
             if not inside:

@@ -1,4 +1,4 @@
-"""The lines of a rolling shutter that see points: the camera's place at each line, and the search for the line."""
+"""The lines of a rolling shutter that see points: the camera's location at each line, and the search for the line."""
 
 import math
 
@@ -12,7 +12,7 @@ _IN_F64_2D = types.Array(float64, 2, "C", readonly=True)
 _IN_F64_3D = types.Array(float64, 3, "C", readonly=True)
 
 _LEAST_NEARING = 0.05
-"""By how much less than a line a picture moves from line to line; where that vanishes, steps would be endless."""
+"""By how much less than a line an image moves from line to line; where that vanishes, steps would be static."""
 
 
 @kernel(
@@ -25,18 +25,18 @@ def keep_in_reach(
     points_world: Float64Array,
     camera_from_world: Float64Array,
     domain: float,
-    turn: float,
-    way: float,
+    rotation_of_vector: float,
+    trajectory: float,
     point_ids: Int64Array,
     points_camera: Float64Array,
 ) -> int:
-    """Keep the points that a lens may see at some time while the camera moves.
+    """Keep the points that a camera model may see at some time while the camera moves.
 
     Args:
         points_world: (N, 3) [m].
         camera_from_world: (3, 4) or (4, 4), at the middle of that time.
-        domain: angle off the axis that the lens sees [rad], π at most.
-        turn, way: how far at most the camera turns [rad] and moves [m] from the middle.
+        domain: angle off the axis that the camera model sees [rad], π at most.
+        rotate, trajectory: how far at most the camera rotates [rad] and moves [m] from the middle.
         point_ids: (N,), written from the beginning on, ascending.
         points_camera: (N, 3) [m], in the frame of the camera in the middle; written likewise.
 
@@ -53,8 +53,8 @@ def keep_in_reach(
         distance = math.sqrt(x * x + y * y + z * z)
         if not distance < math.inf:
             continue
-        shift = math.asin(way / distance) if way < distance else math.pi
-        angle = domain + turn + shift
+        shift = math.asin(trajectory / distance) if trajectory < distance else math.pi
+        angle = domain + rotation_of_vector + shift
         if angle >= math.pi or z >= distance * math.cos(angle):
             point_ids[count] = i
             points_camera[count, 0], points_camera[count, 1], points_camera[count, 2] = x, y, z
@@ -75,7 +75,7 @@ def keep_in_reach(
     nogil=True,
     error_model="numpy",
 )
-def place_at_lines(
+def position_at_lines(
     points_camera: Float64Array,
     active: Int64Array,
     lines: Float64Array,
@@ -86,12 +86,12 @@ def place_at_lines(
     """Give points in the frame of the camera at the time of a line, each at its own.
 
     Args:
-        points_camera: (M, 3) [m], in the frame of the camera at the picture's time.
+        points_camera: (M, 3) [m], in the frame of the camera at the image's time.
         active: (A,), which of them.
         lines: (M,) [px], -0.5 to line_count - 0.5.
-        lines_from_middle: (K, 3, 4), the camera at K times evenly spread from the picture's first edge to its last,
-            from the camera at the picture's time; linear between them.
-        line_count: lines of the picture.
+        lines_from_middle: (K, 3, 4), the camera at K times evenly spread from the image's first edge to its last,
+            from the camera at the image's time; linear between them.
+        line_count: lines of the image.
         placed: (A, 3) [m], written.
     """
     last = lines_from_middle.shape[0] - 1
@@ -143,11 +143,11 @@ def search_lines(
         pixels: (A, 2) [px], of the active points at the times of their lines; NaN for none.
         axis: 0 if lines are columns, 1 if they are rows.
         attempt: 0 for the first, one more each time.
-        line_count: lines of the picture.
+        line_count: lines of the image.
         tolerance: how far off a settled line may be [px].
         active: (A,), which points are looked at; those that remain are moved to its beginning.
         lines, lines_before, off_before: (M,) [px]; the lines of the active points are replaced.
-        settled: (A,), the places among the active ones of those that have settled, then -1.
+        settled: (A,), the locations among the active ones of those that have settled, then -1.
 
     Returns:
         How many remain.
@@ -163,7 +163,7 @@ def search_lines(
             count += 1
             continue
         if math.isnan(pixels[k, 0] + there):
-            # It may come into the lens's domain by the first line, or the last.
+            # It may come into the camera model's domain by the first line, or the last.
             if attempt > 1 or lines_before[i] == lines_before[i]:
                 continue
             lines[i] = low if attempt == 0 else high

@@ -7,8 +7,8 @@ from numba import float64, int32, int64, types
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array
 from sceneloom.kernels.cache import kernel
-from sceneloom.kernels.surface_map import INNER, find_cube, first_place, pack_key
-from sceneloom.kernels.turning import turn
+from sceneloom.kernels.rotating import rotation_of_vector
+from sceneloom.kernels.surface_map import INNER, find_cube, first_location, pack_key
 
 SUPPORT = 0.25
 """A surface has a quarter of its weight 2 standard deviations from its middle, along the surface."""
@@ -38,11 +38,11 @@ def thin_points(points: Float64Array, leaf: float, chosen: Int64Array) -> int:
             math.floor(points[i, 1] / leaf),
             math.floor(points[i, 2] / leaf),
         )
-        place = first_place(key, mask)
-        while taken[place] >= 0 and taken[place] != key:
-            place = (place + 1) & mask
-        if taken[place] < 0:
-            taken[place] = key
+        location = first_location(key, mask)
+        while taken[location] >= 0 and taken[location] != key:
+            location = (location + 1) & mask
+        if taken[location] < 0:
+            taken[location] = key
             chosen[count] = i
             count += 1
     return count
@@ -61,12 +61,12 @@ def move_points(
     seconds: Float64Array,
     rotation: Float64Array,
     position: Float64Array,
-    turn_rate: Float64Array,
+    yaw_rate: Float64Array,
     velocity: Float64Array,
     points_world: Float64Array,
     arms: Float64Array,
 ) -> None:
-    """Take points of a turning, moving ego into the world, each at its own time.
+    """Take points of a rotating, moving ego into the world, each at its own time.
 
     p_world(t) = position + t v + t²/2 (ω × v) + Exp(t ω) R p_ego: a constant velocity in the ego's own frame, to the
     second order in t.
@@ -75,29 +75,29 @@ def move_points(
         points_ego: (N, 3) [m].
         seconds: (N,) time of each point after the pose's.
         rotation, position: (3, 3) and (3,) [m], `world_from_ego`.
-        turn_rate, velocity: (3,) [rad/s] and [m/s], world axes, at the pose's time.
+        yaw_rate, velocity: (3,) [rad/s] and [m/s], world axes, at the pose's time.
         points_world: (N, 3), written here.
         arms: (N, 3), written here: from the ego to the points, world axes.
     """
-    turned, step = np.empty((3, 3)), np.empty(3)
-    cx = turn_rate[1] * velocity[2] - turn_rate[2] * velocity[1]
-    cy = turn_rate[2] * velocity[0] - turn_rate[0] * velocity[2]
-    cz = turn_rate[0] * velocity[1] - turn_rate[1] * velocity[0]
+    rotated, step = np.empty((3, 3)), np.empty(3)
+    cx = yaw_rate[1] * velocity[2] - yaw_rate[2] * velocity[1]
+    cy = yaw_rate[2] * velocity[0] - yaw_rate[0] * velocity[2]
+    cz = yaw_rate[0] * velocity[1] - yaw_rate[1] * velocity[0]
     last = math.nan
     for i in range(points_ego.shape[0]):
         t = seconds[i]
         if t != last:
             for k in range(3):
-                step[k] = t * turn_rate[k]
-            turn(step, turned)
+                step[k] = t * yaw_rate[k]
+            rotation_of_vector(step, rotated)
             last = t
         px, py, pz = points_ego[i, 0], points_ego[i, 1], points_ego[i, 2]
         x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz
         y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz
         z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz
-        ax = turned[0, 0] * x + turned[0, 1] * y + turned[0, 2] * z
-        ay = turned[1, 0] * x + turned[1, 1] * y + turned[1, 2] * z
-        az = turned[2, 0] * x + turned[2, 1] * y + turned[2, 2] * z
+        ax = rotated[0, 0] * x + rotated[0, 1] * y + rotated[0, 2] * z
+        ay = rotated[1, 0] * x + rotated[1, 1] * y + rotated[1, 2] * z
+        az = rotated[2, 0] * x + rotated[2, 1] * y + rotated[2, 2] * z
         arms[i, 0], arms[i, 1], arms[i, 2] = ax, ay, az
         half = 0.5 * t * t
         points_world[i, 0] = position[0] + t * velocity[0] + half * cx + ax
@@ -122,7 +122,7 @@ def _meet_surfaces(
     surfaces: Float64Array,
     met: Float64Array,
 ) -> None:
-    """Sum what the surfaces of the eight cubes around a place say about a point there.
+    """Sum what the surfaces of the eight cubes around a location state about a point there.
 
     A surface counts where its own points lie: the weight falls with the distance along it, in standard deviations.
 
@@ -188,8 +188,8 @@ def _add_point(
     information: Float64Array,
     gradient: Float64Array,
 ) -> None:
-    """Add what surfaces say about one point: `met` as `_meet_surfaces` gives it; `j` and `wj` are room for work."""
-    # -[arm]x, so that a turn about the world's axes moves the point by turn x arm
+    """Add what surfaces state about one point: `met` as `_meet_surfaces` gives it; `j` and `wj` are room for work."""
+    # -[arm]x, so that a rotation about the world's axes moves the point by rotation x arm
     j[0, 1], j[0, 2] = arm[2], -arm[1]
     j[1, 0], j[1, 2] = -arm[2], arm[0]
     j[2, 0], j[2, 1] = arm[1], -arm[0]
@@ -234,7 +234,7 @@ def accumulate_normal_equations(
     gradient: Float64Array,
     sums: Float64Array,
 ) -> None:
-    """Sum what each point says about a small turn and shift of the ego, and about their rates.
+    """Sum what each point says about a small rotation and shift of the ego, and about their rates.
 
     What the fine surfaces around a point do not cover is left to the coarse ones.
 
@@ -242,7 +242,7 @@ def accumulate_normal_equations(
         points_world, arms, seconds: as `move_points` gives them.
         scale: residuals of this many standard deviations lose most of their weight.
         fine_leaf, coarse_leaf: sides of the cubes [m]; tables, keys and surfaces are those of the map's two levels.
-        information: (3, 6, 6) written here: Σ w Jᵀ W J, the same times t, and times t², for a turn, then a shift.
+        information: (3, 6, 6) written here: Σ w Jᵀ W J, the same times t, and times t², for a rotation, then a shift.
         gradient: (2, 6) written here: Σ w Jᵀ W r, and the same times t.
         sums: (4,) written here: points with a surface, Σ w, Σ w s², points that agree with theirs.
     """

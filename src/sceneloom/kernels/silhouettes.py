@@ -1,4 +1,4 @@
-"""How many pixels each object would fill if nothing stood before it: the other side of what a picture shows."""
+"""How many pixels each object would fill if nothing stood before it: the other side of what an image shows."""
 
 import numpy as np
 from numba import njit, prange

@@ -8,8 +8,8 @@ from numba import float32, float64, int32, int64, types, void
 
 from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int32Array, Int64Array
 from sceneloom.kernels.cache import kernel
-from sceneloom.kernels.crew import ALONE, Crew
-from sceneloom.kernels.direction_grid import BLOCK, INNER, fit_grid, number_cells, place_grid
+from sceneloom.kernels.direction_grid import BLOCK, INNER, fit_grid, number_cells, position_grid
+from sceneloom.kernels.thread_pool import ALONE, ThreadPool
 
 _IN_F32_1D = types.Array(float32, 1, "C", readonly=True)
 _IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
@@ -74,10 +74,10 @@ def _find_holders(
     for s in range(sampled.shape[0]):
         missing = found.shape[1] if sampled[s] > 0 else 0
         for k in range(offsets.shape[0] if missing > 0 else 0):
-            place = np.uint32(sampled[s] + offsets[k])
-            holder = holders[0, place]
+            location = np.uint32(sampled[s] + offsets[k])
+            holder = holders[0, location]
             for part in range(1, holders.shape[0]):
-                holder = max(holder, holders[part, place])
+                holder = max(holder, holders[part, location])
             if holder > 0 and neighbours[s, sectors[k]] < 0:
                 found[s, sectors[k]], neighbours[s, sectors[k]] = distances[k], holder - 1
                 missing -= 1
@@ -97,7 +97,7 @@ def find_neighbours(
     found: Float64Array,
     neighbours: Int64Array,
     *,
-    crew: Crew = ALONE,
+    thread_pool: ThreadPool = ALONE,
 ) -> None:
     """Write how far it is from some points, evenly drawn from the cloud, to the next point in each sector.
 
@@ -107,23 +107,23 @@ def find_neighbours(
         directions: (2, M) in the equal-area map [rad].
         inverse_ranges: (M,) [1/m]; 0 for a point that takes no part.
         extent: (4,) of the points, as of `direction_grid.measure_extent`.
-        cell: resolution [rad]; what lies in one cell is not told apart.
+        cell: resolution [rad]; what lies in one cell is not distinguished.
         right, down: (K,) columns and rows to the cells that are looked at, the nearest first.
         sectors: (K,) number of the sector in which such a cell lies.
         distances: (K,) how far such a cell is, in any unit.
         found: (samples, sectors), written: the distance of the first occupied cell; NaN for none.
         neighbours: (samples, sectors), written: a point in that cell; -1 for none.
-        crew: the threads that share the points; what comes out is the same.
+        thread_pool: the threads that share the points; what comes out is the same.
     """
     reach, count = int(max(1, np.abs(right).max(), np.abs(down).max())), len(inverse_ranges)
-    _, _, columns, rows = place_grid(extent, cell, reach)
-    sampled, holders = np.zeros(len(found), np.int32), np.empty((crew.size, columns * rows), np.int32)
+    _, _, columns, rows = position_grid(extent, cell, reach)
+    sampled, holders = np.zeros(len(found), np.int32), np.empty((thread_pool.size, columns * rows), np.int32)
 
     def occupy(part: int, a: int, b: int) -> None:
         some = directions[0, a:b], directions[1, a:b], inverse_ranges[a:b]
         _occupy(*some, a, count, extent, cell, reach, sampled, holders[part])
 
-    crew.share(count, occupy)
+    thread_pool.share(count, occupy)
     _find_holders(holders, columns, sampled, right, down, sectors, distances, found, neighbours)
 
 
@@ -248,10 +248,10 @@ def measure_across(distances: Float64Array, fewest: int, spacings: Float64Array)
         for sector in range(distances.shape[1]):
             distance = distances[s, sector]
             if not math.isnan(distance):
-                place = known
-                while place > 0 and ordered[place - 1] > distance:
-                    ordered[place] = ordered[place - 1]
-                    place -= 1
-                ordered[place] = distance
+                location = known
+                while location > 0 and ordered[location - 1] > distance:
+                    ordered[location] = ordered[location - 1]
+                    location -= 1
+                ordered[location] = distance
                 known += 1
         spacings[s] = ordered[min(3 * known // 4, known - 1)] if known >= fewest else math.nan

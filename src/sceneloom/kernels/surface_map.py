@@ -18,7 +18,7 @@ SIDE = 4
 are dense, do not outweigh the rest."""
 
 LINE_SHARE, THIN_SHARE = 0.04, 0.1
-"""Of the largest eigenvalue: a middle one below the first is that of a line; one above the second tells nothing."""
+"""Of the largest eigenvalue: a middle one below the first is that of a line; one above the second states nothing."""
 STEEP = 0.7
 """A line is steep where its direction has at least this z."""
 
@@ -33,7 +33,7 @@ def pack_key(ix: int, iy: int, iz: int) -> int:
 
 
 @numba.njit(inline="always", **INNER)
-def first_place(key: int, mask: int) -> Any:
+def first_location(key: int, mask: int) -> Any:
     """Where the search for a key begins in the table.
 
     Source: Steele, Lea and Flood 2014, the mixing of SplitMix64.
@@ -48,14 +48,14 @@ def first_place(key: int, mask: int) -> Any:
 def find_cube(key: int, table: AnyArray, keys: Int64Array) -> int:
     """The number of the cube with a key, or -1."""
     mask = table.shape[0] - 1
-    place = first_place(key, mask)
+    location = first_location(key, mask)
     while True:
-        cube = table[place]
+        cube = table[location]
         if cube < 0:
             return -1
         if keys[cube] == key:
             return int(cube)
-        place = (place + 1) & mask
+        location = (location + 1) & mask
 
 
 @kernel(types.void(int64, int64[::1], int32[::1]), cache=True, nogil=True)
@@ -63,10 +63,10 @@ def fill_table(count: int, keys: Int64Array, table: AnyArray) -> None:
     """Write the first `count` cubes into an empty table (-1 everywhere) whose length is a power of two."""
     mask = table.shape[0] - 1
     for cube in range(count):
-        place = first_place(keys[cube], mask)
-        while table[place] >= 0:
-            place = (place + 1) & mask
-        table[place] = cube
+        location = first_location(keys[cube], mask)
+        while table[location] >= 0:
+            location = (location + 1) & mask
+        table[location] = cube
 
 
 @kernel(
@@ -108,16 +108,16 @@ def insert_points(
         x, y, z = points_world[i, 0] / leaf, points_world[i, 1] / leaf, points_world[i, 2] / leaf
         fx, fy, fz = math.floor(x), math.floor(y), math.floor(z)
         key = pack_key(fx, fy, fz)
-        place = first_place(key, mask)
-        while table[place] >= 0 and keys[table[place]] != key:
-            place = (place + 1) & mask
-        cube = int(table[place])
+        location = first_location(key, mask)
+        while table[location] >= 0 and keys[table[location]] != key:
+            location = (location + 1) & mask
+        cube = int(table[location])
         if cube < 0:
             if count >= keys.shape[0]:
                 progress[0], progress[1] = i, count
                 return
             cube = count
-            table[place] = cube
+            table[location] = cube
             keys[cube] = key
             moments[cube] = 0.0
             hits[cube] = 0
@@ -147,7 +147,7 @@ def insert_points(
 
 @kernel(types.void(float64[:, ::1], float64[:, ::1]), **INNER)
 def _diagonalise(a: Float64Array, v: Float64Array) -> None:
-    """Turn a symmetric (3, 3) matrix into the diagonal of its eigenvalues and `v` into its eigenvectors (columns).
+    """Rotate a symmetric (3, 3) matrix into the diagonal of its eigenvalues and `v` into its eigenvectors (columns).
 
     Source: Golub and Van Loan, "Matrix Computations", section 8.5: cyclic Jacobi rotations.
     """
@@ -190,7 +190,7 @@ def _add_square(weight: float, x: float, y: float, z: float, sums: Float64Array)
 
 @kernel(types.void(float64[:, ::1], float64[:, ::1], float64, float64[::1]), **INNER)
 def _inform(a: Float64Array, v: Float64Array, noise: float, surface: Float64Array) -> None:
-    """Write what a spread, given by its eigenvalues (diagonal of `a`) and eigenvectors, tells about a surface."""
+    """Write what a spread, given by its eigenvalues (diagonal of `a`) and eigenvectors, reports about a surface."""
     e = 0 if a[0, 0] >= a[1, 1] else 1
     long = e if a[e, e] >= a[2, 2] else 2
     e, f = (long + 1) % 3, (long + 2) % 3

@@ -2,7 +2,7 @@
 
 A pattern mixes the three colours of an object's palette. Edges inside a pattern are averaged over the width that a
 pixel covers on the surface (a box filter, exact for stripes), and noise fades where it becomes finer than a pixel, so
-pictures do not shimmer and video codecs keep them. Without a pixel (`pixel_angle` 0) edges are 2 cm soft.
+images do not shimmer and video codecs keep them. Without a pixel (`pixel_angle` 0) edges are 2 cm soft.
 
 Source: the filtered pulse train is that of Apodaca and Gritz, "Advanced RenderMan", 1999, chapter 11.
 """
@@ -19,7 +19,7 @@ PLAIN, FACADE, BRICK, TILES, FOLIAGE, BARK, CAR_BODY, CAR_CABIN, TYRE, BANDS = r
 """The patterns: see the functions below."""
 
 ALONG_X, ALONG_Y, ALONG_Z, SLANTED = range(4)
-"""The faces of a body by the direction of their normal, as far as patterns tell them apart."""
+"""The faces of a body by the direction of their normal, as far as patterns report them apart."""
 
 _SOFT = 0.02
 

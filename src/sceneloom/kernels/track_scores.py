@@ -107,7 +107,7 @@ def shared_frames(
     true_count: int,
     found_count: int,
 ) -> Float64Array:
-    """Say in how many frames a true and a found object may be the same one.
+    """Report in how many frames a true and a found object may be the same one.
 
     Returns:
         (G, E) float64: the sum over frames of similarity / (sums over row and column - similarity).
@@ -288,7 +288,7 @@ def reached_columns(
     starts: Int64Array,
     least: float,
 ) -> BoolArray:
-    """Say of which columns a pair has a value above `least`, (N,) bool."""
+    """Report of which columns a pair has a value above `least`, (N,) bool."""
     reached = np.zeros(column_starts[-1], np.bool_)
     for f in range(len(starts) - 1):
         k = starts[f]

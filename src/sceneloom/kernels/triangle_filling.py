@@ -1,4 +1,4 @@
-"""Triangles over a picture: how steep they are, and what they tell of the pixels in them."""
+"""Triangles over an image: how steep they are, and what they report the pixels in them."""
 
 import math
 from typing import Any
@@ -19,7 +19,7 @@ _PART: dict[str, Any] = {"nogil": True, "inline": "always", "error_model": "nump
 
 _NOTHING, _HALF = np.float32(0.0), np.float32(0.5)
 _SLIVER = np.float32(0.1)
-"""Twice the least area of a triangle that tells a slope [px²]."""
+"""Twice the least area of a triangle that reports a slope [px²]."""
 
 _ROUNDING = np.float32(1e-4)
 """How far outside a triangle a pixel may lie and still be filled by it, as a share of the triangle."""
@@ -36,7 +36,7 @@ def measure_triangles(
         inverse_depths: (N,) [1/m].
         triangles: (T, 3).
         measures: (T, 3), written: area [px²]; length of the longest side [px]; how much the inverse depth changes for
-            a pixel, the steepest way [1/m/px], infinite for triangles without area.
+            a pixel, the steepest trajectory [1/m/px], infinite for triangles without area.
     """
     for t in range(triangles.shape[0]):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
@@ -67,7 +67,7 @@ def measure_slopes(
         inverse_depths: (N,) [1/m].
         triangles: (T, 3).
         trusts: (T,), 1 for one surface, 0 for a jump, which does not count.
-        slopes: (N, 2) [1/m/px], written: rightward and downward; 0 where no triangle tells.
+        slopes: (N, 2) [1/m/px], written: rightward and downward; 0 where no triangle reports.
         weights: (N,), overwritten.
     """
     slopes[:], weights[:] = _NOTHING, _NOTHING
@@ -118,8 +118,8 @@ def _evenness(
     for own in range(3):
         for other in range(3):
             k, m = corners[own], corners[other]
-            told = _rise(slopes, k, pixels[m, 0] - pixels[k, 0], pixels[m, 1] - pixels[k, 1])
-            off = max(off, abs(inverses[other] - inverses[own] - told))
+            reported = _rise(slopes, k, pixels[m, 0] - pixels[k, 0], pixels[m, 1] - pixels[k, 1])
+            off = max(off, abs(inverses[other] - inverses[own] - reported))
     one = np.float32(1)
     return min(one, most / least - one) * (min(one, off / (most - least)) if most > least else one)
 
@@ -146,13 +146,13 @@ def fill_triangles(
 ) -> None:
     """Fill the pixels of triangles: in inverse depth where these are trusted.
 
-    On one surface, each corner tells its inverse depth and half of what its slope adds on the way to the pixel, and
+    On one surface, each corner reports its inverse depth and half of what its slope adds on the way to the pixel, and
     the pixel's shares in the triangle weigh the three: exact for planes and for what bends evenly. Nothing leaves the
     range of the corners. Where slopes miss the other corners, and these are unlike in depth, depths are linear, which
     errs least where nobody knows: entirely so where they miss by all there is, and one corner is twice as far as
     another.
 
-    Across jumps, what the image told already stays, and where it told nothing, depths are linear.
+    Across jumps, what the image reported already stays, and where it reported nothing, depths are linear.
 
     Args:
         pixels: (N, 2) [px].
@@ -206,8 +206,8 @@ def fill_triangles(
                 inverse = min(most, max(least, of_a * ya + of_b * yb + of_c * yc + _HALF * bent))
                 linear = of_a * za + of_b * zb + of_c * zc
                 surface = (one - even) / inverse + even * linear
-                told = depth_image[row, u]
-                between = told if told > 0 else linear
+                reported = depth_image[row, u]
+                between = reported if reported > 0 else linear
                 depth_image[row, u] = trust * surface + (one - trust) * between
                 trust_image[row, u] = trust
                 spread_image[row, u] = spread

@@ -9,7 +9,7 @@ from sceneloom.kernels.cache import kernel
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def _overlap_more(a, i, b, j, least):  # type: ignore[no-untyped-def]
-    """Whether two boxes of a picture overlap by more than a share; those with NaN do not."""
+    """Whether two boxes of an image overlap by more than a share; those with NaN do not."""
     wide = min(a[i, 2], b[j, 2]) - max(a[i, 0], b[j, 0])
     high = min(a[i, 3], b[j, 3]) - max(a[i, 1], b[j, 1])
     if not (wide > 0.0 and high > 0.0):
@@ -27,10 +27,10 @@ def _overlap_more(a, i, b, j, least):  # type: ignore[no-untyped-def]
 )
 def without_twins(
     rows: Int64Array,
-    places: Float64Array,
+    locations: Float64Array,
     measured: BoolArray,
     corners: Float64Array,
-    known_places: Float64Array,
+    known_locations: Float64Array,
     known_measured: BoolArray,
     known_corners: Float64Array,
     share: float,
@@ -39,15 +39,15 @@ def without_twins(
     """Leave out boxes that are second boxes of a thing that is known, or of a box before them that was kept.
 
     A box that a sweep placed is one of a thing if their middles are nearer to each other on the ground than a share of
-    the thing's width. Where a sweep did not place both, they are one if their boxes in some picture overlap; of two
-    that sweeps place apart one may stand before the other, however they overlap there.
+    the thing's width. Where a sweep did not location both, they are one if their boxes in some image overlap; of two
+    that sweeps location apart one may stand before the other, however they overlap there.
 
     Args:
         rows: (K,), which boxes, the surest first.
-        places: (M, 3) [m], middles on the ground and widths of the boxes.
+        locations: (M, 3) [m], middles on the ground and widths of the boxes.
         measured: (M,), whether a sweep placed them.
-        corners: (C, M, 4) [px], in each picture; NaN where there is none.
-        known_places, known_measured, known_corners: the same of N things that are known.
+        corners: (C, M, 4) [px], in each image; NaN where there is none.
+        known_locations, known_measured, known_corners: the same of N things that are known.
         share: of a width.
         overlap: intersection over union.
 
@@ -57,13 +57,13 @@ def without_twins(
     kept, count = np.empty(len(rows), np.int64), 0
     for k in range(len(rows)):
         row, is_new = rows[k], True
-        for n in range(len(known_places) + count):
-            known = n < len(known_places)
-            i = n if known else kept[n - len(known_places)]
-            others, boxes = (known_places, known_corners) if known else (places, corners)
+        for n in range(len(known_locations) + count):
+            known = n < len(known_locations)
+            i = n if known else kept[n - len(known_locations)]
+            others, boxes = (known_locations, known_corners) if known else (locations, corners)
             placed = known_measured[i] if known else measured[i]
             if measured[row]:
-                x, y = places[row, 0] - others[i, 0], places[row, 1] - others[i, 1]
+                x, y = locations[row, 0] - others[i, 0], locations[row, 1] - others[i, 1]
                 if x * x + y * y < (share * others[i, 2]) ** 2:
                     is_new = False
             if is_new and not (measured[row] and placed):

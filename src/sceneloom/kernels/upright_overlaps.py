@@ -11,7 +11,7 @@ from sceneloom.kernels.cache import kernel
 _MOST_CORNERS = 8
 """Of what two rectangles share."""
 
-_PLACES = "float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1]"
+_LOCATIONS = "float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1]"
 
 
 @kernel("int64(float64[:,::1], int64, float64[:,::1], int64, float64, float64)", nogil=True, cache=True)
@@ -60,13 +60,13 @@ def _shared_ground(
         return 0.0
     cosine, sine = np.cos(first[i, 6]), np.sin(first[i, 6])
     along, across = cosine * east + sine * north, cosine * north - sine * east
-    turn = second[j, 6] - first[i, 6]
-    turned_x, turned_y = np.cos(turn) / 2.0, np.sin(turn) / 2.0
+    rotation_of_vector = second[j, 6] - first[i, 6]
+    rotated_x, rotated_y = np.cos(rotation_of_vector) / 2.0, np.sin(rotation_of_vector) / 2.0
     for k in range(4):
         forward = second[j, 3] if (k + 1) % 4 < 2 else -second[j, 3]
         leftward = second[j, 4] if k < 2 else -second[j, 4]
-        outline[k, 0] = along + turned_x * forward - turned_y * leftward
-        outline[k, 1] = across + turned_y * forward + turned_x * leftward
+        outline[k, 0] = along + rotated_x * forward - rotated_y * leftward
+        outline[k, 1] = across + rotated_y * forward + rotated_x * leftward
     count = _cut(outline, 4, kept, 0, 1.0, first[i, 3] / 2.0)
     count = _cut(kept, count, outline, 0, -1.0, first[i, 3] / 2.0)
     count = _cut(outline, count, kept, 1, 1.0, first[i, 4] / 2.0)
@@ -78,7 +78,7 @@ def _shared_ground(
     return max(area / 2.0, 0.0)
 
 
-@kernel(f"float64[::1]({_PLACES})", nogil=True, cache=True, error_model="numpy")
+@kernel(f"float64[::1]({_LOCATIONS})", nogil=True, cache=True, error_model="numpy")
 def overlaps_from_above(
     first: Float64Array,
     second: Float64Array,
@@ -109,7 +109,7 @@ def overlaps_from_above(
     return overlaps
 
 
-@kernel(f"float64[::1]({_PLACES})", nogil=True, cache=True, error_model="numpy")
+@kernel(f"float64[::1]({_LOCATIONS})", nogil=True, cache=True, error_model="numpy")
 def overlaps_in_space(
     first: Float64Array,
     second: Float64Array,

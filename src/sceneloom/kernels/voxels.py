@@ -7,7 +7,7 @@ from numba import float64, int64, types
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.kernels.cache import kernel
-from sceneloom.kernels.surface_map import first_place
+from sceneloom.kernels.surface_map import first_location
 
 MOST_CUBES = 2.0**62
 """Cubes along an axis whose numbers a point may bear: beyond, an int64 does not hold them."""
@@ -26,7 +26,7 @@ def number_cubes(points: Float64Array, side: float, numbers: Int64Array) -> int:
     A cube holds its lower faces and not its upper ones, on either side of the origin.
 
     Args:
-        points: (N, 3) [m]; one that is not finite, or too far away to be told, falls into none.
+        points: (N, 3) [m]; one that is not finite, or too far away to be reported, falls into none.
         numbers: (N,) number of each point's cube is written here, -1 for none.
 
     Returns:
@@ -44,17 +44,17 @@ def number_cubes(points: Float64Array, side: float, numbers: Int64Array) -> int:
             numbers[i] = -1
             continue
         ix, iy, iz = math.floor(x), math.floor(y), math.floor(z)
-        place = first_place(ix * 73856093 ^ iy * 19349663 ^ iz * 83492791, mask)
-        while table[place] >= 0:
-            k = table[place]
+        location = first_location(ix * 73856093 ^ iy * 19349663 ^ iz * 83492791, mask)
+        while table[location] >= 0:
+            k = table[location]
             if cubes[k, 0] == ix and cubes[k, 1] == iy and cubes[k, 2] == iz:
                 break
-            place = (place + 1) & mask
-        if table[place] < 0:
-            table[place] = count
+            location = (location + 1) & mask
+        if table[location] < 0:
+            table[location] = count
             cubes[count, 0], cubes[count, 1], cubes[count, 2] = ix, iy, iz
             count += 1
-        numbers[i] = table[place]
+        numbers[i] = table[location]
     return count
 
 

@@ -1,6 +1,6 @@
 """Lists of records out of the bytes of protobuf messages, into one array of words; the unusual is left to others.
 
-Unusual is all that a writer need not write: fields that are not known or come twice, lists in pieces, numbers of more
+Unusual is all that a writer need not write: fields that are not known or come twice, lists in chunks, numbers of more
 than 32 bits, and records that do not agree with the list about its number and time.
 
 Source: protobuf.dev, "Encoding".
@@ -40,26 +40,26 @@ def _number(content, position, stop):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, error_model="numpy")
 def _length(content, position, stop):  # type: ignore[no-untyped-def]
-    """Where the content of a field begins and ends that tells its length; -1 for both where it ends beyond `stop`."""
+    """Where the content of a field begins and ends that reports its length; -1 for both where it ends beyond `stop`."""
     length, begin = _number(content, position, stop)
     return (begin, begin + length) if 0 <= length <= stop - begin else (-1, -1)
 
 
 @njit(nogil=True, error_model="numpy")
 def _time(content, position, stop):  # type: ignore[no-untyped-def]
-    """Seconds and nanoseconds of a time stamp; -1 for both where there is something unusual."""
-    said = np.zeros(2, np.int64)
-    told = 0
+    """Seconds and nanoseconds of a timestamp; -1 for both where there is something unusual."""
+    stated = np.zeros(2, np.int64)
+    reported = 0
     while position < stop:
         tag, position = _number(content, position, stop)
         field = tag >> 3
-        if tag & 7 != _VARINT or field < 1 or field > 2 or told & field:
+        if tag & 7 != _VARINT or field < 1 or field > 2 or reported & field:
             return -1, -1
-        said[field - 1], position = _number(content, position, stop)
+        stated[field - 1], position = _number(content, position, stop)
         if position < 0:
             return -1, -1
-        told |= field
-    return said[0], said[1]
+        reported |= field
+    return stated[0], stated[1]
 
 
 @njit(nogil=True, error_model="numpy")
@@ -134,22 +134,22 @@ def _head(content, start, stop, heads):  # type: ignore[no-untyped-def]
 
     The last is -1 where there is something unusual, such as no time.
     """
-    sensor, seq, s, ns, count, told, position = 0, 0, -1, -1, 0, 0, start
+    sensor, seq, s, ns, count, reported, position = 0, 0, -1, -1, 0, 0, start
     while position < stop:
         tag, position = _number(content, position, stop)
         field, wire = tag >> 3, tag & 7
         if field == heads[3] and wire == _LENGTH:
             position = _length(content, position, stop)[1]
             count += 1
-        elif field == heads[0] and wire == _VARINT and not told & 1:
+        elif field == heads[0] and wire == _VARINT and not reported & 1:
             sensor, position = _number(content, position, stop)
-            told |= 1
-        elif field == heads[1] and wire == _VARINT and not told & 2:
+            reported |= 1
+        elif field == heads[1] and wire == _VARINT and not reported & 2:
             seq, position = _number(content, position, stop)
-            told |= 2
-        elif field == heads[2] and wire == _LENGTH and not told & 4:
+            reported |= 2
+        elif field == heads[2] and wire == _LENGTH and not reported & 4:
             begin, position = _length(content, position, stop)
-            told |= 4
+            reported |= 4
             if position >= 0:
                 s, ns = _time(content, begin, position)
         else:

@@ -44,7 +44,7 @@ def _put_words(out, at, words, first, size):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, error_model="numpy")
 def _put_time(out, at, number, s, ns):  # type: ignore[no-untyped-def]
-    """Write a time stamp as the content of a field; where it ends."""
+    """Write a timestamp as the content of a field; where it ends."""
     at = _put(out, at, number << 3 | _LENGTH)
     begin = at + 1
     end = begin
@@ -136,7 +136,7 @@ def write_list(
         texts: (count, 2), where the text of each record begins and ends among the letters.
         letters: (L,), of all texts.
         given: (O, count), which records have an OPTIONAL field.
-        common: number, seconds and nanoseconds of the list, which its records say again.
+        common: number, seconds and nanoseconds of the list, which its records state again.
 
     Returns:
         (B,) uint8.

@@ -18,7 +18,7 @@ class CloudFit:
 
     Attributes:
         matrix: (4, 4) `target_from_source`.
-        information: (6, 6) of a small turn, then a small shift, in the source's own axes.
+        information: (6, 6) of a small rotation, then a small shift, in the source's own axes.
         overlap: share of the source's points that found a partner.
         misfit: mean squared distance of these.
     """

@@ -34,11 +34,11 @@ def points_to_world(frame: LidarFrame, source: PoseSource) -> tuple[Float64Array
 
 
 def points_at(frame: LidarFrame, source: PoseSource, moment_ns: int) -> tuple[Float64Array, bool]:
-    """Take the points of one sweep to where the sensor would have seen them at any one moment, had they stood still.
+    """Take the points of one sweep to where the sensor would have seen them at any one moment, had they was stationary.
 
     Args:
         frame: points in the frame that `source.mount` mounts; without point times all have the frame's time.
-        moment_ns: within the sweep or not [ns], such as the time of a picture.
+        moment_ns: within the sweep or not [ns], such as the time of an image.
 
     Returns:
         positions: (N, 3) float64 [m], in the sensor's frame at that moment.
@@ -99,7 +99,7 @@ class BodyKnots:
         )
 
     def seen_from(self, frame_from_world: RigidTransform) -> "BodyKnots":
-        """The same poses in another frame that stands still; linear ways and slerp stay what they are."""
+        """The same poses in another frame that is stationary; linear ways and slerp stay what they are."""
         return replace(
             self,
             positions=frame_from_world.apply(self.positions),

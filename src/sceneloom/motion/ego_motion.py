@@ -1,4 +1,4 @@
-"""The way of the ego that a scene is placed by: recorded, or found from satellite fixes, IMU and lidar."""
+"""The ego trajectory that a scene is placed by: recorded, or found from satellite fixes, IMU and lidar."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,11 +12,11 @@ from sceneloom.motion.trajectories import GNSS, IMU, LIDAR, choose_trajectory
 from sceneloom.scene.annotations_frame import annotations_frame
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.ego import EgoMotion
-from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import ego_path
 from sceneloom.scene.types import Coordinates, PointsFrame, Progress
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 if TYPE_CHECKING:
     from sceneloom.motion.odometry.run import OdometryRun
@@ -30,7 +30,7 @@ def find_ego_motion(
     progress: Progress | None = None,
     lenient: bool = False,
 ) -> EgoMotion:
-    """Take a recorded way of the ego, or find it from satellite fixes, IMU and lidar; corrections are applied first.
+    """Take a recorded ego trajectory, or find it from satellite fixes, IMU and lidar; corrections are applied first.
 
     The arguments and errors are those of `ego_motion_as_given`.
     """
@@ -47,25 +47,25 @@ def ego_motion_as_given(
     progress: Progress | None = None,
     lenient: bool = False,
 ) -> EgoMotion:
-    """Take a recorded way of the ego, or find it, in the world of a scene whose corrections stay as they are.
+    """Take a recorded ego trajectory, or find it, in the world of a scene whose corrections stay as they are.
 
     Args:
-        name: a name out of `scene.trajectories`; "identity" for an ego that stands still; "gnss" to find the way from
-            satellite fixes, with IMU and lidar sweeps as far as there are; "lidar" to find it from the sweeps alone;
-            None for the scene's default trajectory, and where it has none for "gnss", then "lidar".
+        name: a name out of `scene.trajectories`; "identity" for an ego that is stationary; "gnss" to find the
+            trajectory from satellite fixes, with IMU and lidar sweeps as far as there are; "lidar" to find it from the
+            sweeps alone; None for the scene's default trajectory, and where it has none for "gnss", then "lidar".
         heading: "motion" to derive orientations from positions where a trajectory has none.
-        progress: told after each sweep, where the way is found from the sweeps.
+        progress: reported after each sweep, where the trajectory is found from the sweeps.
         lenient: pass over sweeps that cannot be read.
 
     Raises:
         OptionError: the name or the heading is unknown.
         PoseError: the scene has neither a trajectory nor a lidar to find one from, or the trajectory has no
-            orientations, or the way cannot be found from what is named.
+            orientations, or the trajectory cannot be found from what is named.
         DataError: a sweep cannot be read.
     """
     if name == IMU and name not in scene.trajectories:
         raise PoseError(
-            f"{scene.source}: an IMU alone tells how the ego turned, but not where it was; it serves "
+            f"{scene.source}: an IMU alone reports how the ego rotated, but not where it was; it serves "
             "`sceneloom edit deskew --trajectory imu` only"
         )
     if name is None and not scene.trajectories:
@@ -94,12 +94,15 @@ def check_odometry(scene: Scene) -> None:
 
 
 def is_computed(scene: Scene, name: str | None) -> bool:
-    """Whether the way of that name is found from the scene's measurements, rather than recorded in it."""
+    """Whether the trajectory of that name is found from the scene's measurements, rather than recorded in it."""
     return computed_name(scene, name) is not None
 
 
 def computed_name(scene: Scene, name: str | None) -> str | None:
-    """What the way of that name is found from, "gnss" or "lidar"; None where it is recorded, or cannot be found."""
+    """What the trajectory of that name is found from, "gnss" or "lidar"; None where it is recorded.
+
+    Or cannot be found.
+    """
     if name is not None:
         return name if name in {GNSS, LIDAR} and name not in scene.trajectories else None
     if scene.trajectories:
@@ -109,28 +112,32 @@ def computed_name(scene: Scene, name: str | None) -> str | None:
     return LIDAR if placeable_lidars(scene) else None
 
 
-def with_way_found(scene: Scene, ego: EgoMotion) -> Scene:
-    """The scene with the way that was found in it as its default trajectory, and with what is to be said of it.
+def with_trajectory_estimated(scene: Scene, ego: EgoMotion) -> Scene:
+    """The scene with the trajectory that was found in it as its default trajectory.
 
-    Where the world's axes are east, north and up at a known place, `metadata.sceneloom.enu_origin` tells it. A fusion
-    shifts the world; `world_from_file`, which it adds, leads back into this one.
+    And with what is to be stated of it.
+
+    Where the world's axes are east, north and up at a known location, `metadata.sceneloom.enu_origin` reports it. A
+    fusion shifts the world; `world_from_file`, which it adds, leads back into this one.
     """
     path = ego.path
-    way = Trajectory(
+    trajectory = Trajectory(
         ego.name, path.timestamps_ns, path.positions, path.quaternions_xyzw, covariances=ego.covariances
     )
     others = {name: other for name, other in scene.trajectories.items() if name != ego.name}
-    found = replace(scene, trajectories={ego.name: way, **others}, notices=(*scene.notices, *ego.notices))
+    found = replace(
+        scene, trajectories={ego.name: trajectory, **others}, warnings=(*scene.warnings, *ego.warnings)
+    )
     if ego.enu_origin_lla is None:
         return found
     origin = dict(zip(("latitude", "longitude", "altitude"), ego.enu_origin_lla, strict=True))
     ours = scene.metadata.get("sceneloom")
-    told = {**(ours if isinstance(ours, Mapping) else {}), "enu_origin": origin}
-    return replace(found, metadata={**scene.metadata, "sceneloom": told})
+    reported = {**(ours if isinstance(ours, Mapping) else {}), "enu_origin": origin}
+    return replace(found, metadata={**scene.metadata, "sceneloom": reported})
 
 
 def placeable_lidars(scene: Scene) -> tuple[LidarSensor, ...]:
-    """The lidars whose points are not in the world yet, so that they tell how the ego moved."""
+    """The lidars whose points are not in the world yet, so that they report how the ego moved."""
     return tuple(
         lidar
         for lidar in scene.lidars
@@ -145,8 +152,8 @@ def _followed(scene: Scene, progress: Progress | None, *, lenient: bool) -> "Odo
 
 
 def _from_lidar(scene: Scene, run: "OdometryRun", *, by_default: bool) -> EgoMotion:
-    notices = (_assumed(scene), *run.notices) if by_default else tuple(run.notices)
-    return _in_known_world(replace(EgoMotion.of(run.trajectory), notices=notices), scene)
+    warnings = (_assumed(scene), *run.warnings) if by_default else tuple(run.warnings)
+    return _in_known_world(replace(EgoMotion.of(run.trajectory), warnings=warnings), scene)
 
 
 def _from_gnss(
@@ -160,27 +167,28 @@ def _from_gnss(
 
     if heading not in {None, "motion"}:
         raise OptionError(f"heading {heading!r}; expected 'motion'")
-    lidar, told = _lidar_beside_gnss(scene, progress, lenient=lenient)
+    lidar, reported = _lidar_beside_gnss(scene, progress, lenient=lenient)
     run = gnss_imu_motion(scene, lidar=lidar)
     latitude, longitude, height = run.origin_lla.tolist()
-    way = run.trajectory
-    if way.quaternions_xyzw is None and heading == "motion":
-        ego = EgoMotion(way.name, headed_poses(way), heading)
-    elif way.quaternions_xyzw is None:
+    trajectory = run.trajectory
+    if trajectory.quaternions_xyzw is None and heading == "motion":
+        ego = EgoMotion(trajectory.name, headed_poses(trajectory), heading)
+    elif trajectory.quaternions_xyzw is None:
         raise PoseError(
-            f"{scene.source}: GNSS fixes tell positions without orientations, and there is no IMU; derive the heading "
-            "from the motion with `--heading motion`, or choose another with `--trajectory NAME`"
+            f"{scene.source}: GNSS fixes report positions without orientations, and there is no IMU; derive the "
+            f"heading "
+            "from the motion with `--orientation-from motion`, or choose another with `--trajectory NAME`"
         )
     else:
-        ego = EgoMotion.of(way)
-    notices = (*told, *run.notices, *_left_behind(scene))
-    return replace(ego, notices=notices, enu_origin_lla=(latitude, longitude, height))
+        ego = EgoMotion.of(trajectory)
+    warnings = (*reported, *run.warnings, *_left_behind(scene))
+    return replace(ego, warnings=warnings, enu_origin_lla=(latitude, longitude, height))
 
 
 def _lidar_beside_gnss(
     scene: Scene, progress: Progress | None, *, lenient: bool
-) -> tuple[Trajectory | None, tuple[Notice, ...]]:
-    """The way by lidar odometry to be taken in with the fixes, where there is one."""
+) -> tuple[Trajectory | None, tuple[DataWarning, ...]]:
+    """The trajectory by lidar odometry to be taken in with the fixes, where there is one."""
     if not gnss_receivers(scene) or not placeable_lidars(scene):
         return None, ()
     try:
@@ -188,18 +196,20 @@ def _lidar_beside_gnss(
     except PoseError as error:
         message = f"the lidar could not be taken in with the fixes: {error}"
         return None, (
-            Notice(kind=NoticeKind.SKIPPED, code="gnss-without-lidar", place=scene.source, message=message),
+            DataWarning(
+                kind=WarningKind.SKIPPED, code="gnss-without-lidar", location=scene.source, message=message
+            ),
         )
-    return run.trajectory, run.notices
+    return run.trajectory, run.warnings
 
 
 def _in_known_world(ego: EgoMotion, scene: Scene) -> EgoMotion:
     """Begin where a recorded trajectory says that the ego was then, so that what stands in its world stays right."""
     first_ns = ego.path.timestamps_ns[:1]
-    for way in scene.trajectories.values():
-        if way.quaternions_xyzw is None:
+    for trajectory in scene.trajectories.values():
+        if trajectory.quaternions_xyzw is None:
             continue
-        known = way.poses.interpolate(first_ns)
+        known = trajectory.poses.interpolate(first_ns)
         if known.coverage[0] == 0:
             return ego.seen_from(
                 RigidTransform.from_quaternion(known.positions[0], known.quaternions_xyzw[0])
@@ -207,25 +217,31 @@ def _in_known_world(ego: EgoMotion, scene: Scene) -> EgoMotion:
     return ego
 
 
-def _left_behind(scene: Scene) -> tuple[Notice, ...]:
-    """Say that annotations stand in the world of a recorded trajectory, which is not that of the fixes."""
+def _left_behind(scene: Scene) -> tuple[DataWarning, ...]:
+    """Report that annotations stand in the world of a recorded trajectory, which is not that of the fixes."""
     if not (scene.annotations and scene.trajectories) or annotations_frame(scene) is not Coordinates.WORLD:
         return ()
     names = ", ".join(scene.trajectories)
     message = (
         f"annotations stand in the world of the recorded trajectory ({names}) and were left there; the world of the "
-        "fixes has its axes east, north and up at the first of them, so that they may be out of place"
+        "fixes has its axes east, north and up at the first of them, so that they may be out of location"
     )
-    place, count = f"{scene.source}: annotations", len(scene.annotations)
+    location, count = f"{scene.source}: annotations", len(scene.annotations)
     return (
-        Notice(
-            kind=NoticeKind.ASSUMED, code="annotations-not-moved", place=place, message=message, count=count
+        DataWarning(
+            kind=WarningKind.ASSUMED,
+            code="annotations-not-moved",
+            location=location,
+            message=message,
+            count=count,
         ),
     )
 
 
-def _assumed(scene: Scene) -> Notice:
+def _assumed(scene: Scene) -> DataWarning:
     message = (
-        "no trajectory in it; the way of the ego was found from the lidar's sweeps (`--trajectory lidar`)"
+        "no trajectory in it; the ego trajectory was found from the lidar's sweeps (`--trajectory lidar`)"
     )
-    return Notice(kind=NoticeKind.ASSUMED, code="trajectory-from-lidar", place=scene.source, message=message)
+    return DataWarning(
+        kind=WarningKind.ASSUMED, code="trajectory-from-lidar", location=scene.source, message=message
+    )

@@ -1,4 +1,4 @@
-"""Which satellite receivers of a scene tell where it was."""
+"""Which satellite receivers of a scene report where it was."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from sceneloom.scene.motion import GnssSensor
 from sceneloom.scene.scene import Scene
 
 HIGHEST = 1e6
-"""Heights beyond it [m] no receiver tells that is carried by an ego; NaN stands for one that is not told."""
+"""Heights beyond it [m] no receiver reports that is carried by an ego; NaN stands for one that is not reported."""
 
 
 def gnss_receivers(scene: Scene) -> tuple[GnssSensor, ...]:
@@ -16,7 +16,7 @@ def gnss_receivers(scene: Scene) -> tuple[GnssSensor, ...]:
 
 
 def usable_fixes(receiver: GnssSensor) -> BoolArray:
-    """(N,) fixes that are places; a receiver without reception tells 0, 0."""
+    """(N,) fixes that are locations; a receiver without reception reports 0, 0."""
     latitude, longitude, height = receiver.positions_lla.T
     usable: BoolArray = (np.abs(latitude) <= 90.0) & (np.abs(longitude) <= 360.0)
     usable &= (latitude != 0.0) | (longitude != 0.0)
@@ -24,13 +24,13 @@ def usable_fixes(receiver: GnssSensor) -> BoolArray:
     return usable
 
 
-def usable_places(receiver: GnssSensor) -> tuple[Int64Array, Float64Array]:
-    """The rows (M,) of usable fixes, and their places (M, 3): latitude, longitude [deg] and height [m].
+def usable_positions(receiver: GnssSensor) -> tuple[Int64Array, Float64Array]:
+    """The rows (M,) of usable fixes, and their locations (M, 3): latitude, longitude [deg] and height [m].
 
-    A height that is not told is the median of those that are, 0 where none is.
+    A height that is not reported is the median of those that are, 0 where none is.
     """
     rows = np.flatnonzero(usable_fixes(receiver))
-    places = receiver.positions_lla[rows]
-    untold = np.isnan(places[:, 2])
-    places[untold, 2] = 0.0 if untold.all() else np.median(places[~untold, 2])
-    return rows, places
+    locations = receiver.positions_lla[rows]
+    untold = np.isnan(locations[:, 2])
+    locations[untold, 2] = 0.0 if untold.all() else np.median(locations[~untold, 2])
+    return rows, locations

@@ -4,31 +4,39 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import PoseError
-from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.poses import Poses, Trajectory
 
-LEAST_WAY = 0.5
-"""The way [m] over which a direction is measured: well above the noise of a smoothed position."""
+LEAST_TRAJECTORY = 0.5
+"""The trajectory [m] over which a direction is measured: well above the noise of a smoothed position."""
 
 
-def headed_poses(trajectory: Trajectory) -> PosePath:
+def headed_poses(trajectory: Trajectory) -> Poses:
     """Give each position the yaw and pitch of the way around it, without roll.
 
-    The direction at a position is the chord from the last position at least `LEAST_WAY` behind to the first at
-    least `LEAST_WAY` ahead along the way; while the ego stands, it keeps the direction that it came with.
+    The direction at a position is the chord from the last position at least `LEAST_TRAJECTORY` behind to the first at
+    least `LEAST_TRAJECTORY` ahead along the trajectory; while the ego stands, it keeps the direction that it came with.
 
     Raises:
-        PoseError: the ego never moves `LEAST_WAY`.
+        PoseError: the ego never moves `LEAST_TRAJECTORY`.
     """
     positions = trajectory.positions
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
-    if len(way) == 0 or way[-1] < LEAST_WAY:
+    estimated_trajectory = np.concatenate(
+        [[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))]
+    )
+    if len(estimated_trajectory) == 0 or estimated_trajectory[-1] < LEAST_TRAJECTORY:
         raise PoseError(
-            f"trajectory {trajectory.name!r} moves {way[-1] if len(way) else 0.0:.2f} m in all; "
-            f"a heading needs at least {LEAST_WAY} m; choose another with `--trajectory NAME`"
+            f"trajectory {trajectory.name!r} moves "
+            f"{estimated_trajectory[-1] if len(estimated_trajectory) else 0.0:.2f} m in all; "
+            f"a heading needs at least {LEAST_TRAJECTORY} m; choose another with `--trajectory NAME`"
         )
-    behind = np.maximum(np.searchsorted(way, way - LEAST_WAY, side="right") - 1, 0)
-    ahead = np.minimum(np.searchsorted(way, way + LEAST_WAY, side="left"), len(way) - 1)
-    return PosePath(
+    behind = np.maximum(
+        np.searchsorted(estimated_trajectory, estimated_trajectory - LEAST_TRAJECTORY, side="right") - 1, 0
+    )
+    ahead = np.minimum(
+        np.searchsorted(estimated_trajectory, estimated_trajectory + LEAST_TRAJECTORY, side="left"),
+        len(estimated_trajectory) - 1,
+    )
+    return Poses(
         trajectory.timestamps_ns, positions, _quaternions_along(positions[ahead] - positions[behind])
     )
 

@@ -16,7 +16,7 @@ LARGEST_SAMPLE = 1e5
 
 
 def measured_rows(values: Float64Array) -> BoolArray:
-    """Which rows of (N, K) samples are numbers that a sensor may tell, (N,) bool."""
+    """Which rows of (N, K) samples are numbers that a sensor may report, (N,) bool."""
     return np.asarray((np.abs(values) <= LARGEST_SAMPLE).all(axis=1), np.bool_)
 
 

@@ -1,4 +1,4 @@
-"""How the ego turned, from its IMU alone; how fast it went, no IMU tells."""
+"""How the ego rotated, from its IMU alone; how fast it went, no IMU reports."""
 
 from dataclasses import dataclass
 
@@ -18,23 +18,23 @@ from sceneloom.motion.imu_samples import (
     gaps_between,
     usable_samples,
 )
-from sceneloom.motion.standing import Standing, find_standing
+from sceneloom.motion.stationary import Stationary, find_stationary
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.motion import ImuSensor, VectorSamples
-from sceneloom.scene.notices import Notice, NoticeKind
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InertialMotion:
-    """The turning of the ego.
+    """The rotating of the ego.
 
     Attributes:
         ego: `world_from_ego` under the name "imu": its axes at the first sample are the world's, and its position
-            stays at the origin, since an IMU does not tell it.
+            stays at the origin, since an IMU does not report it.
         gaps_ns: (G, 2) int64 [ns], between which samples are missing.
-        bias: (3,) float64 [rad/s], what the gyroscope told while the ego stood, taken off; None where it never did.
+        bias: (3,) float64 [rad/s], what the gyroscope reported while the ego stood, taken off; None where it never did.
     """
 
     ego: EgoMotion
@@ -47,33 +47,33 @@ class InertialMotion:
 
 
 def imu_motion(scene: Scene) -> InertialMotion:
-    """Integrate the turn rates of the scene's first IMU with a gyroscope; the IMU's frame is the ego's.
+    """Integrate the yaw rates of the scene's first IMU with a gyroscope; the IMU's frame is the ego's.
 
     Raises:
-        PoseError: there is no IMU, or none with two turn rates or more.
+        PoseError: there is no IMU, or none with two yaw rates or more.
     """
     imu, rates = _rates_of(scene)
     times, values, left_out = usable_samples(rates)
-    place = f"{scene.source}: sensors[{imu.id}].streams.{GYROSCOPE}"
+    location = f"{scene.source}: sensors[{imu.id}].streams.{GYROSCOPE}"
     if len(times) < 2:
         raise PoseError(
-            f"{place}: {len(times)} usable samples; expected two or more to tell how the ego turned"
+            f"{location}: {len(times)} usable samples; expected two or more to report how the ego rotated"
         )
-    standing = _standing(imu, times, values)
-    bias = None if standing is None else standing.rate
-    turning = integrate_rates(times, values if bias is None else values - bias)
+    stationary = _stationary(imu, times, values)
+    bias = None if stationary is None else stationary.rate
+    rotating = integrate_rates(times, values if bias is None else values - bias)
     gaps_ns = gaps_between(times)
-    notices = [_rotation_only(place), _bias_notice(place, standing)]
+    warnings = [_rotation_only(location), _bias_warning(location, stationary)]
     if left_out:
         message = "samples that are no numbers, or not later than the one before, were left out"
-        notices.append(_notice(NoticeKind.REPAIRED, "imu-samples", place, message, left_out))
+        warnings.append(_warning(WarningKind.REPAIRED, "imu-samples", location, message, left_out))
     if len(gaps_ns):
         message = (
             f"at least {MISSING_SAMPLES} samples in a row are missing; sweeps in such a gap stay as they are"
         )
-        notices.append(_notice(NoticeKind.SKIPPED, "imu-gaps", place, message, len(gaps_ns)))
-    path = PosePath(times, np.zeros((len(times), 3)), turning)
-    return InertialMotion(EgoMotion("imu", path, notices=tuple(notices)), gaps_ns, bias)
+        warnings.append(_warning(WarningKind.SKIPPED, "imu-gaps", location, message, len(gaps_ns)))
+    path = Poses(times, np.zeros((len(times), 3)), rotating)
+    return InertialMotion(EgoMotion("imu", path, warnings=tuple(warnings)), gaps_ns, bias)
 
 
 def integrate_rates(timestamps_ns: Int64Array, rates: Float64Array) -> Float64Array:
@@ -84,7 +84,7 @@ def integrate_rates(timestamps_ns: Int64Array, rates: Float64Array) -> Float64Ar
 
     Args:
         timestamps_ns: (N,) int64 [ns], strictly increasing, N >= 1.
-        rates: (N, 3) float64 [rad/s], in the frame that turns.
+        rates: (N, 3) float64 [rad/s], in the frame that rotations.
 
     Returns:
         (N, 4) float64 unit quaternions xyzw, `first_from_body`.
@@ -95,21 +95,21 @@ def integrate_rates(timestamps_ns: Int64Array, rates: Float64Array) -> Float64Ar
     seconds = np.diff(timestamps_ns)[:, None] * 1e-9
     before, after = rates[:-1], rates[1:]
     vectors = 0.5 * seconds * (before + after) + seconds**2 / 12.0 * np.cross(before, after)
-    turns = np.vstack([[[0.0, 0.0, 0.0, 1.0]], quaternion_from_rotation_vector(vectors)])
-    return running_product(turns)
+    rotations = np.vstack([[[0.0, 0.0, 0.0, 1.0]], quaternion_from_rotation_vector(vectors)])
+    return running_product(rotations)
 
 
-def running_product(turns: Float64Array) -> Float64Array:
+def running_product(rotations: Float64Array) -> Float64Array:
     """Products of the first 1, 2, … N of (N, 4) quaternions: all blocks side by side, then block after block."""
-    length = int(np.ceil(np.sqrt(len(turns))))
-    blocks = np.tile([0.0, 0.0, 0.0, 1.0], (-(-len(turns) // length) * length, 1))
-    blocks[: len(turns)] = turns
+    length = int(np.ceil(np.sqrt(len(rotations))))
+    blocks = np.tile([0.0, 0.0, 0.0, 1.0], (-(-len(rotations) // length) * length, 1))
+    blocks[: len(rotations)] = rotations
     blocks = blocks.reshape(-1, length, 4)
     for column in range(1, length):
         blocks[:, column] = multiply_quaternions(blocks[:, column - 1], blocks[:, column])
     for row in range(1, len(blocks)):
         blocks[row] = multiply_quaternions(blocks[row - 1, -1], blocks[row])
-    return normalise_quaternion(blocks.reshape(-1, 4)[: len(turns)])
+    return normalise_quaternion(blocks.reshape(-1, 4)[: len(rotations)])
 
 
 def _rates_of(scene: Scene) -> tuple[ImuSensor, VectorSamples]:
@@ -118,36 +118,35 @@ def _rates_of(scene: Scene) -> tuple[ImuSensor, VectorSamples]:
         if GYROSCOPE in imu.streams:
             return imu, imu.streams[GYROSCOPE]
     if not imus:
-        raise PoseError(f"{scene.source}: no IMU in it; expected one to tell how the ego turned")
+        raise PoseError(f"{scene.source}: no IMU in it; expected one to report how the ego rotated")
     streams = [name for imu in imus for name in imu.streams]
     raise PoseError(f"{scene.source}: the IMU has no {GYROSCOPE}; it has: {', '.join(streams) or 'nothing'}")
 
 
-def _standing(imu: ImuSensor, times_ns: Int64Array, rates: Float64Array) -> Standing | None:
+def _stationary(imu: ImuSensor, times_ns: Int64Array, rates: Float64Array) -> Stationary | None:
     if ACCELEROMETER not in imu.streams:
         return None
     force_times, forces, _ = usable_samples(imu.streams[ACCELEROMETER])
-    return find_standing(times_ns, rates, force_times, forces)
+    return find_stationary(times_ns, rates, force_times, forces)
 
 
-def _rotation_only(place: str) -> Notice:
+def _rotation_only(location: str) -> DataWarning:
     message = (
-        "an IMU alone tells how the ego turned, not how fast it went: of the motion during a sweep only the turning "
+        "an IMU alone reports how the ego rotated, not how fast it went: of the motion during a sweep only the "
+        "rotating "
         "is undone"
     )
-    return _notice(NoticeKind.ASSUMED, "rotation-only", place, message)
+    return _warning(WarningKind.ASSUMED, "rotation-only", location, message)
 
 
-def _bias_notice(place: str, standing: Standing | None) -> Notice:
-    if standing is None:
+def _bias_warning(location: str, stationary: Stationary | None) -> DataWarning:
+    if stationary is None:
         message = "the ego was never seen to stand, so the gyroscope's bias is not known and was left in"
-        return _notice(NoticeKind.ASSUMED, "gyroscope-bias-unknown", place, message)
-    rate = ", ".join(f"{value:.5f}" for value in standing.rate)
-    message = (
-        f"the ego stood for {standing.seconds:.1f} s; the rate then, {rate} rad/s, was taken off as the bias"
-    )
-    return _notice(NoticeKind.REPAIRED, "gyroscope-bias", place, message)
+        return _warning(WarningKind.ASSUMED, "gyroscope-bias-unknown", location, message)
+    rate = ", ".join(f"{value:.5f}" for value in stationary.rate)
+    message = f"the ego stood for {stationary.seconds:.1f} s; the rate then, {rate} rad/s, was taken off as the bias"
+    return _warning(WarningKind.REPAIRED, "gyroscope-bias", location, message)
 
 
-def _notice(kind: NoticeKind, code: str, place: str, message: str, count: int = 1) -> Notice:
-    return Notice(kind=kind, code=code, place=place, message=message, count=count)
+def _warning(kind: WarningKind, code: str, location: str, message: str, count: int = 1) -> DataWarning:
+    return DataWarning(kind=kind, code=code, location=location, message=message, count=count)

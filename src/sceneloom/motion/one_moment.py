@@ -44,7 +44,7 @@ MOMENTS: Mapping[str, Callable[[Int64Array], int]] = MappingProxyType(
 """The moments of a sweep that its points can be brought to, by its point times (N,) int64 [ns], N >= 1."""
 
 _LOOKS = 5
-"""Sweeps that are looked at to tell where in a sweep its stamp is."""
+"""Sweeps that are looked at to report where in a sweep its timestamp is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +75,7 @@ class Deskewer:
     Attributes:
         source: takes the points as stored into the world.
         period_ns: from sweep to sweep.
-        offset_ns: from a sweep's stamp to the moment that its points are brought to.
+        offset_ns: from a sweep's timestamp to the moment that its points are brought to.
         gaps_ns: (G, 2) int64 [ns], between which the motion is not known.
     """
 
@@ -149,7 +149,7 @@ def _at_moment(
 
 
 def _left(timed: TimedFrame, measured_ns: Int64Array, moment_ns: int, reason: str) -> DeskewedFrame:
-    """Leave a sweep as it was measured; its stamp moves like those of the others, its points keep their times."""
+    """Leave a sweep as it was measured; its timestamp moves like those of the others, its points keep their times."""
     points = replace(timed.frame.points, timestamps_ns=measured_ns)
     extras = _without_file_seconds(timed.frame)
     if reason not in {INSTANT, EMPTY}:
@@ -164,7 +164,7 @@ def _left(timed: TimedFrame, measured_ns: Int64Array, moment_ns: int, reason: st
 
 
 def _without_file_seconds(frame: LidarFrame) -> dict[str, object]:
-    """The further fields of a sweep whose stamp moved: the file's own number of it no longer holds."""
+    """The further fields of a sweep whose timestamp moved: the file's own number of it no longer holds."""
     return {name: value for name, value in frame.extras.items() if name != "file_seconds"}
 
 
@@ -180,7 +180,7 @@ class DeskewedFrames:
         deskewer: Deskewer,
         on_frame: Callable[[int, DeskewedFrame], None] | None = None,
     ) -> None:
-        """Hold the sweeps as measured; `on_frame` is told of each one after it was deskewed."""
+        """Hold the sweeps as measured; `on_frame` is reported each one after it was deskewed."""
         self._frames, self._deskewer, self._on_frame = frames, deskewer, on_frame
         self._last: tuple[int, RawTimes | None] = (-1, None)
 
@@ -210,15 +210,15 @@ class DeskewedFrames:
 
 
 def typical_offset_ns(frames: LazyFrames[LidarFrame], period_ns: int, at: str) -> int:
-    """The usual time from a sweep's stamp to a moment of it, judged by a few sweeps spread over the drive.
+    """The usual time from a sweep's timestamp to a moment of it, judged by a few sweeps spread over the drive.
 
-    One offset for all sweeps keeps their moments as even as their stamps are, and known without reading them.
+    One offset for all sweeps keeps their moments as even as their timestamps are, and known without reading them.
 
     Args:
         at: one of `MOMENTS`.
 
     Returns:
-        The median offset [ns], 0 where no sweep has times that tell anything.
+        The median offset [ns], 0 where no sweep has times that report anything.
     """
     offsets = []
     for k in np.unique(np.linspace(0, len(frames) - 1, min(_LOOKS, len(frames))).astype(int)).tolist():
@@ -230,5 +230,5 @@ def typical_offset_ns(frames: LazyFrames[LidarFrame], period_ns: int, at: str) -
         times = timed_frame(frame, period_ns, previous=raw).frame.points.timestamps_ns
         if times is not None and len(times):
             offsets.append(MOMENTS[at](times) - frame.timestamp_ns)
-    # whole microseconds: where the stamps are such, the moments can be written as exactly
+    # whole microseconds: where the timestamps are such, the moments can be written as exactly
     return round(float(np.median(offsets)) / 1000) * 1000 if offsets else 0

@@ -7,11 +7,11 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.geometry.interpolation import thin_poses
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.cameras import Picture
+from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.depth import DepthFrame
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 
 _BETWEEN = 4
 """Looks between two poses of the path: a mounted sensor moves on an arc there, not on a line."""
@@ -20,7 +20,7 @@ _FRAMES_AT_ONCE = 256
 """Poses between two frames depend on nothing beyond these, so long drives are looked at piece by piece."""
 
 
-def sensor_path(source: PoseSource, frame_times_ns: Int64Array) -> PosePath | None:
+def sensor_path(source: PoseSource, frame_times_ns: Int64Array) -> Poses | None:
     """Give `world_from_sensor` at each frame's time, and wherever else interpolation would miss it.
 
     Between the first and the last frame the result stays within 1 mm and 0.01 degrees of the source.
@@ -39,23 +39,21 @@ def sensor_path(source: PoseSource, frame_times_ns: Int64Array) -> PosePath | No
     between = [_times_between(source, frames[k : k + _FRAMES_AT_ONCE + 1]) for k in starts]
     times = np.unique(np.concatenate([frames, *between]))
     poses = source.at(times)
-    return PosePath(times, poses.positions, poses.quaternions_xyzw)
+    return Poses(times, poses.positions, poses.quaternions_xyzw)
 
 
-def camera_path(
-    source: PoseSource, pictures: LazyFrames[Picture] | LazyFrames[DepthFrame]
-) -> PosePath | None:
-    """Give `world_from_camera` as `sensor_path` does, each picture's pose by its own mounting where it has one.
+def camera_path(source: PoseSource, images: LazyFrames[CameraImage] | LazyFrames[DepthFrame]) -> Poses | None:
+    """Give `world_from_camera` as `sensor_path` does, each image's pose by its own mounting where it has one.
 
     Raises:
-        DataError: a picture's record cannot be read.
+        DataError: an image's record cannot be read.
     """
     if source.own:
-        return sensor_path(source, pictures.timestamps_ns)
-    mounts = [picture.mount for picture in pictures]
-    stamped = zip(pictures.timestamps_ns.tolist(), mounts, strict=True)
+        return sensor_path(source, images.timestamps_ns)
+    mounts = [image.mount for image in images]
+    timestamped = zip(images.timestamps_ns.tolist(), mounts, strict=True)
     paths = []
-    for _, run in groupby(stamped, key=lambda entry: _key(entry[1])):
+    for _, run in groupby(timestamped, key=lambda entry: _key(entry[1])):
         times, same = zip(*run, strict=True)
         path = sensor_path(source.mounted(same[0]), np.array(times, np.int64))
         if path is not None:
@@ -67,10 +65,10 @@ def _key(mount: RigidTransform | None) -> bytes:
     return b"" if mount is None else mount.matrix.tobytes()
 
 
-def _joined(paths: list[PosePath]) -> PosePath:
+def _joined(paths: list[Poses]) -> Poses:
     """One path after the other; of poses at one time the first counts."""
     times, rows = np.unique(np.concatenate([path.timestamps_ns for path in paths]), return_index=True)
-    return PosePath(
+    return Poses(
         times,
         np.concatenate([path.positions for path in paths])[rows],
         np.concatenate([path.quaternions_xyzw for path in paths])[rows],

@@ -1,10 +1,10 @@
-"""Which way of the ego a scene is fused by."""
+"""Which ego trajectory a scene is fused by."""
 
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.motion.heading import headed_poses
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.motion import GnssSensor
-from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene
 
 IDENTITY = "identity"
@@ -18,7 +18,7 @@ def choose_trajectory(scene: Scene, *, name: str | None = None, heading: str | N
     """Take the trajectory of that name, or the scene's default one.
 
     Args:
-        name: a name out of `scene.trajectories`, "identity" for an ego that stands still, None for the default.
+        name: a name out of `scene.trajectories`, "identity" for an ego that is stationary, None for the default.
         heading: "motion" to derive orientations from positions where a trajectory has none.
 
     Raises:
@@ -28,20 +28,20 @@ def choose_trajectory(scene: Scene, *, name: str | None = None, heading: str | N
     if heading not in {None, "motion"}:
         raise OptionError(f"heading {heading!r}; expected 'motion'")
     if name == IDENTITY:
-        return EgoMotion(IDENTITY, PosePath.identity())
+        return EgoMotion(IDENTITY, Poses.identity())
     if name in RESERVED and name not in scene.trajectories:
         raise PoseError(
-            f"{scene.source}: nothing in it tells the way by {name!r}; choose one of: {_choices(scene)}"
+            f"{scene.source}: nothing in it reports the trajectory by {name!r}; choose one of: {_choices(scene)}"
         )
     if name is None and not scene.trajectories and not scene.lidars:
         raise PoseError(
             f"{scene.source}: no trajectory in it, and no lidar to find one from; "
-            "say `--trajectory identity` for an ego that stood still"
+            "state `--trajectory identity` for an ego that was stationary"
         )
     if name is None and not scene.trajectories:
         raise PoseError(
             f"{scene.source}: no trajectory in it, so where the ego was at each time is unknown; "
-            "say `--trajectory identity` for an ego that stood still"
+            "state `--trajectory identity` for an ego that was stationary"
         )
     chosen = next(iter(scene.trajectories)) if name is None else name
     if chosen not in scene.trajectories:

@@ -17,16 +17,16 @@ from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.formats.depth_images import write_confidence_png, write_depth_npz, write_depth_png
 from sceneloom.formats.output import check_output, filling, replacing
 from sceneloom.fusion.configuration import FusionConfiguration
-from sceneloom.pictures.canvas import counting_left_out, leave_out
-from sceneloom.pictures.dense_depths import draw_dense_depth
+from sceneloom.images.canvas import counting_left_out, leave_out
+from sceneloom.images.dense_depths import draw_dense_depth
+from sceneloom.pipeline.aligned.scene import Aligned, align
 from sceneloom.pipeline.fusing.sinks import lidar_folders, names_of
 from sceneloom.pipeline.needed_lidar import check_has_lidar
 from sceneloom.pipeline.play import Skips, build_system, play, telling
-from sceneloom.pipeline.woven.scene import Woven, weave
 from sceneloom.scene.cameras import CameraSensor
-from sceneloom.scene.notices import Notice
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, Progress, key_of
+from sceneloom.scene.warnings import DataWarning
 
 SPARSE = "sparse"
 DEPTH_METHODS = (SPARSE, *METHODS)
@@ -60,11 +60,11 @@ class DepthReport(msgspec.Struct, frozen=True, kw_only=True):
         method: how they were made.
         sweeps: how many the drive, or the chosen part of it, has.
         unfused: how many of them could not be placed, by reason.
-        skipped: one line for each sweep and picture that could not be read.
+        skipped: one line for each sweep and image that could not be read.
         cameras: the images of each camera.
         beyond_range: pixels whose depths the form cannot hold; they are written as 0.
         seconds: how long it took.
-        notices: what was assumed, repaired or left out.
+        warnings: what was assumed, repaired or left out.
     """
 
     source: str
@@ -76,11 +76,11 @@ class DepthReport(msgspec.Struct, frozen=True, kw_only=True):
     cameras: tuple[DepthCameraReport, ...]
     beyond_range: int
     seconds: float
-    notices: tuple[Notice, ...]
+    warnings: tuple[DataWarning, ...]
 
 
 @dataclass(slots=True)
-class _Tally:
+class _Statistics:
     images: int = 0
     filled: float = 0.0
     confidence: float = 0.0
@@ -110,10 +110,10 @@ class _Writer:
     names: Mapping[Identifier, str]
     form: str
     confidence: bool
-    pictures: Path | None
+    images: Path | None
     drawn: Mapping[Identifier, Path]
     beyond_range: int = 0
-    tallies: dict[Identifier, _Tally] = field(default_factory=dict)
+    tallies: dict[Identifier, _Statistics] = field(default_factory=dict)
 
     def add(self, frame: FusedFrame, view: FusedView, dense: DenseDepth) -> None:
         """Write one image, and what goes with it."""
@@ -126,9 +126,9 @@ class _Writer:
             self.beyond_range += write_depth_png(dense.depths, target)
         if self.confidence and self.form == "png":
             write_confidence_png(dense.confidence, _made(folder / "confidence") / f"{name}.png")
-        if self.pictures is not None:
-            place = _made(self.drawn[frame.lidar_id] / self.names[view.camera_id]) / f"{name}.png"
-            with replacing(place, overwrite=False) as draft:
+        if self.images is not None:
+            location = _made(self.drawn[frame.lidar_id] / self.names[view.camera_id]) / f"{name}.png"
+            with replacing(location, overwrite=False) as draft:
                 draw_dense_depth(view, dense).save(draft, "PNG", compress_level=2)
         self.tallies[view.camera_id].add(dense)
         self._note(frame, view, target)
@@ -139,7 +139,7 @@ class _Writer:
             "lidar": frame.lidar_id,
             "sweep_ns": frame.timestamp_ns,
             "camera": view.camera_id,
-            "picture_ns": view.timestamp_ns,
+            "image_ns": view.timestamp_ns,
         }
         with (self.folder / "index.jsonl").open("ab") as lines:
             lines.write(msgspec.json.encode(record) + b"\n")
@@ -153,7 +153,7 @@ def write_depth_images(
     form: str = "png",
     cameras: Iterable[Identifier] | None = None,
     confidence: bool = False,
-    pictures: str | Path | None = None,
+    images: str | Path | None = None,
     trajectory: str | None = None,
     heading: str | None = None,
     start: float | None = None,
@@ -163,10 +163,10 @@ def write_depth_images(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> DepthReport:
-    """Write a depth image for each sweep and each picture that belongs to it.
+    """Write a depth image for each sweep and each image that belongs to it.
 
     Sweeps are read, completed and let go one after another. `index.jsonl` in the folder says of each image which sweep
-    and which picture it is of.
+    and which image it is of.
 
     Args:
         folder: for the images: `<camera>/<number of the sweep>.png`; of several lidars, below `<lidar>/`.
@@ -174,29 +174,29 @@ def write_depth_images(
         form: "png" (16 bit, metres times 256) or "npz" (float32 metres and confidence).
         cameras: the only cameras; None for all.
         confidence: write `<camera>/confidence/<number>.png` (8 bit, 255 for 1) beside PNG images; NPZ always hold it.
-        pictures: folder for pictures to look at: photograph, depths and confidence.
-        trajectory: name of the ego's way; "identity" for an ego that stands still; "lidar" to find it from the sweeps;
-            None for the scene's default.
+        images: folder for images to look at: image, depths and confidence.
+        trajectory: name of the ego trajectory; "identity" for an ego that is stationary; "lidar" to find it from the
+            sweeps; None for the scene's default.
         heading: "motion" to derive orientations where the trajectory has positions only.
-        start: seconds after the scene's first time stamp, None for the beginning.
+        start: seconds after the scene's first timestamp, None for the beginning.
         stop: seconds after it, exclusive, None for the end.
         configuration: settings of the fusion system.
-        lenient: count sweeps and pictures that cannot be read, and go on.
+        lenient: count sweeps and images that cannot be read, and go on.
         overwrite: whether files that exist may be replaced.
-        progress: told after each sweep.
+        progress: reported after each sweep.
 
     Raises:
         PoseError: the sensors' motion is not known, or at the time of no sweep.
-        DataError: there is no lidar or no camera, or a sweep or a picture cannot be read.
+        DataError: there is no lidar or no camera, or a sweep or an image cannot be read.
         OutputError: the folder holds something, or cannot be written.
         OptionError: a value is not one that can be followed.
     """
     begun = time.perf_counter()
-    place, drawn = Path(folder), None if pictures is None else Path(pictures)
-    _check_choices(method, form, place, drawn, overwrite=overwrite)
+    location, drawn = Path(folder), None if images is None else Path(images)
+    _check_choices(method, form, location, drawn, overwrite=overwrite)
     scene = scene.corrected()
     skips = Skips() if lenient else None
-    woven = weave(
+    aligned = align(
         _with_cameras(scene, cameras),
         trajectory=trajectory,
         heading=heading,
@@ -204,16 +204,16 @@ def write_depth_images(
         stop=stop,
         lenient=lenient,
     )
-    system = build_system(woven.scene, woven.ego, configuration or FusionConfiguration())
+    system = build_system(aligned.scene, aligned.ego, configuration or FusionConfiguration())
     if skips is not None:
         system.on_unreadable = skips.add
-    total = sum(len(lidar.frames) for lidar in woven.scene.lidars)
+    total = sum(len(lidar.frames) for lidar in aligned.scene.lidars)
     unfused: dict[str, int] = {}
     with telling(skips), counting_left_out() as left, ExitStack() as stack:
         writer = _open_writer(
-            woven, place, drawn, stack, form=form, confidence=confidence, overwrite=overwrite
+            aligned, location, drawn, stack, form=form, confidence=confidence, overwrite=overwrite
         )
-        for done, frame in enumerate(play(woven.scene, system, skips=skips), start=1):
+        for done, frame in enumerate(play(aligned.scene, system, skips=skips), start=1):
             leave_out("points", int((~finite_rows(frame.points.positions)).sum()))
             if frame.unfused is not None:
                 unfused[frame.unfused] = unfused.get(frame.unfused, 0) + 1
@@ -221,18 +221,18 @@ def write_depth_images(
                 writer.add(frame, view, _depths_of(view, method))
             if progress is not None:
                 progress(done, total)
-        _refuse_nothing_written(woven.scene, total, unfused)
+        _refuse_nothing_written(aligned.scene, total, unfused)
     return DepthReport(
         source=scene.source,
-        folder=str(place),
+        folder=str(location),
         method=method,
         sweeps=total,
         unfused=unfused,
         skipped=() if skips is None else tuple(skips.reasons),
-        cameras=tuple(tally.report(camera_id) for camera_id, tally in writer.tallies.items()),
+        cameras=tuple(statistics.report(camera_id) for camera_id, statistics in writer.tallies.items()),
         beyond_range=writer.beyond_range,
         seconds=time.perf_counter() - begun,
-        notices=(*woven.scene.notices, *left.notices),
+        warnings=(*aligned.scene.warnings, *left.warnings),
     )
 
 
@@ -242,7 +242,7 @@ def _depths_of(view: FusedView, method: str) -> DenseDepth:
     return complete_depth(view, method=method)
 
 
-def _check_choices(method: str, form: str, folder: Path, pictures: Path | None, *, overwrite: bool) -> None:
+def _check_choices(method: str, form: str, folder: Path, images: Path | None, *, overwrite: bool) -> None:
     """Refuse what cannot be followed before anything is read."""
     choices: Sequence[tuple[str, str, tuple[str, ...]]] = (
         ("method", method, DEPTH_METHODS),
@@ -251,14 +251,14 @@ def _check_choices(method: str, form: str, folder: Path, pictures: Path | None, 
     for name, value, known in choices:
         if value not in known:
             raise OptionError(f"{name} {value!r}; expected one of {', '.join(known)}")
-    if pictures is not None and pictures.absolute() == folder.absolute():
-        raise OptionError(f"{folder}: named for depth images and for pictures; expected two folders")
-    for place in filter(None, (folder, pictures)):
-        check_output(place, overwrite=overwrite)
+    if images is not None and images.absolute() == folder.absolute():
+        raise OptionError(f"{folder}: named for depth images and for images; expected two folders")
+    for location in filter(None, (folder, images)):
+        check_output(location, overwrite=overwrite)
 
 
 def _with_cameras(scene: Scene, cameras: Iterable[Identifier] | None) -> Scene:
-    """Leave out the pictures of all cameras but some, which need not be decoded then."""
+    """Leave out the images of all cameras but some, which need not be decoded then."""
     check_has_lidar(scene, "depth images need")
     if not scene.cameras:
         raise DataError(scene.source, "", "no camera in it; depth images need one")
@@ -274,9 +274,9 @@ def _with_cameras(scene: Scene, cameras: Iterable[Identifier] | None) -> Scene:
 
 
 def _open_writer(
-    woven: Woven,
+    aligned: Aligned,
     folder: Path,
-    pictures: Path | None,
+    images: Path | None,
     stack: ExitStack,
     *,
     form: str,
@@ -284,16 +284,16 @@ def _open_writer(
     overwrite: bool,
 ) -> _Writer:
     filled = stack.enter_context(filling(folder, overwrite=overwrite))
-    drawn = None if pictures is None else stack.enter_context(filling(pictures, overwrite=overwrite))
+    drawn = None if images is None else stack.enter_context(filling(images, overwrite=overwrite))
     return _Writer(
         filled,
-        lidar_folders(filled, woven.scene),
-        names_of(woven.scene.cameras),
+        lidar_folders(filled, aligned.scene),
+        names_of(aligned.scene.cameras),
         form,
         confidence,
         drawn,
-        {} if drawn is None else lidar_folders(drawn, woven.scene),
-        tallies={camera.id: _Tally() for camera in woven.scene.cameras},
+        {} if drawn is None else lidar_folders(drawn, aligned.scene),
+        tallies={camera.id: _Statistics() for camera in aligned.scene.cameras},
     )
 
 
@@ -307,5 +307,5 @@ def _refuse_nothing_written(scene: Scene, total: int, unfused: Mapping[str, int]
         reasons = ", ".join(f"{reason} ({count} times)" for reason, count in unfused.items())
         raise PoseError(
             f"{scene.source}: none of {total} sweeps could be placed: {reasons}; expected a trajectory on the clock of "
-            "the sweeps; `sceneloom info` tells both spans, and `--trajectory lidar` needs none"
+            "the sweeps; `sceneloom info` reports both spans, and `--trajectory lidar` needs none"
         )

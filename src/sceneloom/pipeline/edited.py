@@ -1,4 +1,4 @@
-"""Edits as jobs: read drives, change them, write the outcome, say what was done."""
+"""Edits as jobs: read drives, change them, write the outcome, state what was done."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -12,17 +12,17 @@ from sceneloom.editing.chosen_points import OnPoints
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.shared_options import open_scenes
 from sceneloom.formats.table import check_scene_output, format_for_output, scene_for, write_scene
-from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
 from sceneloom.scene.depth import DepthCameraSensor, DepthFrame
-from sceneloom.scene.notices import Notice
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import frame_times
 from sceneloom.scene.types import Identifier, Progress
+from sceneloom.scene.warnings import DataWarning
 from sceneloom.scene.watched import AnyFrame, watched
 
 Joining = Callable[[Sequence[Scene], OnPoints], Scene]
-"""Makes a scene out of one or several; may tell of the points of each frame that is read, before and after."""
+"""Makes a scene out of one or several; may report the points of each frame that is read, before and after."""
 
 
 class SceneCounts(msgspec.Struct, frozen=True, kw_only=True):
@@ -30,7 +30,7 @@ class SceneCounts(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         sensors, annotations: how many of them.
-        frames: sweeps, radar cycles and pictures.
+        frames: sweeps, radar cycles and images.
         points: of sweeps, radar cycles and maps.
     """
 
@@ -50,7 +50,7 @@ class EditReport(msgspec.Struct, frozen=True, kw_only=True):
         before: what was in the sources; points of frames that were left out are not counted.
         after: what is in the output.
         seconds: how long it took.
-        notices: what was assumed, repaired or left out, on reading and by the edit.
+        warnings: what was assumed, repaired or left out, on reading and by the edit.
         losses: what the output could not hold.
     """
 
@@ -60,7 +60,7 @@ class EditReport(msgspec.Struct, frozen=True, kw_only=True):
     before: SceneCounts
     after: SceneCounts
     seconds: float
-    notices: tuple[Notice, ...]
+    warnings: tuple[DataWarning, ...]
     losses: LossReport
 
 
@@ -83,7 +83,7 @@ def edit_files(
         output: a file or a folder, by its suffix in any format that can be written.
         change: makes the scene.
         reading: reading options, each for the sources whose format takes it.
-        progress: told after each sweep and radar cycle that is written.
+        progress: reported after each sweep and radar cycle that is written.
         overwrite: whether an output that exists may be replaced.
         writing: further options of the output's format.
 
@@ -93,19 +93,21 @@ def edit_files(
     """
     begun = time.perf_counter()
     check_scene_output(Path(output), overwrite=overwrite)
-    tally = _Tally(progress)
+    statistics = _Statistics(progress)
     with open_scenes(sources, reading or {}) as scenes:
-        changed = scene_for(format_for_output(Path(output)), change(scenes, tally.add_before))
-        tally.total = sum(len(s.frames) for s in changed.sensors if isinstance(s, LidarSensor | RadarSensor))
-        losses = write_scene(watched(changed, tally.add_after), output, overwrite=overwrite, **writing)
+        changed = scene_for(format_for_output(Path(output)), change(scenes, statistics.add_before))
+        statistics.total = sum(
+            len(s.frames) for s in changed.sensors if isinstance(s, LidarSensor | RadarSensor)
+        )
+        losses = write_scene(watched(changed, statistics.add_after), output, overwrite=overwrite, **writing)
     return EditReport(
         edit=edit,
         sources=tuple(map(str, sources)),
         output=str(output),
-        before=_counts(scenes, tally.points_before(scenes)),
-        after=_counts([changed], tally.points_after([changed])),
+        before=_counts(scenes, statistics.points_before(scenes)),
+        after=_counts([changed], statistics.points_after([changed])),
         seconds=time.perf_counter() - begun,
-        notices=changed.notices,
+        warnings=changed.warnings,
         losses=losses,
     )
 
@@ -114,7 +116,7 @@ FrameKey = tuple[type, Identifier, int]
 
 
 @dataclass(slots=True)
-class _Tally:
+class _Statistics:
     """Counts the points of frames; each frame once, however often it is read."""
 
     progress: Progress | None
@@ -127,16 +129,16 @@ class _Tally:
         self.before[type(sensor_id), sensor_id, k] = points
 
     def add_after(self, sensor_id: Identifier, k: int, frame: AnyFrame) -> None:
-        if isinstance(frame, Picture | DepthFrame):
+        if isinstance(frame, CameraImage | DepthFrame):
             return
         self.after[type(sensor_id), sensor_id, k] = len(frame.points)
         if self.progress is not None:
             self.progress(len(self.after), self.total)
 
     def points_before(self, scenes: Sequence[Scene]) -> int:
-        """What the edit told of; sensors of which it tells nothing keep all their points."""
-        told = {key[:2] for key in self.before}
-        kept = sum(count for key, count in self.after.items() if key[:2] not in told)
+        """What the edit reported; sensors of which it states nothing keep all their points."""
+        reported = {key[:2] for key in self.before}
+        kept = sum(count for key, count in self.after.items() if key[:2] not in reported)
         return _map_points(scenes) + sum(self.before.values()) + kept
 
     def points_after(self, scenes: Sequence[Scene]) -> int:

@@ -153,7 +153,7 @@ def _with_lists(
     """Open a drive, or the part of it that counts; lists of boxes are of the whole."""
     if len(wanted.sequences) > 1:
         raise OptionError(
-            f"{path}: --sequence {' --sequence '.join(wanted.sequences)}: one drive is opened at a time; say one"
+            f"{path}: --sequence {' --sequence '.join(wanted.sequences)}: one drive is opened at a time; state one"
         )
     options = {**(reading or {}), **({"lenient": True} if lenient else {})}
     if wanted.sequences:
@@ -176,9 +176,9 @@ def _refuse_part(path: str | Path, reading: Mapping[str, Any] | None) -> None:
 def with_known_ids(scene: Scene, files: DetectionFiles) -> DetectionFiles:
     """The same files, with ids of sensors as the scene has them: `7` may be a number there, and a text here."""
 
-    def known(said: Identifier) -> Identifier:
+    def known(stated: Identifier) -> Identifier:
         ids = [sensor.id for sensor in scene.sensors]
-        return next((found for found in ids if said not in ids and str(found) == said), said)
+        return next((found for found in ids if stated not in ids and str(found) == stated), stated)
 
     lidar = None if files.lidar is None else known(files.lidar)
     return replace(files, lidar=lidar, cameras=tuple(map(known, files.cameras)))
@@ -192,11 +192,12 @@ def _is_kitti(path: str | Path, wanted: DetectionInput) -> bool:
         "--lidar": files.lidar is not None,
         "--camera": files.cameras,
         "--trajectory": files.trajectory,
-        "--heading": files.heading,
+        "--orientation-from": files.heading,
     }
-    for flag in [flag for flag, said in useless.items() if said]:
+    for flag in [flag for flag, stated in useless.items() if stated]:
         raise OptionError(
-            f"{path}: {flag} does not count here: it is a folder of KITTI's sequences, whose sensors and way are known"
+            f"{path}: {flag} does not count here: it is a folder of KITTI's sequences, whose sensors and trajectory "
+            f"are known"
         )
     return True
 
@@ -208,11 +209,11 @@ def _kitti(path: str | Path, wanted: DetectionInput, *, lenient: bool) -> KittiT
 
 
 def _refuse_kitti(path: str | Path, wanted: DetectionInput) -> None:
-    for flag, said in (("--det2d", wanted.detector_2d), ("--det3d", wanted.detector_3d)):
-        if said:
+    for flag, stated in (("--det2d", wanted.detector_2d), ("--det3d", wanted.detector_3d)):
+        if stated:
             why = (
                 "the boxes come from the lists of --boxes3d and --boxes2d"
                 if wanted.has_lists
                 else "it is no folder of KITTI's sequences"
             )
-            raise OptionError(f"{path}: {flag} {said} does not count here: {why}")
+            raise OptionError(f"{path}: {flag} {stated} does not count here: {why}")

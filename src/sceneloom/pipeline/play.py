@@ -9,15 +9,15 @@ from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import DataError, SceneloomError
 from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.fusion.system import FusionSystem
-from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.ego import EgoMotion
-from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.scene import Scene
-from sceneloom.scene.sensor_sources import lidar_place, points_source, sensor_source
+from sceneloom.scene.sensor_sources import lidar_position, points_source, sensor_source
 from sceneloom.scene.shutter import Shutter
 from sceneloom.scene.span import scene_period_ns, sweep_period_ns
 from sceneloom.scene.types import Identifier
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 
 @dataclass(slots=True)
@@ -46,12 +46,12 @@ def telling(skips: Skips | None) -> Iterator[None]:
         raise
 
 
-def _skipped(reason: str) -> Notice:
-    return Notice(kind=NoticeKind.SKIPPED, code="frame-unreadable", place="", message=reason)
+def _skipped(reason: str) -> DataWarning:
+    return DataWarning(kind=WarningKind.SKIPPED, code="frame-unreadable", location="", message=reason)
 
 
 def build_system(scene: Scene, ego: EgoMotion | None, configuration: FusionConfiguration) -> FusionSystem:
-    """Make a fusion system that knows the scene's lidars, and its cameras with pictures, and where they were.
+    """Make a fusion system that knows the scene's lidars, and its cameras with images, and where they were.
 
     Raises:
         PoseError: for a sensor neither poses nor a mounting are known.
@@ -60,10 +60,10 @@ def build_system(scene: Scene, ego: EgoMotion | None, configuration: FusionConfi
     reach_ns = scene_period_ns(scene)
     for lidar in scene.lidars:
         source = points_source(scene, lidar, ego, reach_ns=reach_ns)
-        place = lidar_place(scene, lidar, ego, reach_ns=reach_ns)
-        system.add_lidar(lidar.id, source, period_ns=sweep_period_ns(lidar), place=place)
+        location = lidar_position(scene, lidar, ego, reach_ns=reach_ns)
+        system.add_lidar(lidar.id, source, period_ns=sweep_period_ns(lidar), location=location)
     for index, camera in enumerate(scene.cameras):
-        if len(camera.pictures) == 0:
+        if len(camera.images) == 0:
             continue
         source = sensor_source(scene, camera, ego, reach_ns=reach_ns)
         system.add_camera(camera.id, source, index=index, shutter=Shutter.of(camera))
@@ -71,13 +71,13 @@ def build_system(scene: Scene, ego: EgoMotion | None, configuration: FusionConfi
 
 
 def play(scene: Scene, system: FusionSystem, *, skips: Skips | None = None) -> Iterator[FusedFrame]:
-    """Send every sweep and picture in the order of time, and yield the results in the order of the sweeps.
+    """Send every sweep and image in the order of time, and yield the results in the order of the sweeps.
 
     Args:
         skips: collects sweeps that cannot be read and goes on; without it they raise.
 
     Raises:
-        DataError: a sweep or a picture cannot be read.
+        DataError: a sweep or an image cannot be read.
     """
     for _, sensor_id, read in in_time_order(scene):
         try:
@@ -94,23 +94,25 @@ def play(scene: Scene, system: FusionSystem, *, skips: Skips | None = None) -> I
     yield from iter(system.get, None)
 
 
-Reader = Callable[[], LidarFrame | Picture]
-"""Reads a frame when it is its turn."""
+Reader = Callable[[], LidarFrame | CameraImage]
+"""Reads a frame when it is its rotation."""
 
 
 def in_time_order(scene: Scene) -> Iterator[tuple[int, Identifier, Reader]]:
-    """All sweeps and pictures by time stamp; pictures before sweeps of the same time, sensors in the scene's order.
+    """All sweeps and images by timestamp; images before sweeps of the same time, sensors in the scene's order.
 
     Yields:
         Time [ns], sensor, and what reads the frame.
     """
     sensors: list[LidarSensor | CameraSensor] = [*scene.cameras, *scene.lidars]
-    streams = [_stamped(order, sensor) for order, sensor in enumerate(sensors)]
+    streams = [_timestamped(order, sensor) for order, sensor in enumerate(sensors)]
     for timestamp_ns, _, sensor_id, read in heapq.merge(*streams, key=lambda entry: entry[:2]):
         yield timestamp_ns, sensor_id, read
 
 
-def _stamped(order: int, sensor: LidarSensor | CameraSensor) -> Iterator[tuple[int, int, Identifier, Reader]]:
-    frames = sensor.frames if isinstance(sensor, LidarSensor) else sensor.pictures
+def _timestamped(
+    order: int, sensor: LidarSensor | CameraSensor
+) -> Iterator[tuple[int, int, Identifier, Reader]]:
+    frames = sensor.frames if isinstance(sensor, LidarSensor) else sensor.images
     for index, timestamp_ns in enumerate(frames.timestamps_ns.tolist()):
         yield timestamp_ns, order, sensor.id, lambda index=index: frames[index]  # type: ignore[misc]

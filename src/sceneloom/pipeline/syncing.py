@@ -7,19 +7,19 @@ from typing import Any
 
 import msgspec
 
-from sceneloom.editing.record import ours_of, with_notices, with_ours
+from sceneloom.editing.record import ours_of, with_ours, with_warnings
 from sceneloom.editing.retiming import ClockCorrection, retimed_scene
 from sceneloom.errors import OptionError
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.table import check_scene_output, write_scene
 from sceneloom.motion.clock.estimate import ClockEstimate, ClockVerdict
+from sceneloom.motion.clock.rotating_clock import REACH_NS
 from sceneloom.motion.clock.scene_clocks import compare_streams
 from sceneloom.motion.clock.streams import Stream, StreamKind, streams_of
-from sceneloom.motion.clock.turning_clock import REACH_NS
-from sceneloom.motion.clock.way_clock import LEVER_SIGMA
-from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.motion.clock.trajectory_clock import LEVER_SIGMA
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Progress, key_of
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 _RANKS = (StreamKind.IMU, StreamKind.TRAJECTORY, StreamKind.LIDAR, StreamKind.CAMERA, StreamKind.GNSS)
 """Which kind of stream is taken for the reference before others."""
@@ -31,7 +31,7 @@ class ClockComparison(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         stream, kind: name and kind of the stream.
         reference: name of the other one, whose clock counts as the right one.
-        method: by what: "turning", "way", or "none".
+        method: by what: "rotating", "trajectory", or "none".
         estimate: what came out.
     """
 
@@ -70,7 +70,7 @@ class SyncReport(msgspec.Struct, frozen=True, kw_only=True):
         output: what was written, or None.
         applied: what was corrected in it.
         seconds: how long it took.
-        notices: what was assumed, repaired or left out.
+        warnings: what was assumed, repaired or left out.
         losses: what the output could not hold.
     """
 
@@ -81,7 +81,7 @@ class SyncReport(msgspec.Struct, frozen=True, kw_only=True):
     output: str | None = None
     applied: tuple[AppliedCorrection, ...] = ()
     seconds: float = 0.0
-    notices: tuple[Notice, ...] = ()
+    warnings: tuple[DataWarning, ...] = ()
     losses: LossReport = LossReport()
 
     def comparison(self, stream: str) -> ClockComparison:
@@ -121,7 +121,7 @@ def sync(
         streams: names of the only streams to compare; None for all.
         reach_ns: offsets up to this are looked for [ns].
         lever_sigma: how far from the ego's origin a receiver's antenna may be on each axis [m].
-        progress: told while sweeps and pictures are looked at.
+        progress: reported while sweeps and images are looked at.
         overwrite: whether an output that exists may be replaced.
         writing: further options of the output's format.
 
@@ -147,13 +147,13 @@ def sync(
         reference=right,
         comparisons=comparisons,
         off=tuple(c.stream for c in comparisons if c.reference == right and c.estimate.is_off),
-        notices=scene.notices,
+        warnings=scene.warnings,
     )
     if output is not None:
         corrected = corrected_scene(scene, applied, reference=right)
         losses = write_scene(corrected, output, overwrite=overwrite, **writing)
         report = msgspec.structs.replace(
-            report, output=str(output), applied=applied, notices=corrected.notices, losses=losses
+            report, output=str(output), applied=applied, warnings=corrected.warnings, losses=losses
         )
     return msgspec.structs.replace(report, seconds=time.perf_counter() - begun)
 
@@ -161,7 +161,7 @@ def sync(
 def corrected_scene(
     scene: Scene, corrections: Collection[AppliedCorrection], *, reference: str | None = None
 ) -> Scene:
-    """Give the scene with corrections applied; each stands in a notice, all in `metadata.sceneloom.clocks`.
+    """Give the scene with corrections applied; each stands in a warning, all in `metadata.sceneloom.clocks`.
 
     Args:
         corrections: by the names that `sync` gives streams.
@@ -171,22 +171,22 @@ def corrected_scene(
         OptionError: there is no such stream.
     """
     found = {stream.name: stream for stream in streams_of(scene)}
-    sensors, ways = {}, {}
+    sensors, trajectories = {}, {}
     for correction in corrections:
         stream = found.get(correction.stream)
         if stream is None:
             raise OptionError(f"{scene.source}: no stream {correction.stream!r}; there are: {_listed(found)}")
         clock = ClockCorrection(correction.offset_ns, correction.skew_ppm, correction.at_ns)
         if stream.kind is StreamKind.TRAJECTORY:
-            ways[stream.source.name] = clock
+            trajectories[stream.source.name] = clock
         else:
             sensors[key_of(stream.source.id)] = clock
     if not corrections:
         return scene
-    changed = retimed_scene(scene, sensors=sensors, trajectories=ways)
+    changed = retimed_scene(scene, sensors=sensors, trajectories=trajectories)
     entries = [{**msgspec.to_builtins(c), "reference": reference} for c in corrections]
-    told = with_ours(changed, clocks=[*(ours_of(scene).get("clocks") or ()), *entries])
-    return with_notices(told, [_notice(c, reference) for c in corrections])
+    reported = with_ours(changed, clocks=[*(ours_of(scene).get("clocks") or ()), *entries])
+    return with_warnings(reported, [_warning(c, reference) for c in corrections])
 
 
 def _chosen(
@@ -213,7 +213,7 @@ def _compared(
     lever_sigma: float,
     progress: Progress | None,
 ) -> tuple[ClockComparison, ...]:
-    """Each stream with the reference; and with the first trajectory what tells nothing against that."""
+    """Each stream with the reference; and with the first trajectory what states nothing against that."""
     if not chosen:
         return ()
     first, *others = chosen
@@ -308,11 +308,13 @@ def _skew(estimate: ClockEstimate) -> float:
     return float(estimate.skew_ppm or 0.0) if sure else 0.0
 
 
-def _notice(correction: AppliedCorrection, reference: str | None) -> Notice:
+def _warning(correction: AppliedCorrection, reference: str | None) -> DataWarning:
     message = f"its times were moved by {-correction.offset_ns / 1e6:+.3f} ms against {reference!r}" + (
         f", its clock slowed by {correction.skew_ppm:.1f} ppm" if correction.skew_ppm else ""
     )
-    return Notice(kind=NoticeKind.REPAIRED, code="clock-corrected", place=correction.stream, message=message)
+    return DataWarning(
+        kind=WarningKind.REPAIRED, code="clock-corrected", location=correction.stream, message=message
+    )
 
 
 def _listed(found: Mapping[str, Stream]) -> str:

@@ -1,4 +1,4 @@
-"""From a drive to the numbers and pictures of its report."""
+"""From a drive to the numbers and images of its report."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -17,9 +17,9 @@ from sceneloom.formats.loss import Loss
 from sceneloom.formats.size import size_on_disk
 from sceneloom.formats.table import PART
 from sceneloom.formats.urls import path_or_url
-from sceneloom.motion.ego_motion import find_ego_motion, is_computed, with_way_found
-from sceneloom.pictures.canvas import counting_left_out
-from sceneloom.report.album import Album
+from sceneloom.images.canvas import counting_left_out
+from sceneloom.motion.ego_motion import find_ego_motion, is_computed, with_trajectory_estimated
+from sceneloom.report.figures import Figures
 from sceneloom.report.numbers.calibration import check_cameras
 from sceneloom.report.numbers.conversions import conversions_of
 from sceneloom.report.numbers.drive import DriveReport
@@ -30,8 +30,8 @@ from sceneloom.report.numbers.metrics import Metrics, metrics_of
 from sceneloom.report.numbers.provenance import provenance_of
 from sceneloom.report.numbers.surroundings import Coverage, coverage_of
 from sceneloom.report.numbers.timing import timing_of
+from sceneloom.report.numbers.trajectories import Trajectories, trajectories_of
 from sceneloom.report.numbers.verdict import Evidence, verdict_of
-from sceneloom.report.numbers.ways import Ways, ways_of
 from sceneloom.report.settings import ReportSettings
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import needs_ego
@@ -40,10 +40,10 @@ from sceneloom.scene.summary import SceneSummary, summarise
 from sceneloom.scene.types import Progress
 from sceneloom.stages import stage
 
-MOST_SWEEPS_FOR_A_WAY = 200
-"""The way of the ego is found from the sweeps of longer drives only where that is asked for: it takes a while."""
+MOST_SWEEPS_FOR_A_TRAJECTORY = 200
+"""The ego trajectory is found from the sweeps of longer drives only where that is asked for: it takes a while."""
 MOST_FRAMES_VALIDATED = 6000
-"""Frames and pictures of drives with more are not read by the rules: `sceneloom validate` does that."""
+"""Frames and images of drives with more are not read by the rules: `sceneloom validate` does that."""
 STEPS = 10
 
 Part = TypeVar("Part")
@@ -51,10 +51,10 @@ Part = TypeVar("Part")
 
 @dataclass(slots=True)
 class Collected:
-    """A report in numbers, and its pictures."""
+    """A report in numbers, and its images."""
 
     report: DriveReport
-    album: Album
+    figures: Figures
 
 
 def collect(
@@ -71,9 +71,9 @@ def collect(
         source: a file or folder, the URL of a scene file, or a scene that is open.
         settings: what is asked for.
         reading: reading options of the format, `start` and `stop` of a part among them; what is broken is passed over
-            and told.
-        made: when the report is said to be made; None for now.
-        progress: told how many of the steps are done.
+            and reported.
+        made: when the report is stated to be made; None for now.
+        progress: reported how many of the steps are done.
 
     Raises:
         UnknownFormatError: no format fits the path.
@@ -100,8 +100,8 @@ def read_losses(path: Path) -> tuple[Loss, ...]:
     """
     content = read_bytes(path)
     try:
-        told = msgspec.json.decode(content)
-        listed = told if isinstance(told, list) else told["losses"]
+        reported = msgspec.json.decode(content)
+        listed = reported if isinstance(reported, list) else reported["losses"]
         listed = listed if isinstance(listed, list) else listed["losses"]
         return msgspec.convert(listed, tuple[Loss, ...], strict=False)
     except (msgspec.MsgspecError, UnicodeError, RecursionError, KeyError, TypeError) as error:
@@ -110,7 +110,7 @@ def read_losses(path: Path) -> tuple[Loss, ...]:
 
 @dataclass(slots=True)
 class _Collector:
-    """Collects part by part; what cannot be told is noted with the reason, and the rest goes on."""
+    """Collects part by part; what cannot be reported is noted with the reason, and the rest goes on."""
 
     scene: Scene
     where: Path | str | None
@@ -125,21 +125,23 @@ class _Collector:
     def collect(self, losses: tuple[Loss, ...]) -> Collected:
         validation = self.part("findings", self._validation, None)
         self.scene = self.part("corrections", self.scene.corrected, self.scene)
-        found = self._find_way()
+        found = self._estimate_trajectory()
         summary = self.part("contents", self._summary, None) or _no_summary(self.scene)
         start_ns = summary.start_ns or 0
-        album = Album(self.settings.pictures)
+        figures = Figures(self.settings.images)
         coverage = self.part("coverage", lambda: coverage_of(self.scene), Coverage())
         calibration = self.part("calibration", self._calibration, ())
         with counting_left_out() as left:
-            fusion = self.part("fusion", lambda: self._fusion(album), None)
-            labels = self.part("annotations", lambda: self._labels(start_ns, album), None)
+            fusion = self.part("fusion", lambda: self._fusion(figures), None)
+            labels = self.part("annotations", lambda: self._labels(start_ns, figures), None)
         self.sampling += left.lines
         evidence = Evidence(
             summary=summary,
             timing=timing_of(self.scene, start_ns=start_ns),
-            ways=self.part(
-                "trajectory", lambda: ways_of(self.scene, start_ns=start_ns, found_now=found), Ways(ways=())
+            trajectories=self.part(
+                "trajectory",
+                lambda: trajectories_of(self.scene, start_ns=start_ns, found_now=found),
+                Trajectories(trajectories=()),
             ),
             coverage=coverage,
             calibration=calibration,
@@ -149,7 +151,7 @@ class _Collector:
             validation=validation,
             left_out=self.left_out,
         )
-        return Collected(self._report(evidence, losses), album)
+        return Collected(self._report(evidence, losses), figures)
 
     def part(self, name: str, work: Callable[[], Part], otherwise: Part, *, required: bool = False) -> Part:
         """Do a part of the work; note why where it cannot be done, unless it is `required`."""
@@ -174,7 +176,7 @@ class _Collector:
             verdict=verdict_of(evidence),
             summary=evidence.summary,
             timing=evidence.timing,
-            ways=evidence.ways,
+            trajectories=evidence.trajectories,
             coverage=evidence.coverage,
             calibration=tuple(evidence.calibration),
             fusion=evidence.fusion,
@@ -183,9 +185,9 @@ class _Collector:
             validation=evidence.validation,
             conversions=self.part("conversions", lambda: conversions_of(self.scene), ()),
             losses=losses,
-            notices=self.scene.notices,
+            warnings=self.scene.warnings,
             provenance=provenance_of(
-                self.scene, path, {**self.settings.said, **self.reading}, made=self.made
+                self.scene, path, {**self.settings.stated, **self.reading}, made=self.made
             ),
             sampling=tuple(self.sampling),
             left_out=self.left_out,
@@ -200,14 +202,17 @@ class _Collector:
         frames = not self.settings.quick and count <= MOST_FRAMES_VALIDATED
         if not frames:
             self.sampling.append(
-                f"the rules read none of {count:,} frames and pictures; `sceneloom validate` reads all"
+                f"the rules read none of {count:,} frames and images; `sceneloom validate` reads all"
             )
         source = self.scene if self.where is None else self.where
         options = {key: value for key, value in self.reading.items() if key != "lenient"}
         return validate(source, frames=frames, **(options if self.where is not None else {}))
 
-    def _find_way(self) -> frozenset[str]:
-        """Put the way of the ego that is asked for, or that has to be found, first; gives the names of ways found."""
+    def _estimate_trajectory(self) -> frozenset[str]:
+        """Put the ego trajectory that is asked for, or that has to be found, first.
+
+        Gives the names of trajectories found.
+        """
         name = self.settings.trajectory
         try:
             if not needs_ego(self.scene) and name is None:
@@ -215,7 +220,7 @@ class _Collector:
             computed = is_computed(self.scene, name)
             if computed and name is None and self._takes_long():
                 self.left_out["trajectory"] = (
-                    "the drive has no trajectory, and finding one from so many sweeps takes a while: say "
+                    "the drive has no trajectory, and finding one from so many sweeps takes a while: state "
                     "`--trajectory lidar` or `--trajectory gnss`"
                 )
                 return frozenset()
@@ -223,11 +228,11 @@ class _Collector:
         except SceneloomError as error:
             self.left_out["trajectory"] = str(error)
             return frozenset()
-        self.scene = with_way_found(self.scene, ego)
+        self.scene = with_trajectory_estimated(self.scene, ego)
         return frozenset([ego.name]) if computed else frozenset()
 
     def _takes_long(self) -> bool:
-        return sum(len(lidar.frames) for lidar in self.scene.lidars) > MOST_SWEEPS_FOR_A_WAY
+        return sum(len(lidar.frames) for lidar in self.scene.lidars) > MOST_SWEEPS_FOR_A_TRAJECTORY
 
     def _calibration(self) -> Any:
         if self.settings.quick:
@@ -235,24 +240,24 @@ class _Collector:
             return ()
         return check_cameras(self.scene)
 
-    def _fusion(self, album: Album) -> Fusion | None:
+    def _fusion(self, figures: Figures) -> Fusion | None:
         if not any(len(lidar.frames) for lidar in self.scene.lidars):
             return None
-        found = fuse_some(self.scene, album)
+        found = fuse_some(self.scene, figures)
         if found.sweeps < found.of:
-            self.sampling.append(f"{found.sweeps} of {found.of:,} sweeps were fused for numbers and pictures")
+            self.sampling.append(f"{found.sweeps} of {found.of:,} sweeps were fused for numbers and images")
         return found
 
-    def _labels(self, start_ns: int, album: Album) -> Labels | None:
+    def _labels(self, start_ns: int, figures: Figures) -> Labels | None:
         found = labels_of(self.scene, start_ns=start_ns)
         if found is None:
             return None
         if found.moments < found.of:
             self.sampling.append(f"boxes were looked at in {found.moments} of {found.of:,} moments")
         try:
-            draw_labels(self.scene, album)
+            draw_labels(self.scene, figures)
         except SceneloomError as error:
-            found = msgspec.structs.replace(found, skipped=(*found.skipped, f"pictures: {error}"))
+            found = msgspec.structs.replace(found, skipped=(*found.skipped, f"images: {error}"))
         return found
 
     def _metrics(self) -> Metrics:
@@ -284,5 +289,5 @@ def _no_summary(scene: Scene) -> SceneSummary:
         sensors=(),
         trajectories=(),
         annotations={},
-        notices=scene.notices,
+        warnings=scene.warnings,
     )

@@ -33,7 +33,7 @@ def write_report(
 ) -> DriveReport:
     """Look at a drive, and write a page of HTML that can be sent, and its numbers as JSON.
 
-    The page is one file that asks for nothing from outside. What is broken in the drive is passed over and told.
+    The page is one file that asks for nothing from outside. What is broken in the drive is passed over and reported.
 
     Args:
         source: a file or folder, the URL of a scene file, or a scene that is open.
@@ -41,8 +41,8 @@ def write_report(
         numbers: the numbers, a name that ends in .json; None for none.
         settings: how the report is made.
         overwrite: whether outputs that exist may be replaced.
-        made: when the report is said to be made; None for now.
-        progress: told how many of the steps are done.
+        made: when the report is stated to be made; None for now.
+        progress: reported how many of the steps are done.
         reading: reading options of the format; `start` and `stop`, seconds between which the drive counts.
 
     Returns:
@@ -69,7 +69,7 @@ def write_report(
     found = collect(source, settings or ReportSettings(), reading=reading, made=made, progress=progress)
     contents: dict[str, Callable[[], bytes]] = {
         # ids may hold halves of characters, which no file of Unicode can
-        ".html": lambda: render_page(found.report, found.album).encode("utf-8", "replace"),
+        ".html": lambda: render_page(found.report, found.figures).encode("utf-8", "replace"),
         ".json": lambda: numbers_as_json(found.report),
     }
     for target, suffix in wanted:

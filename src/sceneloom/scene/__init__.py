@@ -20,7 +20,7 @@ if TYPE_CHECKING:
         ObjectAnnotation,
     )
     from sceneloom.scene.annotations.shapes import ShapeAnnotation, ShapeType, VertexPath
-    from sceneloom.scene.cameras import CameraSensor, Picture, VideoContent
+    from sceneloom.scene.cameras import CameraImage, CameraSensor, VideoContent
     from sceneloom.scene.clouds import (
         LidarFrame,
         LidarPoints,
@@ -35,15 +35,15 @@ if TYPE_CHECKING:
     from sceneloom.scene.findings import Finding, Severity
     from sceneloom.scene.frames import LazyFrames
     from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
-    from sceneloom.scene.notices import Notice, NoticeKind
     from sceneloom.scene.plain import PlainSensor
-    from sceneloom.scene.poses import PosePath, PoseSamples, Trajectory
+    from sceneloom.scene.poses import Poses, PoseSamples, Trajectory
     from sceneloom.scene.sample import Sample
     from sceneloom.scene.sample_boxes import Boxes
     from sceneloom.scene.samples import Samples
     from sceneloom.scene.scene import Corrections, Scene, Sensor
     from sceneloom.scene.tracks import Support, Track, TrackedObjects, Tracks
     from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, SensorType
+    from sceneloom.scene.warnings import DataWarning, WarningKind
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
@@ -78,11 +78,11 @@ else:
             "LidarSensor": "sceneloom.scene.clouds:LidarSensor",
             "LinkAnnotation": "sceneloom.scene.annotations.relations:LinkAnnotation",
             "LocalizationAdjustment": "sceneloom.scene.annotations.corrections:LocalizationAdjustment",
-            "Notice": "sceneloom.scene.notices:Notice",
-            "NoticeKind": "sceneloom.scene.notices:NoticeKind",
+            "DataWarning": "sceneloom.scene.warnings:DataWarning",
+            "WarningKind": "sceneloom.scene.warnings:WarningKind",
             "ObjectAnnotation": "sceneloom.scene.annotations.relations:ObjectAnnotation",
             "OdometrySensor": "sceneloom.scene.motion:OdometrySensor",
-            "Picture": "sceneloom.scene.cameras:Picture",
+            "CameraImage": "sceneloom.scene.cameras:CameraImage",
             "PlainAnnotation": "sceneloom.scene.annotations.plain:PlainAnnotation",
             "PlainSensor": "sceneloom.scene.plain:PlainSensor",
             "PointPath": "sceneloom.scene.annotations.keypoints:PointPath",
@@ -90,7 +90,7 @@ else:
             "PointsAnnotation": "sceneloom.scene.annotations.keypoints:PointsAnnotation",
             "PointsFrame": "sceneloom.scene.types:PointsFrame",
             "PointsSensor": "sceneloom.scene.clouds:PointsSensor",
-            "PosePath": "sceneloom.scene.poses:PosePath",
+            "Poses": "sceneloom.scene.poses:Poses",
             "PoseSamples": "sceneloom.scene.poses:PoseSamples",
             "Projection": "sceneloom.scene.annotations.cuboids:Projection",
             "RadarFrame": "sceneloom.scene.clouds:RadarFrame",
@@ -126,11 +126,13 @@ __all__ = [
     "Boxes2D",
     "Boxes3D",
     "CameraCalibration",
+    "CameraImage",
     "CameraSensor",
     "Coordinates",
     "Corrections",
     "CuboidAnnotation",
     "CuboidPath",
+    "DataWarning",
     "DepthCameraSensor",
     "DepthFrame",
     "EventAnnotation",
@@ -147,11 +149,8 @@ __all__ = [
     "LidarSensor",
     "LinkAnnotation",
     "LocalizationAdjustment",
-    "Notice",
-    "NoticeKind",
     "ObjectAnnotation",
     "OdometrySensor",
-    "Picture",
     "PlainAnnotation",
     "PlainSensor",
     "PointPath",
@@ -159,8 +158,8 @@ __all__ = [
     "PointsAnnotation",
     "PointsFrame",
     "PointsSensor",
-    "PosePath",
     "PoseSamples",
+    "Poses",
     "Projection",
     "RadarFrame",
     "RadarPoints",
@@ -182,4 +181,5 @@ __all__ = [
     "VectorSamples",
     "VertexPath",
     "VideoContent",
+    "WarningKind",
 ]

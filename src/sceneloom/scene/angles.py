@@ -52,7 +52,7 @@ class CuboidAngles:
 
         Args:
             quaternions_xyzw: the rotations, `world_from_box`.
-            near: (..., 3) angles: of those that differ by whole turns the nearest to these are given.
+            near: (..., 3) angles: of those that differ by whole rotates the nearest to these are given.
 
         Raises:
             OptionError: unit or order is none of those known.
@@ -62,6 +62,6 @@ class CuboidAngles:
         )
         if near is None:
             return angles
-        turn = 360.0 if self.unit == AngleUnit.DEGREES else 2.0 * np.pi
-        nearest: Float64Array = angles + turn * np.rint((near - angles) / turn)
+        rotation = 360.0 if self.unit == AngleUnit.DEGREES else 2.0 * np.pi
+        nearest: Float64Array = angles + rotation * np.rint((near - angles) / rotation)
         return nearest

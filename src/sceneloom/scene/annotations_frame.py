@@ -1,4 +1,4 @@
-"""The frame in which a scene's annotations have their places."""
+"""The frame in which a scene's annotations have their locations."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -22,13 +22,13 @@ def annotations_frame(scene: Scene) -> Coordinates:
     if named is None:
         return Coordinates.WORLD
     if named not in tuple(Coordinates):
-        place = f"metadata.sceneloom.{ANNOTATIONS_FRAME}"
-        raise DataError(scene.source, place, f"{named!r}; expected one of {', '.join(Coordinates)}")
+        location = f"metadata.sceneloom.{ANNOTATIONS_FRAME}"
+        raise DataError(scene.source, location, f"{named!r}; expected one of {', '.join(Coordinates)}")
     return Coordinates(named)
 
 
 def not_in_world(source: str) -> OptionError:
-    """What to say of a scene of that name whose annotations are on the ego, where they are needed in the world."""
+    """What to state of a scene of that name whose annotations are on the ego, where they are needed in the world."""
     return OptionError(
         f"{source}: its annotations are in the ego frame; bring them into the world first: `sceneloom edit to-world`"
     )

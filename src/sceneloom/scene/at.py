@@ -1,4 +1,4 @@
-"""Annotations at any time: between two stamps, exactly at one, before the first and after the last.
+"""Annotations at any time: between two timestamps, exactly at one, before the first and after the last.
 
 Source: READING of "paths" in docs/CONVENTIONS.md.
 """
@@ -27,7 +27,7 @@ class Bracket:
     """Between which rows of a path times lie.
 
     Attributes:
-        before, after: (M,) int64, rows; the same one at a stamp and beyond the ends.
+        before, after: (M,) int64, rows; the same one at a timestamp and beyond the ends.
         share: (M,) float64, how far on the way from `before` to `after`, 0 to 1.
         there: (M,) bool, whether the path says anything at that time.
     """
@@ -38,26 +38,26 @@ class Bracket:
     there: BoolArray
 
     @classmethod
-    def of(cls, stamps_ns: Int64Array, times_ns: ArrayLike, *, stationary: bool = False) -> "Bracket":
-        """Find times (M,) [ns] among the stamps (N,) of a path, in order; of equal stamps the last one counts.
+    def of(cls, timestamps_ns: Int64Array, times_ns: ArrayLike, *, stationary: bool = False) -> "Bracket":
+        """Find times (M,) [ns] among the timestamps (N,) of a path, in order; of equal timestamps the last one counts.
 
         Args:
-            stamps_ns: the path's stamps.
+            timestamps_ns: the path's timestamps.
             times_ns: what is asked for.
             stationary: the path holds at all times: its first row before it, its last row after it.
         """
         times = np.asarray(times_ns, np.int64).reshape(-1)
-        if len(stamps_ns) == 0:
+        if len(timestamps_ns) == 0:
             none = np.zeros(len(times), np.int64)
             return cls(none, none, np.zeros(len(times)), np.zeros(len(times), np.bool_))
-        last = len(stamps_ns) - 1
+        last = len(timestamps_ns) - 1
         # differences of int64 are taken as uint64, which holds each of them
-        there = (times >= stamps_ns[0]) & (times <= stamps_ns[last])
-        before = np.clip(np.searchsorted(stamps_ns, times, side="right") - 1, 0, last)
-        inside = (times > stamps_ns[before]) & (before < last)
+        there = (times >= timestamps_ns[0]) & (times <= timestamps_ns[last])
+        before = np.clip(np.searchsorted(timestamps_ns, times, side="right") - 1, 0, last)
+        inside = (times > timestamps_ns[before]) & (before < last)
         after = before + inside
-        span = np.maximum((stamps_ns[after] - stamps_ns[before]).view(np.uint64), 1)
-        share = np.where(inside, (times - stamps_ns[before]).view(np.uint64) / span, 0.0)
+        span = np.maximum((timestamps_ns[after] - timestamps_ns[before]).view(np.uint64), 1)
+        share = np.where(inside, (times - timestamps_ns[before]).view(np.uint64) / span, 0.0)
         return cls(before, after, share, there | stationary)
 
     @np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
@@ -86,15 +86,15 @@ class CuboidPoses:
     there: BoolArray
 
 
-def turned(
+def rotated(
     angles: CuboidAngles, before_rpy: Float64Array, after_rpy: Float64Array, share: Float64Array
 ) -> Float64Array:
-    """Turn from angles (M, 3) to others the shorter way; gives the quaternions (M, 4)."""
+    """Rotate from angles (M, 3) to others the shorter arc; gives the quaternions (M, 4)."""
     return slerp(angles.quaternions(before_rpy), angles.quaternions(after_rpy), share)
 
 
 def activation_for(annotation: CuboidAnnotation, sensor_id: Identifier | None) -> Activation | None:
-    """Give when a sensor sees a cuboid; None where nothing is said of it, or of no sensor."""
+    """Give when a sensor sees a cuboid; None where nothing is stated for it, or of no sensor."""
     if sensor_id is None or not annotation.activations:
         return None
     key = key_of(sensor_id)
@@ -108,7 +108,7 @@ def active_at(
     *,
     since_ns: ArrayLike | None = None,
 ) -> BoolArray:
-    """Say whether a cuboid is active for a sensor at times (M,) [ns].
+    """Report whether a cuboid is active for a sensor at times (M,) [ns].
 
     A sensor that the activations do not name sees it at all times. One that they name sees it from each timestamp, for
     the duration, whose end no longer counts; a duration of 0 is that very moment. Without durations each activation
@@ -144,10 +144,10 @@ def cuboid_poses(
     angles: CuboidAngles = STANDARD_ANGLES,
     sensor_id: Identifier | None = None,
 ) -> CuboidPoses:
-    """Give a cuboid at times (M,) [ns]: centre and size go straight, the rotation turns the shorter way.
+    """Give a cuboid at times (M,) [ns]: centre and size go straight, the rotation rotates the shorter arc.
 
-    It is there from its first stamp to its last, a stationary one always. As a sensor sees it, it is there only while
-    it is active, and where the activation has a cuboid of its own that holds: see `activated`.
+    It is there from its first timestamp to its last, a stationary one always. As a sensor sees it, it is there only
+    while it is active, and where the activation has a cuboid of its own that holds: see `activated`.
 
     Args:
         annotation: the cuboid.
@@ -180,7 +180,7 @@ def activated(
     *,
     angles: CuboidAngles = STANDARD_ANGLES,
 ) -> CuboidPoses:
-    """Give a cuboid with the own cuboids of a sensor's activations in place of its path.
+    """Give a cuboid with the own cuboids of a sensor's activations instead of its path.
 
     At the timestamp of an activation that is its own cuboid, number by number. Afterwards it has the size of that, and
     moves as the path does from there on; where the path says nothing, it stays. Activations without a cuboid, or with
@@ -199,23 +199,27 @@ def activated(
     starts = activation.timestamps_ns
     rows = np.clip(np.searchsorted(starts, times_ns, side="right") - 1, 0, len(starts) - 1)
     own = activation.cuboids[rows]
-    told: BoolArray = np.isfinite(own.sum(axis=1))
-    if not told.any():
+    reported: BoolArray = np.isfinite(own.sum(axis=1))
+    if not reported.any():
         return poses
     begun = _path_poses(annotation, starts[rows], angles)
-    turns = angles.quaternions(np.where(told[:, None], own[:, 6:], 0.0))
-    moves: BoolArray = np.logical_and(np.logical_and(told, begun.there), poses.there)
+    delta_rotations = angles.quaternions(np.where(reported[:, None], own[:, 6:], 0.0))
+    moves: BoolArray = np.logical_and(np.logical_and(reported, begun.there), poses.there)
     centers, sizes = np.array(poses.centers_world), np.array(poses.sizes_lwh)
     rotations = np.array(poses.quaternions_xyzw)
-    centers[told], sizes[told], rotations[told] = own[told, 3:6], own[told, :3], turns[told]
-    # the object moved as its path did since the activation began, turning about its own centre
+    centers[reported], sizes[reported], rotations[reported] = (
+        own[reported, 3:6],
+        own[reported, :3],
+        delta_rotations[reported],
+    )
+    # the object moved as its path did since the activation began, rotating about its own centre
     onward = multiply_quaternions(
         poses.quaternions_xyzw[moves], conjugate_quaternion(begun.quaternions_xyzw[moves])
     )
     later: BoolArray = np.logical_and(moves, times_ns != starts[rows])
     centers[later] += poses.centers_world[later] - begun.centers_world[later]
-    rotations[later] = multiply_quaternions(onward[later[moves]], turns[later])
-    return CuboidPoses(centers, sizes, rotations, poses.there | told)
+    rotations[later] = multiply_quaternions(onward[later[moves]], delta_rotations[later])
+    return CuboidPoses(centers, sizes, rotations, poses.there | reported)
 
 
 @np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
@@ -226,9 +230,11 @@ def _path_poses(annotation: CuboidAnnotation, times_ns: ArrayLike, angles: Cuboi
         nowhere = np.full((len(found.share), 4), np.nan)
         return CuboidPoses(nowhere[:, :3], nowhere[:, :3], nowhere, found.there)
     rows = found.blend(path.values[:, :6])
-    turns = turned(angles, path.values[found.before, 6:], path.values[found.after, 6:], found.share)
-    rows[~found.there], turns[~found.there] = np.nan, np.nan
-    return CuboidPoses(np.ascontiguousarray(rows[:, 3:]), rows[:, :3], turns, found.there)
+    delta_rotations = rotated(
+        angles, path.values[found.before, 6:], path.values[found.after, 6:], found.share
+    )
+    rows[~found.there], delta_rotations[~found.there] = np.nan, np.nan
+    return CuboidPoses(np.ascontiguousarray(rows[:, 3:]), rows[:, :3], delta_rotations, found.there)
 
 
 @np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
@@ -241,8 +247,8 @@ def cuboid_at(
 ) -> tuple[Float64Array, BoolArray]:
     """Give the rows of a cuboid at times (M,) [ns], as a `CuboidPath` stores them.
 
-    Rows at stamps are those of the path, number by number. Between stamps the angles are the ones nearest to the row
-    before, so that they do not jump by whole turns.
+    Rows at timestamps are those of the path, number by number. Between timestamps the angles are the ones nearest to
+    the row before, so that they do not jump by whole rotations.
 
     Args:
         annotation: the cuboid.
@@ -268,9 +274,9 @@ def cuboid_at(
         start, stop = path.values[found.before[moving]], path.values[found.after[moving]]
         share = found.share[moving]
         rows[moving, :6] = start[:, :6] + share[:, None] * (stop[:, :6] - start[:, :6])
-        turns = turned(angles, start[:, 6:], stop[:, 6:], share)
+        delta_rotations = rotated(angles, start[:, 6:], stop[:, 6:], share)
         differs = (start[:, 6:] != stop[:, 6:]).any(axis=1)
-        rows[moving[differs], 6:] = angles.from_quaternions(turns[differs], near=start[differs, 6:])
+        rows[moving[differs], 6:] = angles.from_quaternions(delta_rotations[differs], near=start[differs, 6:])
     rows[~found.there] = np.nan
     activation = activation_for(annotation, sensor_id)
     if activation is None:
@@ -281,19 +287,20 @@ def cuboid_at(
         own = activation.cuboids[
             np.clip(np.searchsorted(activation.timestamps_ns, times, side="right") - 1, 0, None)
         ]
-        told = np.flatnonzero(seen.there & np.isfinite(own).all(axis=1))
-        rows[told, :3], rows[told, 3:6] = seen.sizes_lwh[told], seen.centers_world[told]
-        rows[told, 6:] = angles.from_quaternions(seen.quaternions_xyzw[told], near=own[told, 6:])
-        begins = told[np.isin(times[told], activation.timestamps_ns)]
+        reported = np.flatnonzero(seen.there & np.isfinite(own).all(axis=1))
+        rows[reported, :3], rows[reported, 3:6] = seen.sizes_lwh[reported], seen.centers_world[reported]
+        rows[reported, 6:] = angles.from_quaternions(seen.quaternions_xyzw[reported], near=own[reported, 6:])
+        begins = reported[np.isin(times[reported], activation.timestamps_ns)]
         rows[begins] = own[begins]
     rows[~seen.there] = np.nan
     return rows, seen.there
 
 
 def box_2d_at(annotation: Box2DAnnotation, times_ns: ArrayLike) -> tuple[Float64Array, BoolArray]:
-    """Give a box in pictures at times (M,) [ns]: rows (M, 4) `left top width height` [px], and where it is there.
+    """Give a box in images at times (M,) [ns]: rows (M, 4) `left top width height` [px], and where it is there.
 
-    Its edges go straight from stamp to stamp; it is there from the first stamp to the last, a stationary one always.
+    Its edges go straight from timestamp to timestamp; it is there from the first timestamp to the last, a stationary
+    one always.
     """
     path = annotation.path
     return _straight(path.timestamps_ns, path.values, times_ns, stationary=bool(annotation.stationary))
@@ -302,7 +309,7 @@ def box_2d_at(annotation: Box2DAnnotation, times_ns: ArrayLike) -> tuple[Float64
 def point_at(
     path: PointPath, times_ns: ArrayLike, *, stationary: bool = False
 ) -> tuple[Float64Array, BoolArray]:
-    """Give a named point at times (M,) [ns]: places (M, 3) [m], and where it is there."""
+    """Give a named point at times (M,) [ns]: locations (M, 3) [m], and where it is there."""
     return _straight(path.timestamps_ns, path.values, times_ns, stationary=stationary)
 
 
@@ -314,7 +321,7 @@ def points_at(annotation: PointsAnnotation, times_ns: ArrayLike) -> list[tuple[F
 def shape_at(annotation: ShapeAnnotation, times_ns: ArrayLike) -> list[Float64Array | None]:
     """Give the vertices of a shape at times (M,) [ns]; None where it is not there.
 
-    Between two stamps with as many vertices each vertex goes straight; otherwise the earlier vertices hold.
+    Between two timestamps with as many vertices each vertex goes straight; otherwise the earlier vertices hold.
 
     Source: READING of "paths" in docs/CONVENTIONS.md.
     """
@@ -331,24 +338,24 @@ def shape_at(annotation: ShapeAnnotation, times_ns: ArrayLike) -> list[Float64Ar
 def attribute_at(attribute: AttributePath, times_ns: ArrayLike) -> list[Any]:
     """Give the value of an attribute at times (M,) [ns]: each holds until the next; None before the first.
 
-    One that is static, or has no stamps, holds its only value at all times; a stamp without a value says None.
+    One that is static, or has no timestamps, holds its only value at all times; a timestamp without a value says None.
     """
     times = np.asarray(times_ns, np.int64).reshape(-1)
-    stamps = attribute.timestamps_ns
+    timestamps = attribute.timestamps_ns
     if not attribute.values:
         return [None] * len(times)
-    if attribute.static or stamps is None:
+    if attribute.static or timestamps is None:
         return [attribute.values[0]] * len(times)
-    rows = np.searchsorted(stamps, times, side="right") - 1
+    rows = np.searchsorted(timestamps, times, side="right") - 1
     count = len(attribute.values)
     return [attribute.values[row] if 0 <= row < count else None for row in rows.tolist()]
 
 
 def _straight(
-    stamps_ns: Int64Array, values: Float64Array, times_ns: ArrayLike, *, stationary: bool
+    timestamps_ns: Int64Array, values: Float64Array, times_ns: ArrayLike, *, stationary: bool
 ) -> tuple[Float64Array, BoolArray]:
-    found = Bracket.of(stamps_ns, times_ns, stationary=stationary)
-    if len(stamps_ns) == 0:
+    found = Bracket.of(timestamps_ns, times_ns, stationary=stationary)
+    if len(timestamps_ns) == 0:
         return np.full((len(found.share), values.shape[1]), np.nan), found.there
     rows = found.blend(values)
     rows[~found.there] = np.nan

@@ -1,4 +1,4 @@
-"""Cameras and their pictures."""
+"""Cameras and their images."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -10,22 +10,22 @@ from sceneloom.arrays import UInt8Array, as_array, check_array, hold_timestamp
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.frames import Kept, LazyFrames
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.types import NO_FIELDS, Coordinates, Identifier, SensorType
 from sceneloom.stages import stage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
-    """One picture of a camera.
+class CameraImage:
+    """One image of a camera.
 
     Attributes:
         timestamp_ns: mid-exposure of the middle row [ns].
-        camera: the lens at that time.
-        decode: makes the picture, (height, width, 3) uint8 red green blue; called anew each time.
-        mount: `ego_from_camera` where this picture has a mounting of its own, else None.
+        camera: the camera model at that time.
+        decode: makes the image, (height, width, 3) uint8 red green blue; called anew each time.
+        mount: `ego_from_camera` where this image has a mounting of its own, else None.
         extras: further fields of the file, by name.
-        encoded: gives the JPEG file that the picture is decoded from, for those who copy it; None where there is none.
+        encoded: gives the JPEG file that the image is decoded from, for those who copy it; None where there is none.
     """
 
     timestamp_ns: int
@@ -36,24 +36,24 @@ class Picture:
     encoded: Callable[[], bytes] | None = None
 
     def __post_init__(self) -> None:
-        hold_timestamp(self, "picture.timestamp_ns")
+        hold_timestamp(self, "image.timestamp_ns")
 
     @classmethod
-    def of(cls, timestamp_ns: int, camera: Camera, rgb: UInt8Array) -> "Picture":
-        """Wrap a picture that is already in memory."""
+    def of(cls, timestamp_ns: int, camera: Camera, rgb: UInt8Array) -> "CameraImage":
+        """Wrap an image that is already in memory."""
         shape = (camera.height, camera.width, 3)
-        rgb = as_array("picture.rgb", rgb, shape, np.uint8)
-        check_array("picture.rgb", rgb, shape, np.uint8)
+        rgb = as_array("image.rgb", rgb, shape, np.uint8)
+        check_array("image.rgb", rgb, shape, np.uint8)
         return cls(timestamp_ns, camera, Kept(rgb))
 
     @property
     def rgb(self) -> UInt8Array:
-        """The picture, (height, width, 3) uint8, decoded now; keep it if you need it twice."""
+        """The image, (height, width, 3) uint8, decoded now; keep it if you need it twice."""
         with stage("reading"):
             return self.decode()
 
-    def loaded(self) -> "Picture":
-        """The same picture, decoded now and kept in memory.
+    def loaded(self) -> "CameraImage":
+        """The same image, decoded now and kept in memory.
 
         Raises:
             DataError: it cannot be decoded.
@@ -63,12 +63,12 @@ class Picture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VideoContent:
-    """The encoded video behind a camera's pictures, for those who copy it without decoding.
+    """The encoded video behind a camera's images, for those who copy it without decoding.
 
     Attributes:
         open: gives a new seekable binary file over the video's bytes.
         codec: "h264", "hevc", "ffv1", … as FFmpeg calls it.
-        frame_indices: which pictures of the video the camera's frames are, in order; None for all of them.
+        frame_indices: which images of the video the camera's frames are, in order; None for all of them.
     """
 
     open: Callable[[], BinaryIO]
@@ -94,21 +94,21 @@ class CameraSensor:
 
     Attributes:
         id: unique among the scene's sensors.
-        camera: the lens (a picture can have one of its own).
-        pictures: the pictures in time order, decoded when asked for.
+        camera: the camera model (an image can have one of its own).
+        images: the images in time order, decoded when asked for.
         poses: camera (x right, y down, z forward) to `coordinates` frame, or None.
         mount: `ego_from_camera`, where the source knows a rigid mounting.
         coordinates: the frame that `poses` lead into.
-        video: the encoded video, where the pictures come from one.
-        fps: nominal pictures a second, or None.
+        video: the encoded video, where the images come from one.
+        fps: nominal images a second, or None.
         parent_id: id of the parent sensor, or None.
         extras: further fields of the file, by name.
     """
 
     id: Identifier
     camera: Camera
-    pictures: LazyFrames[Picture]
-    poses: PosePath | None = None
+    images: LazyFrames[CameraImage]
+    poses: Poses | None = None
     mount: RigidTransform | None = None
     coordinates: Coordinates = Coordinates.WORLD
     video: VideoContent | None = None

@@ -18,7 +18,7 @@ from sceneloom.arrays import (
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.packed import UnpackedWhenAsked
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.stored import Parcel, packed, unpacked
 from sceneloom.scene.types import NO_FIELDS, Coordinates, Identifier, PointsFrame, SensorType
 
@@ -109,9 +109,9 @@ class LidarFrame:
 
     @property
     def reference_ns(self) -> int:
-        """The time by which the sweep is paired with pictures: the median of its point times.
+        """The time by which the sweep is paired with images: the median of its point times.
 
-        It is the sweep's start where the points have no times, or all the same one, which tells nothing about when
+        It is the sweep's start where the points have no times, or all the same one, which states nothing about when
         they were measured.
         """
         times = self.points.timestamps_ns
@@ -139,7 +139,7 @@ class LidarSensor:
 
     id: Identifier
     frames: LazyFrames[LidarFrame]
-    poses: PosePath | None = None
+    poses: Poses | None = None
     mount: RigidTransform | None = None
     coordinates: Coordinates = Coordinates.WORLD
     points_frame: PointsFrame = PointsFrame.SENSOR
@@ -199,7 +199,7 @@ class RadarSensor:
 
     id: Identifier
     frames: LazyFrames[RadarFrame]
-    poses: PosePath | None = None
+    poses: Poses | None = None
     mount: RigidTransform | None = None
     coordinates: Coordinates = Coordinates.WORLD
     points_frame: PointsFrame = PointsFrame.SENSOR

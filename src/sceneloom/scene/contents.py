@@ -1,8 +1,9 @@
-"""Every field of the model that can hold data, by name: the words in which formats say what they can hold.
+"""Every field of the model that can hold data, by name: the words in which formats state what they can hold.
 
-A name is the way to the field through the model's classes, with the kind of sensor or annotation in place of its id and
+A name is the way to the field through the model's classes, with the kind of sensor or annotation instead of its id and
 without indices: the intensities `scene.sensors[k].frames[i].points.intensities` of a lidar are
-`sensors.lidar.frames.points.intensities`. Lenses, mountings, paths of poses, videos and attributes are one field each.
+`sensors.lidar.frames.points.intensities`. Camera models, mountings, paths of poses, videos and attributes are one field
+each.
 """
 
 from collections.abc import Mapping
@@ -61,8 +62,8 @@ KINDS: Mapping[type[Any], str] = MappingProxyType(
 IMU_STREAMS = ("accelerometer", "gyroscope", "magnetometer")
 """Streams of an IMU that have names of their own in the table; all further ones are `other`."""
 
-NO_DATA = frozenset({"source", "format", "notices", "on_close", "corrections"})
-"""Fields of the scene that say where it comes from and how it was read."""
+NO_DATA = frozenset({"source", "format", "warnings", "on_close", "corrections"})
+"""Fields of the scene that state where it comes from and how it was read."""
 
 _SENSOR = {
     "id": "the sensor's id",
@@ -98,41 +99,41 @@ _RADAR = {
     "frames.points.lengths": "speed of each point along its direction",
 }
 _MAP = {**_SENSOR, "positions": "where the points are", "colors": "colour of each point"}
-_LENS = {
+_CAMERA_MODEL = {
     **_SENSOR,
     **_POSED,
-    "camera": "the lens: model, size and numbers",
+    "camera": "the camera model: model, size and numbers",
     "video": "the encoded video as it is",
-    "fps": "nominal pictures a second",
+    "fps": "nominal images a second",
 }
 
 
 def _shots(name: str, image: Words) -> Words:
-    """The fields of a camera's pictures or images."""
+    """The fields of a camera's images or images."""
     shot = {
-        "timestamp_ns": "time of each picture",
-        "camera": "a lens of the picture's own",
-        "mount": "a mounting of the picture's own",
-        "extras": "further fields of each picture",
+        "timestamp_ns": "time of each image",
+        "camera": "a camera model of the image's own",
+        "mount": "a mounting of the image's own",
+        "extras": "further fields of each image",
     }
     return {f"{name}.{field}": words for field, words in {**shot, **image}.items()}
 
 
 _CAMERA = {
-    **_LENS,
+    **_CAMERA_MODEL,
     **_shots(
-        "pictures",
-        {"rgb": "colours of each pixel", "encoded": "the picture's file as it is, such as JPEG"},
+        "images",
+        {"rgb": "colours of each pixel", "encoded": "the image's file as it is, such as JPEG"},
     ),
 }
 _DEPTH_CAMERA = {
-    **_LENS,
+    **_CAMERA_MODEL,
     **_shots("frames", {"depth": "depth of each pixel", "scale": "metres per step of the source's depths"}),
 }
 _SAMPLES = {
     "timestamps_ns": "time of each value",
     "values": "the measured values",
-    "file_seconds": "time stamps as the source has them",
+    "file_seconds": "timestamps as the source has them",
 }
 _IMU = {
     **_SENSOR,
@@ -148,7 +149,7 @@ _GNSS = {
     "positions_lla": "latitude, longitude and altitude",
     "accuracies": "horizontal accuracy of each fix",
     "vertical_accuracies": "vertical accuracy of each fix",
-    "file_seconds": "time stamps as the source has them",
+    "file_seconds": "timestamps as the source has them",
     "mount": "where the antenna sits on the ego",
 }
 
@@ -157,26 +158,30 @@ _ANNOTATION = {
     "parent_id": "the annotation that it belongs to",
     "extras": "further fields of the annotation",
 }
-_SAID = {**_ANNOTATION, "label": "its class", "attributes": "what is said about it, over time"}
+_STATED = {**_ANNOTATION, "label": "its class", "attributes": "what is stated about it, over time"}
 _FOR_ONE = {"sensor_id": "the sensor that it is for"}
 
 
 def _path(name: str, values: Words) -> Words:
     """The fields of something that an annotation says over time."""
-    told = {"timestamps_ns": "time of each", "extras": "further fields of it", **values}
-    return {f"{name}.{field}": words for field, words in told.items()}
+    reported = {"timestamps_ns": "time of each", "extras": "further fields of it", **values}
+    return {f"{name}.{field}": words for field, words in reported.items()}
 
 
-def _seen(place: Words) -> Words:
+def _seen(location: Words) -> Words:
     """The fields of where cameras see something."""
-    told = {"sensor_id": "the camera that sees it", "confirmed": "whether a person confirmed it", **place}
-    return _path("projections", told)
+    reported = {
+        "sensor_id": "the camera that sees it",
+        "confirmed": "whether a person confirmed it",
+        **location,
+    }
+    return _path("projections", reported)
 
 
-_STANDING = {**_SAID, "stationary": "whether it stands still"}
+_STATIONARY = {**_STATED, "stationary": "whether it is stationary"}
 _CUBOID = {
-    **_STANDING,
-    **_path("path", {"values": "size, place and angles of the box"}),
+    **_STATIONARY,
+    **_path("path", {"values": "size, location and angles of the box"}),
     **_path(
         "activations",
         {
@@ -185,26 +190,26 @@ _CUBOID = {
             "cuboids": "the box as seen then",
         },
     ),
-    **_seen({"boxes": "its box in the picture", "cuboids": "the box as seen then"}),
+    **_seen({"boxes": "its box in the image", "cuboids": "the box as seen then"}),
 }
-_BOX_2D = {**_STANDING, **_FOR_ONE, **_path("path", {"values": "the box in the picture"})}
+_BOX_2D = {**_STATIONARY, **_FOR_ONE, **_path("path", {"values": "the box in the image"})}
 _SHAPE = {
-    **_STANDING,
+    **_STATIONARY,
     **_FOR_ONE,
     **_path("path", {"vertices": "the vertices of the shape"}),
     "type": "which shape it is",
     "is_closed": "whether the line is closed",
 }
 _POINTS = {
-    **{field: words for field, words in _STANDING.items() if field != "label"},
+    **{field: words for field, words in _STATIONARY.items() if field != "label"},
     **_FOR_ONE,
-    **_path("paths", {"values": "the places of the point", "id": "the point's id"}),
+    **_path("paths", {"values": "the locations of the point", "id": "the point's id"}),
     "labels": "names of the points",
-    **_seen({"points": "its place in the picture", "positions": "the place as seen then"}),
+    **_seen({"points": "its location in the image", "positions": "the location as seen then"}),
 }
-_EVENT = {**_SAID, **_FOR_ONE, "start_ns": "when it begins", "duration_ns": "how long it lasts"}
+_EVENT = {**_STATED, **_FOR_ONE, "start_ns": "when it begins", "duration_ns": "how long it lasts"}
 _LABELED_POINTS = {
-    **_SAID,
+    **_STATED,
     "is_instance": "whether it is one object and not a class",
     "type": "the word for such an annotation",
     "labeled_points.sensor_id": "the sensor of the points",
@@ -212,16 +217,16 @@ _LABELED_POINTS = {
     "labeled_points.sensor_frame": "the sweep of the points",
     "labeled_points.extras": "further fields of it",
 }
-_ADJUSTMENT = {**_ANNOTATION, "poses": "what mends the localisation"}
+_ADJUSTMENT = {**_ANNOTATION, "poses": "what repairs the localisation"}
 _CALIBRATION = {
     **_ANNOTATION,
     **_FOR_ONE,
-    "poses": "what mends the camera's poses",
-    "intrinsics": "the calibrated lens",
-    "time_offset_ns": "what mends the camera's times",
+    "poses": "what repairs the camera's poses",
+    "intrinsics": "the calibrated camera model",
+    "time_offset_ns": "what repairs the camera's times",
 }
 _LINK = {
-    **_SAID,
+    **_STATED,
     **_FOR_ONE,
     "from_id": "the annotation that it leads from",
     "to_id": "the annotation that it leads to",
@@ -246,9 +251,9 @@ _OF_KIND: Mapping[type[Any], Words] = {
     LabeledPointsAnnotation: _LABELED_POINTS,
     LocalizationAdjustment: _ADJUSTMENT,
     CameraCalibration: _CALIBRATION,
-    ObjectAnnotation: {**_SAID, "type": "the word for such an annotation"},
+    ObjectAnnotation: {**_STATED, "type": "the word for such an annotation"},
     LinkAnnotation: _LINK,
-    GroupAnnotation: _SAID,
+    GroupAnnotation: _STATED,
     PlainAnnotation: {
         "id": "the annotation's id",
         "type": "the file's word for it",
@@ -265,12 +270,12 @@ MODEL_FIELDS: Mapping[str, str] = MappingProxyType(
         "trajectories.name": "the trajectory's name",
         "trajectories.timestamps_ns": "time of each pose",
         "trajectories.positions": "where the ego was",
-        "trajectories.quaternions_xyzw": "how the ego was turned",
-        "trajectories.file_seconds": "time stamps as the source has them",
+        "trajectories.quaternions_xyzw": "how the ego was rotated",
+        "trajectories.file_seconds": "timestamps as the source has them",
         "trajectories.covariances": "how uncertain each pose is",
-        "attributes": "what is said about the scene and its sensors, over time",
+        "attributes": "what is stated about the scene and its sensors, over time",
         "metadata": "free fields of the scene",
-        "time_offset_ns": "what the file's clock leaves out of its stamps",
+        "time_offset_ns": "what the file's clock leaves out of its timestamps",
         "extras": "further fields of the scene",
     }
 )

@@ -13,32 +13,32 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import SceneloomError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations.attributes import AttributePath
-from sceneloom.scene.cameras import CameraSensor, Picture, VideoContent
+from sceneloom.scene.cameras import CameraImage, CameraSensor, VideoContent
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarSensor
 from sceneloom.scene.contents import IMU_STREAMS, KINDS, MODEL_FIELDS, NO_DATA
 from sceneloom.scene.depth import DepthCameraSensor, DepthFrame
 from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, Key, key_of
 from sceneloom.scene.watched import AnyFrame, watched
 
-_WHOLE = (Camera, RigidTransform, PosePath, VideoContent, AttributePath)
+_WHOLE = (Camera, RigidTransform, Poses, VideoContent, AttributePath)
 """Classes that are one field."""
 
-_IMAGES = {"pictures.decode": "pictures.rgb", "frames.decode": "frames.depth"}
+_IMAGES = {"images.decode": "images.rgb", "frames.decode": "frames.depth"}
 """Functions that make an image are called by what they make."""
 
 FramedSensor = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
 
 
 def frames_of(sensor: FramedSensor) -> LazyFrames[Any]:
-    """The sweeps, pictures or images of a sensor."""
-    return sensor.pictures if isinstance(sensor, CameraSensor) else sensor.frames
+    """The sweeps, images or images of a sensor."""
+    return sensor.images if isinstance(sensor, CameraSensor) else sensor.frames
 
 
 @dataclass(frozen=True, slots=True)
-class _Place:
+class _Location:
     """A field of a class: where its value is, what it is called, and the value that says nothing."""
 
     attribute: str
@@ -47,9 +47,11 @@ class _Place:
 
 
 @cache
-def _places(cls: Any, way: str) -> tuple[_Place, ...]:
+def _locations(cls: Any, trajectory: str) -> tuple[_Location, ...]:
     found = (field for field in fields(cls) if not field.name.startswith("_") and field.name not in NO_DATA)
-    return tuple(_Place(field.name, _named(f"{way}.{field.name}"), _default(field)) for field in found)
+    return tuple(
+        _Location(field.name, _named(f"{trajectory}.{field.name}"), _default(field)) for field in found
+    )
 
 
 def _named(name: str) -> str:
@@ -63,19 +65,23 @@ def _default(field: Field[Any]) -> Any:
     return None if field.default is MISSING else field.default
 
 
-def held_values(holder: Any, way: str) -> Iterator[tuple[str, Any]]:
+def held_values(holder: Any, trajectory: str) -> Iterator[tuple[str, Any]]:
     """Give name and value of each field that an object of the model holds, and of those within it; frames left out.
 
     What is absent, empty, or as it is where nobody says anything is not held.
 
     Args:
         holder: an object of one of the model's classes.
-        way: the name of what it is.
+        trajectory: the name of what it is.
     """
-    for place in _places(holder.__class__, way):
-        value = getattr(holder, place.attribute)
-        if value is not None and not isinstance(value, LazyFrames) and _says_something(value, place.default):
-            yield from _values_in(value, place.name)
+    for location in _locations(holder.__class__, trajectory):
+        value = getattr(holder, location.attribute)
+        if (
+            value is not None
+            and not isinstance(value, LazyFrames)
+            and _says_something(value, location.default)
+        ):
+            yield from _values_in(value, location.name)
 
 
 def _says_something(value: Any, default: Any) -> bool:
@@ -108,24 +114,26 @@ def _is_parted(value: Any) -> bool:
 
 
 def frame_values(sensor: FramedSensor, frame: Any) -> Iterator[tuple[str, Any]]:
-    """Give name and value of each field that one sweep, picture or image holds."""
-    way = f"{KINDS[type(sensor)]}.{'pictures' if isinstance(sensor, CameraSensor) else 'frames'}"
-    own_lens = isinstance(frame, Picture | DepthFrame) and not _same_lens(frame.camera, sensor)
-    for name, value in held_values(frame, way):
-        if own_lens or not isinstance(value, Camera):
+    """Give name and value of each field that one sweep, image or image holds."""
+    trajectory = f"{KINDS[type(sensor)]}.{'images' if isinstance(sensor, CameraSensor) else 'frames'}"
+    own_camera_model = isinstance(frame, CameraImage | DepthFrame) and not _same_camera_model(
+        frame.camera, sensor
+    )
+    for name, value in held_values(frame, trajectory):
+        if own_camera_model or not isinstance(value, Camera):
             yield name, value
 
 
-def _same_lens(lens: Camera, sensor: FramedSensor) -> bool:
-    """Whether a picture's lens is that of its camera, but for zeros at the end of the coefficients."""
-    usual = getattr(sensor, "camera", lens)
-    return lens == usual or bool(
-        replace(lens, coefficients=()) == replace(usual, coefficients=())
-        and all(a == b for a, b in zip_longest(lens.coefficients, usual.coefficients, fillvalue=0.0))
+def _same_camera_model(camera_model: Camera, sensor: FramedSensor) -> bool:
+    """Whether an image's camera model is that of its camera, but for zeros at the end of the coefficients."""
+    usual = getattr(sensor, "camera", camera_model)
+    return camera_model == usual or bool(
+        replace(camera_model, coefficients=()) == replace(usual, coefficients=())
+        and all(a == b for a, b in zip_longest(camera_model.coefficients, usual.coefficients, fillvalue=0.0))
     )
 
 
-def standing_values(scene: Scene) -> Iterator[tuple[str, Any]]:
+def stationary_values(scene: Scene) -> Iterator[tuple[str, Any]]:
     """Give name and value of each field that a scene holds outside of its frames; `order` is the ids or names."""
     for several, items in (("sensors", scene.sensors), ("annotations", scene.annotations)):
         if len(items) > 1:
@@ -136,10 +144,10 @@ def standing_values(scene: Scene) -> Iterator[tuple[str, Any]]:
         yield "trajectories.order", tuple(scene.trajectories)
     for trajectory in scene.trajectories.values():
         yield from held_values(trajectory, "trajectories")
-    for place in _places(Scene, ""):
-        value = getattr(scene, place.attribute)
-        if place.name in MODEL_FIELDS and _says_something(value, place.default):
-            yield place.name, value
+    for location in _locations(Scene, ""):
+        value = getattr(scene, location.attribute)
+        if location.name in MODEL_FIELDS and _says_something(value, location.default):
+            yield location.name, value
 
 
 class _Sweeping:
@@ -152,7 +160,7 @@ class _Sweeping:
         self.like_first = 0
         self.first = _first_frame_holds(sensor)
 
-    def tell(self, k: int, frame: AnyFrame) -> None:
+    def notify(self, k: int, frame: AnyFrame) -> None:
         if k in self.seen:
             return
         self.seen.add(k)
@@ -175,8 +183,8 @@ def _first_frame_holds(sensor: FramedSensor) -> tuple[str, ...]:
     try:
         return tuple({name: None for name, _ in frame_values(sensor, frames[0])})
     except SceneloomError:
-        # what is wrong with it is told to those who need the frame
-        part = "pictures" if isinstance(sensor, CameraSensor) else "frames"
+        # what is wrong with it is reported to those who need the frame
+        part = "images" if isinstance(sensor, CameraSensor) else "frames"
         return (f"{KINDS[type(sensor)]}.{part}.timestamp_ns",)
 
 
@@ -190,23 +198,23 @@ class Counting:
 
     def __init__(self, scene: Scene) -> None:
         """Count all but the frames, and look at the first frame of each sensor."""
-        self._standing = Counter(name for name, _ in standing_values(scene))
+        self._stationary = Counter(name for name, _ in stationary_values(scene))
         self._sweeping: dict[Key, _Sweeping] = {
             key_of(sensor.id): _Sweeping(sensor)
             for sensor in scene.sensors
             if isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor)
         }
-        self.scene = watched(scene, self._told)
+        self.scene = watched(scene, self._reported)
 
-    def _told(self, sensor_id: Identifier, k: int, frame: AnyFrame) -> None:
-        self._sweeping[key_of(sensor_id)].tell(k, frame)
+    def _reported(self, sensor_id: Identifier, k: int, frame: AnyFrame) -> None:
+        self._sweeping[key_of(sensor_id)].notify(k, frame)
 
     def counts(self) -> dict[str, int]:
         """How many objects or frames hold each field, by names of `MODEL_FIELDS`, in its order; none is left out."""
-        found = sum((sweeping.total() for sweeping in self._sweeping.values()), self._standing)
+        found = sum((sweeping.total() for sweeping in self._sweeping.values()), self._stationary)
         return {field: found[field] for field in MODEL_FIELDS if found[field]}
 
 
 def contents_of(scene: Scene) -> dict[str, int]:
-    """Say how many objects or frames of a scene hold each field, by its names; only first frames are looked at."""
+    """Report how many objects or frames of a scene hold each field, by its names; only first frames are looked at."""
     return Counting(scene).counts()

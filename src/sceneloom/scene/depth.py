@@ -11,7 +11,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import VideoContent
 from sceneloom.scene.frames import Kept, LazyFrames
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.types import NO_FIELDS, Coordinates, Identifier, SensorType
 
 
@@ -21,7 +21,7 @@ class DepthFrame:
 
     Attributes:
         timestamp_ns: mid-exposure of the middle row [ns].
-        camera: the lens at that time; a depth stands in the camera's own, distorted grid.
+        camera: the camera model at that time; a depth stands in the camera's own, distorted grid.
         decode: makes the image, (height, width) float32, z [m] along the optical axis, 0 for none; called anew each
             time.
         scale: metres per step where the source has whole steps, so that writing loses nothing; None where it has not.
@@ -67,7 +67,7 @@ class DepthCameraSensor:
 
     Attributes:
         id: unique among the scene's sensors.
-        camera: the lens (an image can have one of its own).
+        camera: the camera model (an image can have one of its own).
         frames: the depth images in time order, decoded when asked for.
         poses: camera (x right, y down, z forward) to `coordinates` frame, or None.
         mount: `ego_from_camera`, where the source knows a rigid mounting.
@@ -81,7 +81,7 @@ class DepthCameraSensor:
     id: Identifier
     camera: Camera
     frames: LazyFrames[DepthFrame]
-    poses: PosePath | None = None
+    poses: Poses | None = None
     mount: RigidTransform | None = None
     coordinates: Coordinates = Coordinates.WORLD
     video: VideoContent | None = None

@@ -1,4 +1,4 @@
-"""What detectors report of one sweep or one picture: boxes in space and boxes in a picture."""
+"""What detectors report of one sweep or one image: boxes in space and boxes in an image."""
 
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
@@ -119,16 +119,16 @@ class Boxes3D:
 
         They stay upright there: of a frame that is tilted, the heading's horizontal part counts.
         """
-        turned = b_from_a.rotate(self.directions)
+        rotated = b_from_a.rotate(self.directions)
         covariances = self.covariances
         if covariances is not None:
-            turn = np.eye(7)
-            turn[:3, :3] = b_from_a.rotation
-            covariances = turn @ covariances @ turn.T
+            rotation = np.eye(7)
+            rotation[:3, :3] = b_from_a.rotation
+            covariances = rotation @ covariances @ rotation.T
         return replace(
             self,
             centers=b_from_a.apply(self.centers),
-            yaws=np.arctan2(turned[:, 1], turned[:, 0]),
+            yaws=np.arctan2(rotated[:, 1], rotated[:, 0]),
             velocities=None if self.velocities is None else b_from_a.rotate(self.velocities),
             covariances=covariances,
             frame=frame,
@@ -137,13 +137,13 @@ class Boxes3D:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Boxes2D:
-    """The boxes that a detector reports in one picture.
+    """The boxes that a detector reports in one image.
 
     Shapes are checked here; what the numbers are worth is judged by those who read or fuse them.
 
     Attributes:
-        timestamp_ns: of the picture [ns].
-        corners_xyxy: (N, 4) float64 [px], left, top, right and bottom edge in the corner convention: the picture's
+        timestamp_ns: of the image [ns].
+        corners_xyxy: (N, 4) float64 [px], left, top, right and bottom edge in the corner convention: the image's
             own corner is (0, 0), right and bottom are exclusive, so a box around one pixel is 1 wide.
         scores: (N,) float64, in the form of `score_form`.
         labels: N classes.
@@ -178,7 +178,7 @@ class Boxes2D:
 
     @classmethod
     def empty(cls, timestamp_ns: int, *, sensor_id: Identifier | None = None) -> "Boxes2D":
-        """A picture in which nothing was found."""
+        """An image in which nothing was found."""
         return cls(timestamp_ns, np.zeros((0, 4)), np.zeros(0), (), sensor_id=sensor_id)
 
     @property

@@ -1,4 +1,4 @@
-"""The one way of the ego that a scene is placed by."""
+"""The one ego trajectory that a scene is placed by."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -11,35 +11,35 @@ from sceneloom.errors import SceneloomError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import matrix_from_quaternion, multiply_quaternions, normalise_quaternion
 from sceneloom.scene.motion import ImuSensor
-from sceneloom.scene.notices import Notice
 from sceneloom.scene.part import cut_path
 from sceneloom.scene.part_annotations import Interval
-from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene
+from sceneloom.scene.warnings import DataWarning
 
 _FAR = 1e9
-"""No place on earth is told by such numbers."""
+"""No location on earth is known by such numbers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EgoMotion:
-    """The chosen way of the ego.
+    """The chosen ego trajectory.
 
     Attributes:
         name: the trajectory's name, or "identity".
         path: `world_from_ego`.
         heading: "motion" where the orientation was derived from the motion, else None.
         covariances: (N, 6, 6) float64, one per pose of the path, as in `Trajectory`; None where not known.
-        notices: what was assumed or met on the way to it.
-        enu_origin_lla: latitude, longitude [deg] and height above the WGS84 ellipsoid [m] of the place whose east,
+        warnings: what was assumed or met on the way to it.
+        enu_origin_lla: latitude, longitude [deg] and height above the WGS84 ellipsoid [m] of the location whose east,
             north and up are the world's axes, where these are known; `moved` leaves it where it is.
     """
 
     name: str
-    path: PosePath
+    path: Poses
     heading: str | None = None
     covariances: Float64Array | None = None
-    notices: tuple[Notice, ...] = field(default=())
+    warnings: tuple[DataWarning, ...] = field(default=())
     enu_origin_lla: tuple[float, float, float] | None = None
 
     @classmethod
@@ -56,17 +56,17 @@ class EgoMotion:
         return replace(self, path=self.path.moved(origin_world))
 
     def seen_from(self, world_from_here: RigidTransform) -> "EgoMotion":
-        """The same way in another world, whose axes may be turned."""
-        turn = world_from_here.rotation
-        path = PosePath(
+        """The same way in another world, whose axes may be rotated."""
+        rotation = world_from_here.rotation
+        path = Poses(
             self.path.timestamps_ns,
             world_from_here.apply(self.path.positions),
             multiply_quaternions(world_from_here.quaternion_xyzw, self.path.quaternions_xyzw),
-            endless=self.path.endless,
+            static=self.path.static,
         )
         if self.covariances is None:
             return replace(self, path=path, enu_origin_lla=None)
-        axes = np.kron(np.eye(2), turn)
+        axes = np.kron(np.eye(2), rotation)
         return replace(self, path=path, covariances=axes @ self.covariances @ axes.T, enu_origin_lla=None)
 
     def within(self, part: Interval | None) -> "EgoMotion":
@@ -133,13 +133,17 @@ def ego_axes(scene: Scene) -> EgoAxes:
     return EgoAxes(np.stack([forward, np.cross(up, forward), up]), known and (known_up or not free))
 
 
-def _posed_path(scene: Scene) -> PosePath | None:
+def _posed_path(scene: Scene) -> Poses | None:
     """The first trajectory with orientations, of its first 10,000 poses."""
-    for way in scene.trajectories.values():
-        if way.quaternions_xyzw is not None and len(way.timestamps_ns) > 1:
+    for trajectory in scene.trajectories.values():
+        if trajectory.quaternions_xyzw is not None and len(trajectory.timestamps_ns) > 1:
             try:
                 rows = slice(0, 10_000)
-                return PosePath(way.timestamps_ns[rows], way.positions[rows], way.quaternions_xyzw[rows])
+                return Poses(
+                    trajectory.timestamps_ns[rows],
+                    trajectory.positions[rows],
+                    trajectory.quaternions_xyzw[rows],
+                )
             except SceneloomError:
                 continue
     return None
@@ -161,20 +165,20 @@ def _measured_up(scene: Scene) -> Float64Array | None:
 
 def _stated_forward(scene: Scene) -> Float64Array | None:
     """`imuForward` of a recording's calibration."""
-    told: Any = scene.metadata.get("recording")
+    reported: Any = scene.metadata.get("recording")
     for name in ("calibration", "imuForward"):
-        told = told.get(name) if isinstance(told, Mapping) else None
-    if isinstance(told, Mapping):
-        told = [told.get(axis) for axis in "xyz"]
-    if not isinstance(told, list | tuple) or len(told) != 3:
+        reported = reported.get(name) if isinstance(reported, Mapping) else None
+    if isinstance(reported, Mapping):
+        reported = [reported.get(axis) for axis in "xyz"]
+    if not isinstance(reported, list | tuple) or len(reported) != 3:
         return None
-    if not all(isinstance(each, int | float) and np.isfinite(each) for each in told):
+    if not all(isinstance(each, int | float) and np.isfinite(each) for each in reported):
         return None
-    length = float(np.linalg.norm(np.array(told, np.float64)))
-    return np.array(told, np.float64) / length if 0.0 < length < np.inf else None
+    length = float(np.linalg.norm(np.array(reported, np.float64)))
+    return np.array(reported, np.float64) / length if 0.0 < length < np.inf else None
 
 
-def _moved_forward(path: PosePath) -> Float64Array | None:
+def _moved_forward(path: Poses) -> Float64Array | None:
     """The direction in the ego's frame in which it moves; None where it hardly moves, or now this way and now that."""
     with np.errstate(over="ignore", invalid="ignore"):
         steps = np.diff(path.positions, axis=0)
@@ -188,8 +192,10 @@ def _moved_forward(path: PosePath) -> Float64Array | None:
 
 def _unrotated(quaternions_xyzw: Float64Array, vectors: Float64Array) -> Float64Array:
     """Vectors of the parent frame, (N, 3) or (1, 3), in the frames of the body."""
-    turns = matrix_from_quaternion(normalise_quaternion(quaternions_xyzw))
-    return np.asarray(np.einsum("nij,ni->nj", turns, np.broadcast_to(vectors, (len(turns), 3))), np.float64)
+    rotations = matrix_from_quaternion(normalise_quaternion(quaternions_xyzw))
+    return np.asarray(
+        np.einsum("nij,ni->nj", rotations, np.broadcast_to(vectors, (len(rotations), 3))), np.float64
+    )
 
 
 def _steady(vectors: Float64Array) -> Float64Array | None:
@@ -200,17 +206,17 @@ def _steady(vectors: Float64Array) -> Float64Array | None:
 
 
 def stated_origin(scene: Scene) -> tuple[float, float, float] | None:
-    """The place whose east, north and up are the axes of the scene's world, as its metadata say it.
+    """The location whose east, north and up are the axes of the scene's world, as its metadata state it.
 
     Returns:
-        latitude, longitude [deg] and height above the WGS84 ellipsoid [m]; None where nothing such is said, or the
+        latitude, longitude [deg] and height above the WGS84 ellipsoid [m]; None where nothing such is stated, or the
         world was moved since.
     """
     ours = scene.metadata.get("sceneloom")
-    said = ours.get("enu_origin") if isinstance(ours, Mapping) and "world_from_file" not in ours else None
-    if not isinstance(said, Mapping):
+    stated = ours.get("enu_origin") if isinstance(ours, Mapping) and "world_from_file" not in ours else None
+    if not isinstance(stated, Mapping):
         return None
-    numbers = [said.get(name) for name in ("latitude", "longitude", "altitude")]
+    numbers = [stated.get(name) for name in ("latitude", "longitude", "altitude")]
     if not all(isinstance(number, int | float) and abs(number) < _FAR for number in numbers):
         return None
     latitude, longitude, altitude = map(float, numbers)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""What is wrong, doubtful or worth knowing about a scene, each with its place and what to do about it."""
+"""What is wrong, doubtful or worth knowing about a scene, each with its location and what to do about it."""
 
 from enum import StrEnum
 
@@ -26,7 +26,7 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True):
         message: what was found, with the value, and what was expected.
         remedy: what a person can do about it.
         count: how often it was found there, where one finding stands for several.
-        fixable: whether `sceneloom validate --fix` mends it.
+        fixable: whether `sceneloom validate --fix` repairs it.
     """
 
     rule: str

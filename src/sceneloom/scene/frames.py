@@ -1,4 +1,4 @@
-"""A sequence whose time stamps are known at once and whose contents are made when asked for."""
+"""A sequence whose timestamps are known at once and whose contents are made when asked for."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -47,7 +47,7 @@ class LazyFrames(Sequence[Item_co], Generic[Item_co]):
     """
 
     def __init__(self, timestamps_ns: Int64Array, read: Callable[[int], Item_co]) -> None:
-        """Hold the stamps and the function that makes frame `k` (0 <= k < N)."""
+        """Hold the timestamps and the function that makes frame `k` (0 <= k < N)."""
         timestamps_ns = as_array("frames.timestamps_ns", timestamps_ns, (None,), np.int64)
         check_array("frames.timestamps_ns", timestamps_ns, (None,), np.int64)
         self.timestamps_ns: Int64Array = read_only(timestamps_ns)

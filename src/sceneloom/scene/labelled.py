@@ -8,8 +8,8 @@ import numpy as np
 from sceneloom.arrays import Int64Array, UInt32Array
 from sceneloom.scene.annotations.annotation import Annotation
 from sceneloom.scene.annotations.labelled_points import LabeledPoints, LabeledPointsAnnotation
-from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 Rows = Callable[[int | None], Int64Array | None]
 """Gives the rows of the points that stay of a frame (by its old number), or of a sensor without frames (None); or
@@ -30,7 +30,7 @@ class Renumbering:
 
 
 @dataclass(slots=True)
-class _Tally:
+class _Statistics:
     points: int = 0
     frames: int = 0
     unplaced: int = 0
@@ -39,7 +39,7 @@ class _Tally:
 
 def renumbered(
     annotations: Iterable[Annotation], renumberings: Mapping[Key, Renumbering]
-) -> tuple[tuple[Annotation, ...], tuple[Notice, ...]]:
+) -> tuple[tuple[Annotation, ...], tuple[DataWarning, ...]]:
     """Give annotations whose labelled points follow their sensors; one without points goes.
 
     Frames with labelled points are read now, all others when they are asked for.
@@ -51,20 +51,20 @@ def renumbered(
     Raises:
         DataError: a frame with labelled points cannot be read.
     """
-    tally = _Tally()
+    statistics = _Statistics()
     known = tuple(annotations)
-    moved = _moved_entries(known, renumberings, tally)
+    moved = _moved_entries(known, renumberings, statistics)
     found = [
-        _with_entries(annotation, [moved[row, k] for k in range(len(annotation.labeled_points))], tally)
+        _with_entries(annotation, [moved[row, k] for k in range(len(annotation.labeled_points))], statistics)
         if isinstance(annotation, LabeledPointsAnnotation)
         else annotation
         for row, annotation in enumerate(known)
     ]
-    return tuple(annotation for annotation in found if annotation is not None), _told(tally)
+    return tuple(annotation for annotation in found if annotation is not None), _reported(statistics)
 
 
 def _moved_entries(
-    annotations: tuple[Annotation, ...], renumberings: Mapping[Key, Renumbering], tally: _Tally
+    annotations: tuple[Annotation, ...], renumberings: Mapping[Key, Renumbering], statistics: _Statistics
 ) -> dict[tuple[int, int], LabeledPoints | None]:
     """What becomes of each entry, by its annotation's number and its own; frame by frame, so that each is read once."""
     entries = [
@@ -76,7 +76,7 @@ def _moved_entries(
     by_frame = sorted(entries, key=lambda found: _frame_of(found[2]))
     latest = _Latest()
     return {
-        (row, k): _entry(entry, renumberings.get(key_of(entry.sensor_id)), latest, tally)
+        (row, k): _entry(entry, renumberings.get(key_of(entry.sensor_id)), latest, statistics)
         for row, k, entry in by_frame
     }
 
@@ -102,17 +102,17 @@ class _Latest:
 
 
 def _with_entries(
-    annotation: LabeledPointsAnnotation, entries: Iterable[LabeledPoints | None], tally: _Tally
+    annotation: LabeledPointsAnnotation, entries: Iterable[LabeledPoints | None], statistics: _Statistics
 ) -> LabeledPointsAnnotation | None:
     kept = tuple(entry for entry in entries if entry is not None)
     if annotation.labeled_points and not kept:
-        tally.annotations += 1
+        statistics.annotations += 1
         return None
     return replace(annotation, labeled_points=kept)
 
 
 def _entry(
-    entry: LabeledPoints, change: Renumbering | None, latest: _Latest, tally: _Tally
+    entry: LabeledPoints, change: Renumbering | None, latest: _Latest, statistics: _Statistics
 ) -> LabeledPoints | None:
     if change is None:
         return entry
@@ -120,18 +120,18 @@ def _entry(
     if change.frames is not None:
         if number is None:
             # rows of a whole sensor with frames: no one says how they are counted
-            tally.unplaced += 1
+            statistics.unplaced += 1
             return None
         found = np.flatnonzero(change.frames == number)
         if len(found) == 0:
-            tally.frames += 1
+            statistics.frames += 1
             return None
         entry = replace(entry, sensor_frame=int(found[0]))
     rows = latest.rows(change, number)
     if rows is None:
         return entry
     ids = new_ids(entry.point_ids, rows)
-    tally.points += len(entry.point_ids) - len(ids)
+    statistics.points += len(entry.point_ids) - len(ids)
     return replace(entry, point_ids=ids) if len(ids) else None
 
 
@@ -145,28 +145,34 @@ def new_ids(point_ids: UInt32Array, rows: Int64Array) -> UInt32Array:
     Returns:
         (K,) uint32, new numbers, K <= N.
     """
-    places = np.searchsorted(rows, point_ids)
-    there = places < len(rows)
-    there[there] = rows[places[there]] == point_ids[there]
-    return places[there].astype(np.uint32)
+    locations = np.searchsorted(rows, point_ids)
+    there = locations < len(rows)
+    there[there] = rows[locations[there]] == point_ids[there]
+    return locations[there].astype(np.uint32)
 
 
-_PLACE = "annotations[].labeled_points"
+_LOCATION = "annotations[].labeled_points"
 
 
-def _told(tally: _Tally) -> tuple[Notice, ...]:
+def _reported(statistics: _Statistics) -> tuple[DataWarning, ...]:
     found = (
-        ("points", "labelled points that are not in the scene any more", tally.points),
-        ("frames", "labels of frames that are not in the scene any more", tally.frames),
+        ("points", "labelled points that are not in the scene any more", statistics.points),
+        ("frames", "labels of frames that are not in the scene any more", statistics.frames),
         (
             "sensors",
-            "labels of a whole sensor with frames: it is not said how its points are counted",
-            tally.unplaced,
+            "labels of a whole sensor with frames: it is not stated how its points are counted",
+            statistics.unplaced,
         ),
-        ("annotations", "annotations without a labelled point left", tally.annotations),
+        ("annotations", "annotations without a labelled point left", statistics.annotations),
     )
     return tuple(
-        Notice(kind=NoticeKind.SKIPPED, code=f"labelled-{what}", place=_PLACE, message=message, count=count)
+        DataWarning(
+            kind=WarningKind.SKIPPED,
+            code=f"labelled-{what}",
+            location=_LOCATION,
+            message=message,
+            count=count,
+        )
         for what, message, count in found
         if count
     )

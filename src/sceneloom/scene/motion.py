@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, hold_array
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.types import NO_FIELDS, Identifier, SensorType
 
 
@@ -17,7 +17,7 @@ class OdometrySensor:
     """The pose of the ego itself over time (`world_from_ego`)."""
 
     id: Identifier
-    poses: PosePath
+    poses: Poses
     parent_id: Identifier | None = None
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
@@ -34,7 +34,7 @@ class VectorSamples:
     Attributes:
         timestamps_ns: (N,) int64 [ns].
         values: (N, K) float64, in the unit of the stream.
-        file_seconds: (N,) float64 [s], the file's own time stamps, or None.
+        file_seconds: (N,) float64 [s], the file's own timestamps, or None.
     """
 
     timestamps_ns: Int64Array
@@ -83,7 +83,7 @@ class GnssSensor:
         positions_lla: (N, 3) float64: latitude [deg], longitude [deg], altitude above the WGS84 ellipsoid [m].
         accuracies: (N,) float64 [m], NaN where not given.
         vertical_accuracies: (N,) float64 [m], NaN where not given.
-        file_seconds: (N,) float64 [s], the file's own time stamps, or None.
+        file_seconds: (N,) float64 [s], the file's own timestamps, or None.
         mount: `ego_from_gnss`, where the antenna sits on the ego; its translation is the lever arm [m]. None where the
             source does not know it.
         parent_id: id of the parent sensor, or None.

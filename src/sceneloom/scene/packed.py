@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Self
 
 
 class Packed(Protocol):
-    """Records that hold what the fields of an object say."""
+    """Records that hold what the fields of an object state."""
 
     def __len__(self) -> int:
         """Count the records."""
@@ -18,7 +18,7 @@ class Packed(Protocol):
 class UnpackedWhenAsked:
     """The base of a frozen dataclass whose objects may be made of packed records.
 
-    All fields are filled at once, when the first is asked for, and the records let go. Nobody can tell such an object
+    All fields are filled at once, when the first is asked for, and the records let go. Nobody can report such an object
     from another one, but by the time that the first use takes.
     """
 

@@ -15,7 +15,6 @@ from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.labelled import Renumbering, renumbered
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
-from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.part_annotations import (
     Interval,
     cut_annotation,
@@ -25,11 +24,12 @@ from sceneloom.scene.part_annotations import (
     rows_between,
     without_loose_ends,
 )
-from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.shooting import Shooting, chosen_shots
 from sceneloom.scene.span import frame_times, time_span
 from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 _POSES_AROUND_NS = 1_000_000_000
 """Poses so long before and after a part stay in it: its last sweep ends later than it begins."""
@@ -47,7 +47,7 @@ Cloud = TypeVar("Cloud", LidarSensor, RadarSensor)
 def chosen_interval(
     scene: Scene, *, start: float | None = None, stop: float | None = None
 ) -> Interval | None:
-    """Turn seconds after a scene's first time stamp into times; None for the whole scene.
+    """Rotate seconds after a scene's first timestamp into times; None for the whole scene.
 
     Args:
         start: None for the beginning.
@@ -64,36 +64,36 @@ def chosen_interval(
         raise OptionError(f"from {start_s} s to {stop_s} s; expected 0 <= start < stop")
     first_ns = span_ns[0] + round(min(start_s, _LONGEST) * 1e9)
     last_ns = span_ns[0] + round(min(stop_s, _LONGEST) * 1e9)
-    stamps_ns = _frame_stamps(scene)
-    return _taking_near(first_ns, stamps_ns), min(_taking_near(last_ns, stamps_ns), span_ns[1] + 1)
+    timestamps_ns = _frame_timestamps(scene)
+    return _taking_near(first_ns, timestamps_ns), min(_taking_near(last_ns, timestamps_ns), span_ns[1] + 1)
 
 
-def _frame_stamps(scene: Scene) -> Int64Array:
-    """The times of all frames and pictures (N,) int64 [ns], in order."""
+def _frame_timestamps(scene: Scene) -> Int64Array:
+    """The times of all frames and images (N,) int64 [ns], in order."""
     kinds = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
     times = [frame_times(sensor) for sensor in scene.sensors if isinstance(sensor, kinds)]
     return np.sort(np.concatenate(times)) if times else np.zeros(0, np.int64)
 
 
-def _taking_near(bound_ns: int, stamps_ns: Int64Array) -> int:
+def _taking_near(bound_ns: int, timestamps_ns: Int64Array) -> int:
     """A bound, or the earliest frame that is as good as on it.
 
-    The first sweep of a fused drive begins with its earliest point, some microseconds after the stamp of the sensor:
-    counted from there, whole seconds would pass over frames that come at whole seconds of the sensor's clock.
+    The first sweep of a fused drive begins with its earliest point, some microseconds after the timestamp of the
+    sensor: counted from there, whole seconds would pass over frames that come at whole seconds of the sensor's clock.
     """
-    row = int(np.searchsorted(stamps_ns, bound_ns - _SAME_TIME_NS))
-    return min(bound_ns, int(stamps_ns[row])) if row < len(stamps_ns) else bound_ns
+    row = int(np.searchsorted(timestamps_ns, bound_ns - _SAME_TIME_NS))
+    return min(bound_ns, int(timestamps_ns[row])) if row < len(timestamps_ns) else bound_ns
 
 
 def cut_scene(scene: Scene, *, start: float | None = None, stop: float | None = None) -> Scene:
-    """Keep a part of a scene: frames, pictures, samples and annotations in it, and the poses in and around it.
+    """Keep a part of a scene: frames, images, samples and annotations in it, and the poses in and around it.
 
-    Pictures are kept to the end of the last sweep, since that is paired with one later than its start. Annotations
+    Images are kept to the end of the last sweep, since that is paired with one later than its start. Annotations
     that are not there in the part are left out, labelled points follow their frames, and what holds at all times
     stays.
 
     Args:
-        start: seconds after the scene's first time stamp, None for the beginning.
+        start: seconds after the scene's first timestamp, None for the beginning.
         stop: seconds after it, exclusive, None for the end.
 
     Raises:
@@ -102,9 +102,9 @@ def cut_scene(scene: Scene, *, start: float | None = None, stop: float | None = 
     part = chosen_interval(scene, start=start, stop=stop)
     if part is None:
         return scene
-    with_pictures = (part[0], max([part[1], *(_sweeps_end(lidar, part) for lidar in scene.lidars)]))
+    with_images = (part[0], max([part[1], *(_sweeps_end(lidar, part) for lidar in scene.lidars)]))
     sensors = tuple(
-        _cut_sensor(sensor, with_pictures if isinstance(sensor, CameraSensor | DepthCameraSensor) else part)
+        _cut_sensor(sensor, with_images if isinstance(sensor, CameraSensor | DepthCameraSensor) else part)
         for sensor in scene.sensors
     )
     kinds = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
@@ -114,24 +114,26 @@ def cut_scene(scene: Scene, *, start: float | None = None, stop: float | None = 
         raise OptionError(
             f"{scene.source}: no frame from {start or 0.0} s to {until}; the scene lasts {length:.3f} s"
         )
-    annotations, told = _cut_annotations(scene, part, with_pictures)
+    annotations, reported = _cut_annotations(scene, part, with_images)
     return replace(
         scene,
         sensors=sensors,
         annotations=annotations,
         attributes=cut_attributes(scene.attributes, part),
-        trajectories={name: _cut_trajectory(way, part) for name, way in scene.trajectories.items()},
-        notices=scene.notices + told,
+        trajectories={
+            name: _cut_trajectory(trajectory, part) for name, trajectory in scene.trajectories.items()
+        },
+        warnings=scene.warnings + reported,
     )
 
 
-def cut_path(path: PosePath, part: Interval) -> PosePath:
+def cut_path(path: Poses, part: Interval) -> Poses:
     """Keep the poses in and around a part, so that between its times nothing changes."""
     return cut_poses(path, part, _POSES_AROUND_NS)
 
 
 def _sweeps_end(lidar: LidarSensor, part: Interval) -> int:
-    """When the last sweep that begins in the part ends, as far as the stamps can tell."""
+    """When the last sweep that begins in the part ends, as far as the timestamps can report."""
     times = lidar.frames.timestamps_ns
     rows = rows_between(times, part)
     if rows.start == rows.stop or len(times) < 2:
@@ -139,15 +141,15 @@ def _sweeps_end(lidar: LidarSensor, part: Interval) -> int:
     return int(times[rows.stop - 1]) + int(np.median(np.diff(times)))
 
 
-def _cut_trajectory(way: Trajectory, part: Interval) -> Trajectory:
-    rows = rows_around(way.timestamps_ns, part, _POSES_AROUND_NS)
+def _cut_trajectory(trajectory: Trajectory, part: Interval) -> Trajectory:
+    rows = rows_around(trajectory.timestamps_ns, part, _POSES_AROUND_NS)
     return Trajectory(
-        way.name,
-        way.timestamps_ns[rows],
-        way.positions[rows],
-        None if way.quaternions_xyzw is None else way.quaternions_xyzw[rows],
-        None if way.file_seconds is None else way.file_seconds[rows],
-        None if way.covariances is None else way.covariances[rows],
+        trajectory.name,
+        trajectory.timestamps_ns[rows],
+        trajectory.positions[rows],
+        None if trajectory.quaternions_xyzw is None else trajectory.quaternions_xyzw[rows],
+        None if trajectory.file_seconds is None else trajectory.file_seconds[rows],
+        None if trajectory.covariances is None else trajectory.covariances[rows],
     )
 
 
@@ -215,14 +217,14 @@ _CUTS: Mapping[type, Callable[[Any, Interval], Sensor]] = MappingProxyType(
 
 
 def _cut_annotations(
-    scene: Scene, part: Interval, with_pictures: Interval
-) -> tuple[tuple[Annotation, ...], tuple[Notice, ...]]:
+    scene: Scene, part: Interval, with_images: Interval
+) -> tuple[tuple[Annotation, ...], tuple[DataWarning, ...]]:
     """Cut the annotations; labelled points follow their frames, links and children what they name."""
-    cut = [cut_annotation(a, part, with_pictures=with_pictures) for a in scene.annotations]
-    there, told = renumbered((a for a in cut if a is not None), _kept_frames(scene, part))
+    cut = [cut_annotation(a, part, with_images=with_images) for a in scene.annotations]
+    there, reported = renumbered((a for a in cut if a is not None), _kept_frames(scene, part))
     annotations, freed = without_loose_ends(scene.annotations, there)
     gone = len(scene.annotations) - len(annotations)
-    return annotations, (*_notices(_LEFT_OUT, gone), *_notices(_FREED, freed), *told)
+    return annotations, (*_warnings(_LEFT_OUT, gone), *_warnings(_FREED, freed), *reported)
 
 
 def _kept_frames(scene: Scene, part: Interval) -> dict[Key, Renumbering]:
@@ -244,8 +246,12 @@ _LEFT_OUT = ("annotations-cut", "annotations that are not there in the chosen pa
 _FREED = ("parents-cut", "annotations whose parents are not there in the chosen part stand without them")
 
 
-def _notices(told: tuple[str, str], count: int) -> tuple[Notice, ...]:
+def _warnings(reported: tuple[str, str], count: int) -> tuple[DataWarning, ...]:
     if count == 0:
         return ()
-    code, message = told
-    return (Notice(kind=NoticeKind.SKIPPED, code=code, place="annotations", message=message, count=count),)
+    code, message = reported
+    return (
+        DataWarning(
+            kind=WarningKind.SKIPPED, code=code, location="annotations", message=message, count=count
+        ),
+    )

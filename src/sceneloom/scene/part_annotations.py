@@ -17,7 +17,7 @@ from sceneloom.scene.annotations.keypoints import PointPath, PointProjection, Po
 from sceneloom.scene.annotations.plain import PlainAnnotation
 from sceneloom.scene.annotations.relations import EventAnnotation, LinkAnnotation
 from sceneloom.scene.annotations.shapes import ShapeAnnotation
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.types import Key, key_of
 
 Interval = tuple[int, int]
@@ -29,14 +29,14 @@ Seen = TypeVar("Seen", Projection, PointProjection)
 
 @dataclass(frozen=True, slots=True)
 class _Times:
-    """When a part is, and the same until its last sweep ends, for what is drawn into pictures."""
+    """When a part is, and the same until its last sweep ends, for what is drawn into images."""
 
     part: Interval
-    with_pictures: Interval
+    with_images: Interval
 
 
 def cut_annotation(
-    annotation: Annotation, part: Interval, *, with_pictures: Interval | None = None
+    annotation: Annotation, part: Interval, *, with_images: Interval | None = None
 ) -> Annotation | None:
     """Keep what an annotation says about a part; None for one that is not there in it.
 
@@ -44,18 +44,21 @@ def cut_annotation(
 
     Args:
         part: when the part is.
-        with_pictures: the same until its last sweep ends; None: as `part`.
+        with_images: the same until its last sweep ends; None: as `part`.
     """
     cut = _CUTS.get(type(annotation))
-    found: Any = annotation if cut is None else cut(annotation, _Times(part, with_pictures or part))
-    said: tuple[AttributePath, ...] = getattr(found, "attributes", ())
-    kept = cut_attributes(said, part)
-    changed: Annotation | None = found if kept == said else replace(found, attributes=kept)
+    found: Any = annotation if cut is None else cut(annotation, _Times(part, with_images or part))
+    stated: tuple[AttributePath, ...] = getattr(found, "attributes", ())
+    kept = cut_attributes(stated, part)
+    changed: Annotation | None = found if kept == stated else replace(found, attributes=kept)
     return changed
 
 
 def cut_attributes(attributes: tuple[AttributePath, ...], part: Interval) -> tuple[AttributePath, ...]:
-    """Keep what attributes say about a part: a value holds until the next one, so the last one before it begins it."""
+    """Keep what attributes state about a part: a value holds until the next one.
+
+    So the last one before it begins it.
+    """
     cut = (_cut_attribute(attribute, part) for attribute in attributes)
     return tuple(attribute for attribute in cut if attribute is not None)
 
@@ -107,12 +110,12 @@ def overlaps(times_ns: Int64Array, part: Interval) -> bool:
     return len(times_ns) > 0 and bool(times_ns[0] < part[1] and times_ns[-1] >= part[0])
 
 
-def cut_poses(path: PosePath, part: Interval, margin_ns: int) -> PosePath:
+def cut_poses(path: Poses, part: Interval, margin_ns: int) -> Poses:
     """Keep the poses in and around a part, so that between its times nothing changes."""
-    if path.endless:
+    if path.static:
         return path
     rows = rows_around(path.timestamps_ns, part, margin_ns)
-    return PosePath(path.timestamps_ns[rows], path.positions[rows], path.quaternions_xyzw[rows])
+    return Poses(path.timestamps_ns[rows], path.positions[rows], path.quaternions_xyzw[rows])
 
 
 def _cut_attribute(attribute: AttributePath, part: Interval) -> AttributePath | None:
@@ -139,7 +142,7 @@ def _cut_path(path: Path, part: Interval, name: str, *, stationary: bool | None)
     if len(times) == 0 or not _increase(times):
         return path
     if stationary:
-        # what stands still holds at all times, so one of its rows serves the part, at a time in it
+        # what is stationary holds at all times, so one of its rows serves the part, at a time in it
         rows = rows_between(times, part)
         rows = rows if rows.start < rows.stop else slice(0, 1)
         times_ns = np.clip(times[rows], part[0], part[1] - 1)
@@ -155,7 +158,7 @@ def _cuboid(cuboid: CuboidAnnotation, times: _Times) -> CuboidAnnotation | None:
     if path is None:
         return None
     activations = (_activation(activation, times.part) for activation in cuboid.activations)
-    projections = (_projection(projection, times.with_pictures) for projection in cuboid.projections)
+    projections = (_projection(projection, times.with_images) for projection in cuboid.projections)
     return replace(
         cuboid,
         path=path,
@@ -197,18 +200,18 @@ def _chosen(array: AnyArray | None, rows: AnyArray) -> AnyArray | None:
 
 
 def _box_2d(box: Box2DAnnotation, times: _Times) -> Box2DAnnotation | None:
-    path = _cut_path(box.path, times.with_pictures, "values", stationary=box.stationary)
+    path = _cut_path(box.path, times.with_images, "values", stationary=box.stationary)
     return None if path is None else replace(box, path=path)
 
 
 def _shape(shape: ShapeAnnotation, times: _Times) -> ShapeAnnotation | None:
-    part = times.with_pictures if shape.dimensions == 2 else times.part
+    part = times.with_images if shape.dimensions == 2 else times.part
     path = _cut_path(shape.path, part, "vertices", stationary=shape.stationary)
     return None if path is None else replace(shape, path=path)
 
 
 def _points(points: PointsAnnotation, times: _Times) -> PointsAnnotation | None:
-    """Cut the ways of all points; one that is not there keeps its number, and nothing else."""
+    """Cut the trajectories of all points; one that is not there keeps its number, and nothing else."""
     paths = [_cut_path(path, times.part, "values", stationary=points.stationary) for path in points.paths]
     if paths and all(path is None for path in paths):
         return None
@@ -218,7 +221,7 @@ def _points(points: PointsAnnotation, times: _Times) -> PointsAnnotation | None:
             _emptied(path) if kept is None else kept for path, kept in zip(points.paths, paths, strict=True)
         ),
         projections=tuple(
-            tuple(_projection(projection, times.with_pictures) for projection in of_point)
+            tuple(_projection(projection, times.with_images) for projection in of_point)
             for of_point in points.projections
         ),
     )
@@ -247,14 +250,14 @@ def _adjustment(adjustment: LocalizationAdjustment, times: _Times) -> Localizati
 
 
 def _calibration(calibration: CameraCalibration, times: _Times) -> CameraCalibration:
-    """Cut the poses; lens and time hold in any part."""
+    """Cut the poses; camera model and time hold in any part."""
     if calibration.poses is None:
         return calibration
-    return replace(calibration, poses=_correcting(calibration.poses, times.with_pictures))
+    return replace(calibration, poses=_correcting(calibration.poses, times.with_images))
 
 
-def _correcting(path: PosePath, part: Interval) -> PosePath | None:
-    if path.endless or overlaps(path.timestamps_ns, part):
+def _correcting(path: Poses, part: Interval) -> Poses | None:
+    if path.static or overlaps(path.timestamps_ns, part):
         return cut_poses(path, part, 0)
     return None
 
@@ -270,4 +273,4 @@ _CUTS: Mapping[type, Callable[[Any, _Times], Annotation | None]] = MappingProxyT
         CameraCalibration: _calibration,
     }
 )
-"""How the annotations that say when are cut; the others stay."""
+"""How the annotations that state when are cut; the others stay."""

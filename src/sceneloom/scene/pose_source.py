@@ -8,7 +8,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
-from sceneloom.scene.poses import PosePath, PoseSamples
+from sceneloom.scene.poses import Poses, PoseSamples
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,13 +22,13 @@ class PoseSource:
         own: whether the path is the sensor's own, so that a mounting on the ego says nothing more about it.
     """
 
-    path: PosePath
+    path: Poses
     mount: RigidTransform
     reach_ns: int = 0
     own: bool = False
 
     def mounted(self, ego_from_sensor: RigidTransform | None) -> "PoseSource":
-        """The same way of the ego with another mounting, if there is one; a sensor's own path stays as it is."""
+        """The same ego trajectory with another mounting, if there is one; a sensor's own path stays as it is."""
         return self if self.own or ego_from_sensor is None else replace(self, mount=ego_from_sensor)
 
     def at(self, timestamps_ns: Int64Array) -> PoseSamples:
@@ -42,8 +42,8 @@ class PoseSource:
 
 
 def placed_along(
-    path: PosePath | None, mounts: Sequence[RigidTransform | None], timestamps_ns: Int64Array
-) -> PosePath | None:
+    path: Poses | None, mounts: Sequence[RigidTransform | None], timestamps_ns: Int64Array
+) -> Poses | None:
     """As `poses_along`, with the mounting at each of the times, (N,) of them, None where it is not known."""
     numbers: dict[bytes, int] = {}
     known: dict[int, RigidTransform] = {}
@@ -56,11 +56,11 @@ def placed_along(
 
 
 def poses_along(
-    path: PosePath | None,
+    path: Poses | None,
     mounts: Mapping[int, RigidTransform],
     chosen: Int64Array,
     timestamps_ns: Int64Array,
-) -> PosePath | None:
+) -> Poses | None:
     """Give `world_from_sensor` at those of the times that the path covers; None where there are none.
 
     Args:
@@ -82,4 +82,4 @@ def poses_along(
     known = np.isfinite(positions[:, 0])
     if not known.any():
         return None
-    return PosePath(times[known], positions[known], quaternions[known])
+    return Poses(times[known], positions[known], quaternions[known])

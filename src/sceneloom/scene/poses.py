@@ -1,4 +1,4 @@
-"""Where something was over time: the PosePath of the Sensor Fusion Scene format, and named trajectories."""
+"""Where something was over time: the Poses of the Sensor Fusion Scene format, and named trajectories."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -27,25 +27,25 @@ class PoseSamples:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PosePath:
+class Poses:
     """Position and orientation of a moving frame in its parent frame (`parent_from_body`).
 
     Attributes:
         timestamps_ns: (N,) int64 [ns], strictly increasing, N >= 1.
         positions: (N, 3) float64 [m].
         quaternions_xyzw: (N, 4) float64, unit within 0.01, scalar last.
-        endless: the pose holds at all times (only for N = 1: a body that stands still).
+        static: the pose holds at all times (only for N = 1: a body that is stationary).
 
     Raises:
         ArrayError: shapes, order of times or norms are wrong.
 
-    Source: "PosePath" of the SFS description.
+    Source: "Poses" of the SFS description.
     """
 
     timestamps_ns: Int64Array
     positions: Float64Array
     quaternions_xyzw: Float64Array
-    endless: bool = False
+    static: bool = False
 
     def __post_init__(self) -> None:
         count = hold_array(self, "poses.timestamps_ns", (None,), np.int64)
@@ -53,8 +53,8 @@ class PosePath:
         hold_array(self, "poses.quaternions_xyzw", (count, 4), np.float64)
         if count == 0:
             raise ArrayError("poses: empty; expected at least one pose")
-        if self.endless and count != 1:
-            raise ArrayError(f"poses: {count} poses; an endless path has exactly one")
+        if self.static and count != 1:
+            raise ArrayError(f"poses: {count} poses; an static path has exactly one")
         backwards = np.flatnonzero(self.timestamps_ns[1:] <= self.timestamps_ns[:-1])
         if len(backwards):
             k = int(backwards[0]) + 1
@@ -74,12 +74,12 @@ class PosePath:
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return PosePath, (self.timestamps_ns, self.positions, self.quaternions_xyzw, self.endless)
+        return Poses, (self.timestamps_ns, self.positions, self.quaternions_xyzw, self.static)
 
     @classmethod
-    def identity(cls) -> "PosePath":
+    def identity(cls) -> "Poses":
         """A body that stands at the origin for all time."""
-        return cls(np.zeros(1, np.int64), np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), endless=True)
+        return cls(np.zeros(1, np.int64), np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), static=True)
 
     @property
     def start_ns(self) -> int:
@@ -91,7 +91,7 @@ class PosePath:
         """Time of the last pose [ns]."""
         return int(self.timestamps_ns[-1])
 
-    def moved(self, origin: Float64Array) -> "PosePath":
+    def moved(self, origin: Float64Array) -> "Poses":
         """The same path seen from another origin of its parent frame, (3,) float64 [m]; the axes stay."""
         return replace(self, positions=self.positions - origin)
 
@@ -102,7 +102,7 @@ class PosePath:
             timestamps_ns: (M,) int64 [ns].
             reach_ns: how far beyond either end the constant velocity of the end segment is continued.
         """
-        if self.endless:
+        if self.static:
             count = len(timestamps_ns)
             inside = np.zeros(count, np.uint8)
             return PoseSamples(
@@ -118,22 +118,22 @@ class PosePath:
 
     def held(self, timestamps_ns: Int64Array) -> PoseSamples:
         """Give the pose at each time, (M,) int64 [ns]; beyond the path's ends the end poses hold."""
-        if self.endless:
+        if self.static:
             return self.interpolate(timestamps_ns)
         return self.interpolate(np.clip(timestamps_ns, self.start_ns, self.stop_ns))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """The ego's way through the world under the name of the method that found it (`world_from_ego`).
+    """The ego trajectory through the world under the name of the method that found it (`world_from_ego`).
 
     Attributes:
         name: "groundTruth", "pose", the name of a VIO method, …
         timestamps_ns: (N,) int64 [ns], strictly increasing.
         positions: (N, 3) float64 [m], world frame, z up.
         quaternions_xyzw: (N, 4) float64, or None where the method gives positions only.
-        file_seconds: (N,) float64 [s], the file's own time stamps, or None.
-        covariances: (N, 6, 6) float64, or None: of a small turn [rad], then a small shift [m], of the ego about the
+        file_seconds: (N,) float64 [s], the file's own timestamps, or None.
+        covariances: (N, 6, 6) float64, or None: of a small rotation [rad], then a small shift [m], of the ego about the
             world's axes at the pose, relative to where the method began.
     """
 
@@ -164,8 +164,8 @@ class Trajectory:
         )
 
     @property
-    def poses(self) -> PosePath:
-        """The trajectory as a PosePath.
+    def poses(self) -> Poses:
+        """The trajectory as a Poses.
 
         Raises:
             PoseError: the trajectory has positions only.
@@ -173,13 +173,14 @@ class Trajectory:
         if self.quaternions_xyzw is None:
             raise PoseError(
                 f"trajectory {self.name!r} holds positions without orientations; "
-                "derive the heading from the motion with `--heading motion`, or choose another with `--trajectory NAME`"
+                "derive the heading from the motion with `--orientation-from motion`, or choose another with "
+                "`--trajectory NAME`"
             )
-        return PosePath(self.timestamps_ns, self.positions, self.quaternions_xyzw)
+        return Poses(self.timestamps_ns, self.positions, self.quaternions_xyzw)
 
 
-def same_way(a: PosePath | Trajectory, b: PosePath | Trajectory) -> bool:
-    """Whether both tell the same poses at the same times, number for number."""
+def same_direction(a: Poses | Trajectory, b: Poses | Trajectory) -> bool:
+    """Whether both report the same poses at the same times, number for number."""
     return (
         a.quaternions_xyzw is not None
         and b.quaternions_xyzw is not None

@@ -1,4 +1,4 @@
-"""One synchronised set: a sweep, the pictures and other frames that belong to it, and where everything was."""
+"""One synchronised set: a sweep, the images and other frames that belong to it, and where everything was."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
@@ -10,15 +10,15 @@ import numpy as np
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.cameras import Picture
+from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.clouds import LidarFrame, RadarFrame
 from sceneloom.scene.depth import DepthFrame
 from sceneloom.scene.sample_boxes import Boxes
-from sceneloom.scene.sample_places import SamplePoses
+from sceneloom.scene.sample_positions import SamplePoses
 from sceneloom.scene.types import Identifier
 
 Value = TypeVar("Value")
-Image = TypeVar("Image", Picture, DepthFrame)
+Image = TypeVar("Image", CameraImage, DepthFrame)
 
 
 class Once(Generic[Value]):
@@ -53,20 +53,21 @@ class Sample:
     """What several sensors measured about one moment.
 
     Every sensor that was asked for is a key of the mappings. Where it has no frame near enough, or its pose is not
-    known, the value is None, and `missing` or `unposed` says why. Pictures are decoded when their `rgb` is asked for,
+    known, the value is None, and `missing` or `unposed` says why. Images are decoded when their `rgb` is asked for,
     depth images when their `depth` is. A sample that is pickled takes pixels, poses and boxes along, so that whoever
     gets it needs no file.
 
     Attributes:
         index: number of the reference sensor's frame.
-        timestamp_ns: the moment [ns]: the sweep's reference time (median of its point times), or that of the picture.
+        timestamp_ns: the moment [ns]: the sweep's reference time (median of its point times), or that of the image.
         reference_id: the sensor that gives the moment.
         lidar_id: the lidar of `sweep`; None without any.
         sweeps: by id of the lidar.
-        pictures: by id of the camera.
+        images: by id of the camera.
         radar_frames: by id of the radar.
         depth_frames: by id of the depth camera.
-        cameras: the lens by id of the camera or depth camera: that of the picture or depth image, where there is one.
+        cameras: the camera model by id of the camera or depth camera: that of the image or depth image, where there is
+            one.
         times_ns: time of each frame that is there, by id [ns]; of sweeps their reference time.
         missing: why a frame is not there, by id.
         find_poses: works out where the sensors were.
@@ -78,7 +79,7 @@ class Sample:
     reference_id: Identifier
     lidar_id: Identifier | None
     sweeps: Mapping[Identifier, LidarFrame | None]
-    pictures: Mapping[Identifier, Picture | None]
+    images: Mapping[Identifier, CameraImage | None]
     radar_frames: Mapping[Identifier, RadarFrame | None]
     depth_frames: Mapping[Identifier, DepthFrame | None]
     cameras: Mapping[Identifier, Camera]
@@ -136,7 +137,7 @@ class Sample:
 
     @property
     def world_from_camera(self) -> dict[Identifier, RigidTransform | None]:
-        """Pose of each camera and depth camera at the time of its picture or depth image, by id."""
+        """Pose of each camera and depth camera at the time of its image or depth image, by id."""
         return {camera_id: self.poses.world_from_sensor[camera_id] for camera_id in self.cameras}
 
     @property
@@ -144,7 +145,7 @@ class Sample:
         """Takes the lidar at the sweep's reference time into each of `cameras` at the time of its image, by id.
 
         The ego's motion between the two times is in it. Without a trajectory (`unposed` says so) only the mountings
-        are, which is right for an ego that stands still.
+        are, which is right for an ego that is stationary.
         """
         poses, lidar_id = self.poses, self.lidar_id
         return {key: None if lidar_id is None else poses.into(key, lidar_id) for key in self.cameras}
@@ -161,7 +162,7 @@ class Sample:
         docs/samples.md lists the names.
 
         Raises:
-            DataError: a picture or depth image cannot be decoded.
+            DataError: an image or depth image cannot be decoded.
         """
         from sceneloom.scene.sample_arrays import arrays_of
 
@@ -169,7 +170,7 @@ class Sample:
 
     def __reduce__(self) -> tuple[Any, ...]:
         values = {field.name: getattr(self, field.name) for field in fields(self)}
-        for images in ("pictures", "depth_frames"):
+        for images in ("images", "depth_frames"):
             values[images] = {camera_id: _with_pixels(image) for camera_id, image in values[images].items()}
         return Sample, tuple(values.values())
 

@@ -22,15 +22,15 @@ def arrays_of(sample: Sample) -> dict[str, np.ndarray[Any, Any]]:
     """Give all arrays of a sample by name.
 
     Raises:
-        DataError: a picture or depth image cannot be decoded.
+        DataError: an image or depth image cannot be decoded.
     """
     arrays = {"index": np.array(sample.index), "timestamp_ns": np.array(sample.timestamp_ns)}
     for lidar_id, sweep in sample.sweeps.items():
         arrays.update(_cloud(lidar_id, sweep, _LIDAR_ARRAYS))
     for radar_id, frame in sample.radar_frames.items():
         arrays.update(_cloud(radar_id, frame, _RADAR_ARRAYS))
-    for camera_id, lens in sample.cameras.items():
-        arrays.update(_camera(sample, camera_id, lens))
+    for camera_id, camera_model in sample.cameras.items():
+        arrays.update(_camera(sample, camera_id, camera_model))
     for sensor_id, world_from_sensor in sample.poses.world_from_sensor.items():
         arrays[f"{sensor_id}.found"] = np.array(sensor_id in sample.times_ns)
         arrays[f"{sensor_id}.time_ns"] = np.array(sample.times_ns.get(sensor_id, sample.timestamp_ns))
@@ -57,17 +57,17 @@ def _cloud(
             yield f"{sensor_id}.{name}", array.copy()
 
 
-def _camera(sample: Sample, camera_id: Identifier, lens: Camera) -> Iterator[Named]:
-    """Pixels or depths, and the lens; of a picture that is not there black ones, of a depth image no depths."""
-    size = (lens.height, lens.width)
-    if camera_id in sample.pictures:
-        picture = sample.pictures[camera_id]
-        yield f"{camera_id}.rgb", _own(picture.rgb) if picture else np.zeros((*size, 3), np.uint8)
+def _camera(sample: Sample, camera_id: Identifier, camera_model: Camera) -> Iterator[Named]:
+    """Pixels or depths, and the camera model; of an image that is not there black ones, of a depth image no depths."""
+    size = (camera_model.height, camera_model.width)
+    if camera_id in sample.images:
+        image = sample.images[camera_id]
+        yield f"{camera_id}.rgb", _own(image.rgb) if image else np.zeros((*size, 3), np.uint8)
     else:
         frame = sample.depth_frames[camera_id]
         yield f"{camera_id}.depth", _own(frame.depth) if frame else np.zeros(size, np.float32)
-    yield f"{camera_id}.matrix", lens.matrix
-    yield f"{camera_id}.coefficients", np.array(lens.coefficients, np.float64)
+    yield f"{camera_id}.matrix", camera_model.matrix
+    yield f"{camera_id}.coefficients", np.array(camera_model.coefficients, np.float64)
 
 
 def _own(image: AnyArray) -> AnyArray:

@@ -12,7 +12,7 @@ from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations.cuboids import CuboidAnnotation
 from sceneloom.scene.annotations_frame import annotations_frame, not_in_world
-from sceneloom.scene.at import CuboidPoses, activated, active_at, cuboid_poses, turned
+from sceneloom.scene.at import CuboidPoses, activated, active_at, cuboid_poses, rotated
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Coordinates, Identifier, Key, key_of
 
@@ -23,7 +23,7 @@ class Boxes:
 
     Attributes:
         ids: ids of their annotations.
-        labels: their classes, None where not said.
+        labels: their classes, None where not stated.
         centers_world: (B, 3) float64 [m].
         sizes_lwh: (B, 3) float64 [m], length, width, height.
         quaternions_xyzw: (B, 4) float64, `world_from_box`.
@@ -66,7 +66,7 @@ class Boxes:
 
 
 class BoxTable:
-    """All boxes of a scene with their ways, to be asked for a moment.
+    """All boxes of a scene with their trajectories, to be asked for a moment.
 
     Attributes:
         annotations: the cuboids of the scene that have a path, in order.
@@ -85,14 +85,14 @@ class BoxTable:
 
     @cached_property
     def _paths(self) -> tuple[Int64Array, Float64Array, Int64Array, Int64Array]:
-        """Stamps and rows of all paths one after the other, and where each path begins and ends."""
+        """Timestamps and rows of all paths one after the other, and where each path begins and ends."""
         if not self._in_world:
             raise not_in_world(self._source)
         paths = [annotation.path for annotation in self.annotations]
         lengths = np.array([len(path.timestamps_ns) for path in paths], np.int64)
         stops = np.cumsum(lengths)
-        stamps = np.concatenate([path.timestamps_ns for path in paths])
-        return stamps, np.concatenate([path.values for path in paths]), stops - lengths, stops
+        timestamps = np.concatenate([path.timestamps_ns for path in paths])
+        return timestamps, np.concatenate([path.values for path in paths]), stops - lengths, stops
 
     def at(
         self, time_ns: int, *, sensor_id: Identifier | None = None, window_ns: tuple[int, int] | None = None
@@ -105,9 +105,9 @@ class BoxTable:
     ) -> tuple[Int64Array, Boxes]:
         """Give the boxes that are there at a time [ns], and whose they are: rows (B,) of `annotations`.
 
-        A box is there from its first stamp to its last, a stationary one always. Between two stamps centre and size
-        go straight and the rotation turns the shorter way. As a sensor sees them, boxes are there while they are active
-        for it, by its own computed cuboids (`scene.at.cuboid_poses`).
+        A box is there from its first timestamp to its last, a stationary one always. Between two timestamps centre and
+        size go straight and the rotation rotates the shorter arc. As a sensor sees them, boxes are there while they are
+        active for it, by its own computed cuboids (`scene.at.cuboid_poses`).
 
         Args:
             time_ns: when.
@@ -147,7 +147,7 @@ class BoxTable:
         return found
 
     def placed(self, rows: Int64Array, time_ns: int, *, sensor_id: Identifier | None = None) -> Boxes:
-        """Give some boxes at a time [ns], by rows of `annotations`; each holds beyond its first and last stamp.
+        """Give some boxes at a time [ns], by rows of `annotations`; each holds beyond its first and last timestamp.
 
         Args:
             rows: which.
@@ -182,13 +182,13 @@ class BoxTable:
         if len(rows) == 0:
             nowhere = np.zeros((0, 3))
             return Boxes((), (), nowhere, nowhere, np.zeros((0, 4)), np.zeros(0, np.int64))
-        stamps, values, starts, stops = self._paths
-        passed = np.add.reduceat((stamps <= time_ns).astype(np.int64), starts)[rows]
+        timestamps, values, starts, stops = self._paths
+        passed = np.add.reduceat((timestamps <= time_ns).astype(np.int64), starts)[rows]
         last = stops[rows] - 1
         before = np.clip(starts[rows] + passed - 1, starts[rows], last)
         after = np.minimum(before + 1, last)
-        span = np.maximum(stamps[after] - stamps[before], 1)
-        share = np.clip((time_ns - stamps[before]) / span, 0.0, 1.0)
+        span = np.maximum(timestamps[after] - timestamps[before], 1)
+        share = np.clip((time_ns - timestamps[before]) / span, 0.0, 1.0)
         blended = values[before, :6] + share[:, None] * (values[after, :6] - values[before, :6])
         chosen = [self.annotations[k] for k in rows.tolist()]
         return Boxes(
@@ -196,15 +196,15 @@ class BoxTable:
             tuple(annotation.label for annotation in chosen),
             np.ascontiguousarray(blended[:, 3:]),
             np.ascontiguousarray(blended[:, :3]),
-            turned(self.angles, values[before, 6:], values[after, 6:], share),
+            rotated(self.angles, values[before, 6:], values[after, 6:], share),
             np.asarray(rows, np.int64),
         )
 
     def _there(self, time_ns: int) -> BoolArray:
         if not self.annotations:
             return np.zeros(0, np.bool_)
-        stamps, _, starts, stops = self._paths
-        covered: BoolArray = (stamps[starts] <= time_ns) & (time_ns <= stamps[stops - 1])
+        timestamps, _, starts, stops = self._paths
+        covered: BoolArray = (timestamps[starts] <= time_ns) & (time_ns <= timestamps[stops - 1])
         return covered | self._stationary
 
     @cached_property

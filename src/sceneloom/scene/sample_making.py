@@ -7,16 +7,16 @@ from typing import Any
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.scene.clouds import LidarSensor
-from sceneloom.scene.nearest import FramesByStamp, SweepsByReference
+from sceneloom.scene.nearest import FramesByTimestamp, SweepsByReference
 from sceneloom.scene.sample import Once, Sample
 from sceneloom.scene.sample_boxes import Boxes, BoxTable
-from sceneloom.scene.sample_places import (
-    Place,
+from sceneloom.scene.sample_positions import (
+    Location,
     Pose,
     SamplePoses,
     choose_ego,
-    place_of_points,
-    places_of,
+    frame_of_points,
+    locations_of,
     poses_at,
 )
 from sceneloom.scene.sample_selection import Selection
@@ -25,9 +25,9 @@ from sceneloom.scene.shooting import ShootingSensor, Shot, shots_of
 from sceneloom.scene.span import sweep_period_ns
 from sceneloom.scene.types import Identifier
 
-Finder = SweepsByReference | FramesByStamp[Any]
+Finder = SweepsByReference | FramesByTimestamp[Any]
 
-_NO_POINTS = Place(None, "there is no sweep")
+_NO_POINTS = Location(None, "there is no sweep")
 
 
 @dataclass(slots=True)
@@ -51,7 +51,7 @@ class SampleMaker:
     Attributes:
         selection: what each sample holds.
         count: how many samples there are.
-        trajectory: name of the ego's way that poses come from, or None.
+        trajectory: name of the ego trajectory that poses come from, or None.
     """
 
     def __init__(self, selection: Selection) -> None:
@@ -63,18 +63,18 @@ class SampleMaker:
         """
         self.selection = selection
         scene, reference = selection.scene, selection.reference
-        frames = reference.frames if isinstance(reference, LidarSensor) else reference.pictures
+        frames = reference.frames if isinstance(reference, LidarSensor) else reference.images
         self.count = len(frames)
         ego = choose_ego(scene, selection.trajectory)
         self.trajectory = None if ego is None else ego.name
         self._finders: dict[Identifier, Finder] = {
             **{lidar.id: _sweeps(lidar) for lidar in selection.lidars},
-            **{camera.id: FramesByStamp(shots_of(camera)) for camera in selection.shooting},
-            **{radar.id: FramesByStamp(radar.frames) for radar in selection.radars},
+            **{camera.id: FramesByTimestamp(shots_of(camera)) for camera in selection.shooting},
+            **{radar.id: FramesByTimestamp(radar.frames) for radar in selection.radars},
         }
         sensors: list[Posed] = [*selection.lidars, *selection.shooting, *selection.radars]
-        self._places = places_of(scene, sensors, ego)
-        self._points = place_of_points(scene, selection.lidars[0], ego) if selection.lidars else _NO_POINTS
+        self._locations = locations_of(scene, sensors, ego)
+        self._points = frame_of_points(scene, selection.lidars[0], ego) if selection.lidars else _NO_POINTS
         self._boxes = BoxTable(scene)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -103,10 +103,12 @@ class SampleMaker:
             reference_id=selection.reference.id,
             lidar_id=selection.lidars[0].id if selection.lidars else None,
             sweeps={lidar.id: frames.get(lidar.id) for lidar in selection.lidars},
-            pictures={camera.id: frames.get(camera.id) for camera in selection.cameras},
+            images={camera.id: frames.get(camera.id) for camera in selection.cameras},
             radar_frames={radar.id: frames.get(radar.id) for radar in selection.radars},
             depth_frames={camera.id: frames.get(camera.id) for camera in selection.depth_cameras},
-            cameras={camera.id: _lens(camera, frames.get(camera.id)) for camera in selection.shooting},
+            cameras={
+                camera.id: _camera_model(camera, frames.get(camera.id)) for camera in selection.shooting
+            },
             times_ns=found.times_ns,
             missing=found.missing,
             find_poses=Once(partial(self._poses, frames, found.times_ns)),
@@ -120,31 +122,31 @@ class SampleMaker:
         """The boxes as a sensor sees them at the time of its frame."""
         return self._boxes.at(time_ns, sensor_id=sensor_id, window_ns=(int(frame.timestamp_ns), time_ns))
 
-    def _places_for(self, frames: Mapping[Identifier, Any]) -> dict[Identifier, Place]:
-        """The sensors' places, of cameras those of images that have a mounting of their own."""
-        places = dict(self._places)
+    def _locations_for(self, frames: Mapping[Identifier, Any]) -> dict[Identifier, Location]:
+        """The sensors' locations, of cameras those of images that have a mounting of their own."""
+        locations = dict(self._locations)
         for sensor_id, frame in frames.items():
             if isinstance(frame, Shot) and frame.mount is not None:
-                place = places[sensor_id]
-                source = None if place.source is None else place.source.mounted(frame.mount)
-                places[sensor_id] = replace(place, source=source, mount=frame.mount)
-        return places
+                location = locations[sensor_id]
+                source = None if location.source is None else location.source.mounted(frame.mount)
+                locations[sensor_id] = replace(location, source=source, mount=frame.mount)
+        return locations
 
     def _poses(self, frames: Mapping[Identifier, Any], times_ns: Mapping[Identifier, int]) -> SamplePoses:
         """Poses of the sensors, each at the time of its frame, and that of the stored points."""
-        places = self._places_for(frames)
-        asked = [(places[key], time_ns) for key, time_ns in times_ns.items()]
+        locations = self._locations_for(frames)
+        asked = [(locations[key], time_ns) for key, time_ns in times_ns.items()]
         lidars = self.selection.lidars
         swept_ns = times_ns.get(lidars[0].id) if lidars else None
         if swept_ns is not None:
             asked.append((self._points, swept_ns))
         poses = poses_at(asked)
         points = Pose(None) if swept_ns is None else poses.pop()
-        found = {key: Pose(None, "it has no frame in this sample") for key in places}
+        found = {key: Pose(None, "it has no frame in this sample") for key in locations}
         found |= dict(zip(times_ns, poses, strict=True))
         return SamplePoses(
             world_from_sensor={key: pose.world_from_sensor for key, pose in found.items()},
-            ego_from_sensor={key: place.mount for key, place in places.items()},
+            ego_from_sensor={key: location.mount for key, location in locations.items()},
             world_from_points=points.world_from_sensor,
             ego_from_points=self._points.mount,
             unposed={key: pose.problem for key, pose in found.items() if pose.problem},
@@ -156,5 +158,5 @@ def _sweeps(lidar: LidarSensor) -> SweepsByReference:
     return SweepsByReference(lidar.frames, sweep_period_ns(lidar))
 
 
-def _lens(camera: ShootingSensor, shot: Shot | None) -> Camera:
+def _camera_model(camera: ShootingSensor, shot: Shot | None) -> Camera:
     return camera.camera if shot is None else shot.camera

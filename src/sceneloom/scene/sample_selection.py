@@ -33,8 +33,8 @@ class Selection:
         scene: the scene.
         reference: the sensor whose frames are counted.
         lidars: whose sweeps are looked for, the one of `Sample.sweep` first.
-        cameras, depth_cameras, radars: whose pictures, depth images and frames are looked for.
-        trajectory: name of the ego's way, the way itself, or None for the default.
+        cameras, depth_cameras, radars: whose images, depth images and frames are looked for.
+        trajectory: name of the ego trajectory, the trajectory itself, or None for the default.
         tolerance_ns: how far from the moment a frame may be [ns].
     """
 
@@ -137,8 +137,8 @@ def _listed(sensors: Iterable[Posed]) -> str:
 
 
 def _period_ns(reference: LidarSensor | CameraSensor, lidars: tuple[LidarSensor, ...]) -> int:
-    """One sweep period, or the time from picture to picture where there is no lidar."""
+    """One sweep period, or the time from image to image where there is no lidar."""
     if lidars:
         return sweep_period_ns(lidars[0])
-    times = reference.pictures.timestamps_ns if isinstance(reference, CameraSensor) else np.zeros(0, np.int64)
+    times = reference.images.timestamps_ns if isinstance(reference, CameraSensor) else np.zeros(0, np.int64)
     return usual_period_ns(times)

@@ -17,8 +17,8 @@ class Samples(Sequence[Sample]):
     """The synchronised sets of a scene, one per frame of the reference sensor.
 
     Nothing is read before a sample is asked for, and nothing but reference times is kept. Any sample can be had at any
-    time; going forward is the quickest way through videos. Samples can be pickled, and forked processes can use them:
-    each process opens the scene's files for itself.
+    time; going forward is the quickest trajectory through videos. Samples can be pickled, and forked processes can use
+    them: each process opens the scene's files for itself.
     """
 
     def __init__(self, maker: SampleMaker, rows: range) -> None:
@@ -42,7 +42,7 @@ class Samples(Sequence[Sample]):
 
     @property
     def trajectory(self) -> str | None:
-        """Name of the trajectory that poses come from; None where there is none, or the sensors' own poses say it."""
+        """Name of the trajectory that poses come from; None where there is none, or the sensors' own poses state it."""
         return self._maker.trajectory
 
     def __len__(self) -> int:

@@ -16,10 +16,10 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
 from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
-from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.plain import PlainSensor
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.types import NO_FIELDS, Identifier, key_of
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 if TYPE_CHECKING:
     from sceneloom.scene.ego import EgoMotion
@@ -61,14 +61,14 @@ class Scene:
 
     Attributes:
         sensors: all sensors, ids unique.
-        annotations: what is said about the scene.
+        annotations: what is stated about the scene.
         trajectories: the known ways of the ego through the world, by name, the default one first.
-        attributes: what is said about the scene and its sensors.
+        attributes: what is stated about the scene and its sensors.
         metadata: free fields.
-        time_offset_ns: what a file's clock leaves out of its stamps [ns]; all our times include it.
+        time_offset_ns: what a file's clock leaves out of its timestamps [ns]; all our times include it.
         source: where the scene comes from, for messages.
         format: name of the format that it was read from, or "simulated", ….
-        notices: what was assumed, repaired or left out.
+        warnings: what was assumed, repaired or left out.
         extras: further root fields of the file, by name.
         corrections: what everything that computes with the scene does with its camera calibrations and localization
             adjustments; see `corrected`.
@@ -85,7 +85,7 @@ class Scene:
     time_offset_ns: int = 0
     source: str = "scene"
     format: str = "memory"
-    notices: tuple[Notice, ...] = ()
+    warnings: tuple[DataWarning, ...] = ()
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
     on_close: Callable[[], None] = _nothing
     corrections: Corrections = Corrections.APPLY
@@ -109,7 +109,7 @@ class Scene:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if isinstance(error, SceneloomError):
-            error.remember(self.notices)
+            error.remember(self.warnings)
             error.raised_with(self.source)
         self.close()
 
@@ -142,19 +142,19 @@ class Scene:
     ) -> "Samples":
         """Give synchronised sets of frames with poses and calibrations: one for each frame of a sensor, by number.
 
-        Frames belong to the moment of a sweep (its reference time) or of a picture: the nearest one in time of each
+        Frames belong to the moment of a sweep (its reference time) or of an image: the nearest one in time of each
         sensor, the earlier one of two equally near.
 
         Corrections are applied first, see `corrected`.
 
         Args:
             reference: the lidar or camera whose frames are counted, by its id; "lidar" and "camera" are the first ones.
-            cameras: whose pictures a sample holds: "all", an id, or several; () for none.
+            cameras: whose images a sample holds: "all", an id, or several; () for none.
             depth_cameras: the same for depth images.
             lidars: the same for further lidars. None: the reference; the first lidar where that is a camera.
             radars: the same for radars.
-            trajectory: name of the ego's way, "identity" for an ego that stands still, the way itself, or None for the
-                default. Without any, poses in the world are not known, mountings are.
+            trajectory: name of the ego trajectory, "identity" for an ego that is stationary, the trajectory itself, or
+                None for the default. Without any, poses in the world are not known, mountings are.
             tolerance_ns: how far from the moment a frame may be [ns]; None for one sweep period.
 
         Raises:
@@ -186,10 +186,10 @@ class Scene:
         )
 
     def corrected(self) -> Self:
-        """Give the scene that is computed with: corrections applied, each with a notice, and their annotations gone.
+        """Give the scene that is computed with: corrections applied, each with a warning, and their annotations gone.
 
         Frames are still read when they are asked for. Everything that computes calls this; a scene without corrections
-        is given as it is. Of one whose `corrections` are to be ignored, notices say so, and the annotations stay.
+        is given as it is. Of one whose `corrections` are to be ignored, warnings report it, and the annotations stay.
 
         Raises:
             OptionError: some sensors are in the world and some on the ego, so that it is not clear what is adjusted.
@@ -203,23 +203,23 @@ class Scene:
         if self.corrections is Corrections.APPLY:
             corrected: Self = import_module(_APPLYING).corrected_scene(self)
             return corrected
-        known = {(notice.code, notice.place) for notice in self.notices}
-        told = [
-            Notice(
-                kind=NoticeKind.SKIPPED,
+        known = {(warning.code, warning.location) for warning in self.warnings}
+        reported = [
+            DataWarning(
+                kind=WarningKind.SKIPPED,
                 code="correction-not-applied",
-                place=f"annotations[{annotation.id}]",
+                location=f"annotations[{annotation.id}]",
                 message=f"{annotation.type} left off, as was asked for",
             )
             for annotation in pending
         ]
-        new = [notice for notice in told if (notice.code, notice.place) not in known]
-        return replace(self, notices=(*self.notices, *new)) if new else self
+        new = [warning for warning in reported if (warning.code, warning.location) not in known]
+        return replace(self, warnings=(*self.warnings, *new)) if new else self
 
     @property
-    def correction_notices(self) -> tuple[Notice, ...]:
-        """Of the notices those about corrections that were applied or left off."""
-        return tuple(notice for notice in self.notices if notice.code.startswith("correction-"))
+    def correction_warnings(self) -> tuple[DataWarning, ...]:
+        """Of the warnings those about corrections that were applied or left off."""
+        return tuple(warning for warning in self.warnings if warning.code.startswith("correction-"))
 
     @property
     def lidars(self) -> tuple[LidarSensor, ...]:

@@ -1,4 +1,4 @@
-"""From a scene's sensors and the ego's way: where each sensor was when."""
+"""From a scene's sensors and the ego trajectory: where each sensor was when."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath, same_way
+from sceneloom.scene.poses import Poses, same_direction
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Coordinates, Key, PointsFrame, key_of
 
@@ -22,18 +22,22 @@ _NOT_PLACED = (
     "it has neither poses nor a mounting on the ego; give it one (in calibration.json `imuToCamera` or `imuToLidar`) "
     "or leave the sensor out"
 )
-_NO_WAY = (
-    "it is mounted on the ego, whose way is not known; find it from the sweeps with `--trajectory lidar` or leave the "
+_NO_TRAJECTORY = (
+    "it is mounted on the ego, whose trajectory is not known; find it from the sweeps with `--trajectory lidar` or "
+    "leave the "
     "sensor out"
 )
 
 
 def needs_ego(scene: Scene) -> bool:
-    """Whether the ego's way has to tell where something was: a sensor without poses, or points that ride on the ego."""
-    riding = any(
+    """Whether the ego trajectory has to report where something was: a sensor without poses.
+
+    Or points that ride on the ego.
+    """
+    rider_association = any(
         lidar.mount is not None and lidar.points_frame is not PointsFrame.WORLD for lidar in scene.lidars
     )
-    return riding or any(
+    return rider_association or any(
         must_be_placed(sensor) and (sensor.poses is None or _rides_unnamed(scene, sensor))
         for sensor in _fused(scene)
     )
@@ -48,9 +52,9 @@ def _rides_unnamed(scene: Scene, sensor: LidarSensor | CameraSensor) -> bool:
 
 
 def must_be_placed(sensor: LidarSensor | CameraSensor) -> bool:
-    """Whether fusing takes the sensor's place: not of points in the world, nor of a camera without pictures."""
+    """Whether fusing takes the sensor's location: not of points in the world, nor of a camera without images."""
     if isinstance(sensor, CameraSensor):
-        return len(sensor.pictures) > 0
+        return len(sensor.images) > 0
     return sensor.points_frame is not PointsFrame.WORLD
 
 
@@ -59,7 +63,7 @@ def _fused(scene: Scene) -> list[LidarSensor | CameraSensor]:
 
 
 def sensor_source(scene: Scene, sensor: Posed, ego: EgoMotion | None, *, reach_ns: int) -> PoseSource:
-    """Give `world_from_sensor` over time, from the ego's way and the mounting, else from the sensor's own poses.
+    """Give `world_from_sensor` over time, from the ego trajectory and the mounting, else from the sensor's own poses.
 
     Raises:
         PoseError: neither is known.
@@ -67,7 +71,7 @@ def sensor_source(scene: Scene, sensor: Posed, ego: EgoMotion | None, *, reach_n
     if ego is not None and sensor.mount is not None:
         return PoseSource(ego.path, sensor.mount, reach_ns)
     if sensor.poses is None:
-        lacks = _NOT_PLACED if sensor.mount is None else _NO_WAY
+        lacks = _NOT_PLACED if sensor.mount is None else _NO_TRAJECTORY
         raise PoseError(f"{scene.source}: it is not known where sensor {sensor.id!r} is: {lacks}")
     if sensor.coordinates is Coordinates.WORLD:
         return PoseSource(sensor.poses, RigidTransform.identity(), reach_ns, own=True)
@@ -89,7 +93,7 @@ def points_source(
     return PoseSource(ego_path(scene, lidar, ego), RigidTransform.identity(), reach_ns)
 
 
-def lidar_place(
+def lidar_position(
     scene: Scene, lidar: LidarSensor, ego: EgoMotion | None, *, reach_ns: int
 ) -> PoseSource | None:
     """Give `world_from_lidar`, from where a lidar measured; None where that is not known.
@@ -105,7 +109,7 @@ def lidar_place(
 
 
 def _source_on_ego(scene: Scene, sensor: Posed, ego: EgoMotion | None, reach_ns: int) -> PoseSource:
-    """Compose poses relative to the ego with the ego's way, at the times of both."""
+    """Compose poses relative to the ego with the ego trajectory, at the times of both."""
     path, relative = ego_path(scene, sensor, ego), sensor.poses
     if relative is None:
         raise PoseError(f"{scene.source}: sensor {sensor.id!r} has no poses")
@@ -114,12 +118,12 @@ def _source_on_ego(scene: Scene, sensor: Posed, ego: EgoMotion | None, reach_ns:
         return PoseSource(path, mount, reach_ns)
     times = np.unique(np.concatenate([path.timestamps_ns, relative.timestamps_ns]))
     for body in (path, relative):
-        if not body.endless:
+        if not body.static:
             times = times[(times >= body.start_ns) & (times <= body.stop_ns)]
     if len(times) == 0:
         raise PoseError(f"{scene.source}: the poses of sensor {sensor.id!r} and of the ego share no time")
     on_ego, world = relative.interpolate(times), path.interpolate(times)
-    composed = PosePath(
+    composed = Poses(
         times,
         rotate_vectors(world.quaternions_xyzw, on_ego.positions) + world.positions,
         multiply_quaternions(world.quaternions_xyzw, on_ego.quaternions_xyzw),
@@ -127,12 +131,14 @@ def _source_on_ego(scene: Scene, sensor: Posed, ego: EgoMotion | None, reach_ns:
     return PoseSource(composed, RigidTransform.identity(), reach_ns, own=True)
 
 
-def ego_path(scene: Scene, sensor: Posed, ego: EgoMotion | None) -> PosePath:
-    """The ego that a sensor in ego coordinates refers to: its parent odometry, the chosen way, or the only odometry.
+def ego_path(scene: Scene, sensor: Posed, ego: EgoMotion | None) -> Poses:
+    """The ego that a sensor in ego coordinates refers to: its parent odometry, the chosen trajectory.
+
+    Or the only odometry.
 
     Raises:
         PoseError: there are several odometry sensors, and the parent is none of them; or there is neither any nor a
-            chosen way.
+            chosen trajectory.
 
     Source: READING of "GPSSensor" in docs/CONVENTIONS.md.
     """
@@ -179,12 +185,12 @@ def is_on_ego(sensor: object) -> bool:
     return isinstance(sensor, Posed) and sensor.coordinates is Coordinates.EGO and sensor.poses is not None
 
 
-def check_one_ego(scene: Scene, way: PosePath | None) -> None:
-    """Refuse a scene whose sensors in ego coordinates refer to another way of the ego than the one that is written.
+def check_one_ego(scene: Scene, trajectory: Poses | None) -> None:
+    """Refuse a scene whose sensors in ego coordinates refer to another ego trajectory than the one that is written.
 
     Args:
         scene: to be written in a format that knows one ego.
-        way: `world_from_ego` that is written, or None.
+        trajectory: `world_from_ego` that is written, or None.
 
     Raises:
         PoseError: a sensor refers to another odometry sensor, or it is not known to which.
@@ -193,7 +199,7 @@ def check_one_ego(scene: Scene, way: PosePath | None) -> None:
         if not isinstance(sensor, Posed) or not is_on_ego(sensor):
             continue
         named = named_odometry(scene, sensor)
-        if named is not None and way is not None and not same_way(named.poses, way):
+        if named is not None and trajectory is not None and not same_direction(named.poses, trajectory):
             raise PoseError(
                 f"{scene.source}: sensor {sensor.id!r} is in the ego coordinates of odometry sensor {named.id!r}, and "
                 "the target has one ego, which follows another trajectory; leave that odometry sensor out "

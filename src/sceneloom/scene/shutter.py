@@ -1,4 +1,4 @@
-"""When the lines of a picture are taken: all at once, or one after the other."""
+"""When the lines of an image are taken: all at once, or one after the other."""
 
 from dataclasses import dataclass
 
@@ -9,16 +9,16 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.scene.cameras import CameraSensor
 
 LONGEST_ROLL_S = 1.0
-"""What takes longer from a picture's first line to its last is no shutter, but another unit [s]."""
+"""What takes longer from an image's first line to its last is no shutter, but another unit [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Shutter:
-    """How long a picture's lines are taken one after the other, and which way.
+    """How long an image's lines are taken one after the other, and which way.
 
     Attributes:
-        seconds: from the first edge of the picture to the last; 0 where all lines are taken at once.
-        over_columns: the lines are columns, from the left, in place of rows from the top.
+        seconds: from the first edge of the image to the last; 0 where all lines are taken at once.
+        over_columns: the lines are columns, from the left, instead of rows from the top.
     """
 
     seconds: float = 0.0
@@ -36,11 +36,11 @@ class Shutter:
         return cls(float(seconds), entry.get("rollingShutterLeftToRight") is True)
 
     def line_count(self, camera: Camera) -> int:
-        """How many lines a picture has."""
+        """How many lines an image has."""
         return camera.width if self.over_columns else camera.height
 
     def delays(self, lines: FloatArray, camera: Camera) -> Float64Array:
-        """When lines are taken after the picture's time [s]; those beyond the picture's edges as those at the edges.
+        """When lines are taken after the image's time [s]; those beyond the image's edges as those at the edges.
 
         Args:
             lines: (N,) rows or columns [px], also between two.
@@ -52,7 +52,7 @@ class Shutter:
         return delays
 
     def knots_ns(self, timestamp_ns: int, count: int) -> Int64Array:
-        """Times evenly spread over a picture from its first edge to its last, (count,) int64 [ns]."""
+        """Times evenly spread over an image from its first edge to its last, (count,) int64 [ns]."""
         spread = np.linspace(-0.5, 0.5, count) * (self.seconds * 1e9)
         knots: Int64Array = timestamp_ns + np.rint(spread).astype(np.int64)
         return knots

@@ -16,7 +16,7 @@ NOMINAL_PERIOD_NS = 100_000_000
 
 
 def usual_period_ns(timestamps_ns: Int64Array) -> int:
-    """The median time from one stamp to the next later one [ns]; the nominal period where there is none.
+    """The median time from one timestamp to the next later one [ns]; the nominal period where there is none.
 
     Args:
         timestamps_ns: (N,) int64 [ns], in any order.
@@ -26,7 +26,7 @@ def usual_period_ns(timestamps_ns: Int64Array) -> int:
 
 
 def sweep_period_ns(lidar: LidarSensor) -> int:
-    """The median time from sweep to sweep [ns]; the nominal one where the stamps tell none."""
+    """The median time from sweep to sweep [ns]; the nominal one where the timestamps report none."""
     return usual_period_ns(lidar.frames.timestamps_ns)
 
 
@@ -36,13 +36,13 @@ def scene_period_ns(scene: Scene) -> int:
 
 
 def frame_times(sensor: Sensor) -> Int64Array:
-    """The time stamps (N,) int64 [ns] of whatever the sensor gives over time; empty where it has no time."""
+    """The timestamps (N,) int64 [ns] of whatever the sensor gives over time; empty where it has no time."""
     if isinstance(sensor, LidarSensor | RadarSensor | DepthCameraSensor):
         return sensor.frames.timestamps_ns
     if isinstance(sensor, CameraSensor):
-        return sensor.pictures.timestamps_ns
+        return sensor.images.timestamps_ns
     if isinstance(sensor, OdometrySensor):
-        return np.zeros(0, np.int64) if sensor.poses.endless else sensor.poses.timestamps_ns
+        return np.zeros(0, np.int64) if sensor.poses.static else sensor.poses.timestamps_ns
     if isinstance(sensor, ImuSensor):
         streams = [stream.timestamps_ns for stream in sensor.streams.values()]
         return np.sort(np.concatenate(streams)) if streams else np.zeros(0, np.int64)
@@ -50,7 +50,7 @@ def frame_times(sensor: Sensor) -> Int64Array:
 
 
 def time_span(scene: Scene) -> tuple[int, int] | None:
-    """First and last time stamp of what is measured [ns]; None for a scene without time.
+    """First and last timestamp of what is measured [ns]; None for a scene without time.
 
     Poses of odometry count only where there is nothing else: they reach beyond what a part of a drive was cut to.
     """
@@ -59,7 +59,7 @@ def time_span(scene: Scene) -> tuple[int, int] | None:
 
 
 def _span(sensors: Iterable[Sensor]) -> tuple[int, int] | None:
-    stamps = [times for times in map(frame_times, sensors) if len(times)]
-    if not stamps:
+    timestamps = [times for times in map(frame_times, sensors) if len(times)]
+    if not timestamps:
         return None
-    return min(int(times.min()) for times in stamps), max(int(times.max()) for times in stamps)
+    return min(int(times.min()) for times in timestamps), max(int(times.max()) for times in timestamps)

@@ -12,7 +12,7 @@ Parcel = AnyArray | Callable[[], AnyArray] | None
 
 
 def packed(array: AnyArray | None) -> Parcel:
-    """Give what to pickle in an array's place.
+    """Give what to pickle in an array's location.
 
     That is what its memory says with a method `reference(array)`, a function that can be pickled and gives the
     array again; else the array itself.

@@ -12,33 +12,33 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor
 from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.motion import ImuSensor
-from sceneloom.scene.notices import Notice
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.span import frame_times, time_span
 from sceneloom.scene.types import Identifier
+from sceneloom.scene.warnings import DataWarning
 
 GAP_FACTOR = 1.5
-"""Two stamps farther apart than this many median intervals make a gap."""
+"""Two timestamps farther apart than this many median intervals make a gap."""
 
 
 class Gap(msgspec.Struct, frozen=True, kw_only=True):
-    """A hole in a stream, in seconds after the scene's first time stamp."""
+    """A hole in a stream, in seconds after the scene's first timestamp."""
 
     start: float
     stop: float
 
 
 class Intrinsics(msgspec.Struct, frozen=True, kw_only=True):
-    """The lenses of a camera's images, which can have one each: how many different ones, and from what to what.
+    """The camera models of a camera's images, which can have one each: how many different ones, and from what to what.
 
     Attributes:
-        lenses: how many different ones.
+        camera_models: how many different ones.
         fx, fy: least and greatest focal lengths [px].
         cx, cy: least and greatest coordinates of the principal point [px].
     """
 
-    lenses: int
+    camera_models: int
     fx: tuple[float, float]
     fy: tuple[float, float]
     cx: tuple[float, float]
@@ -51,15 +51,15 @@ class SensorSummary(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         id: its id.
         type: the word of the format.
-        count: frames, pictures, poses or samples.
+        count: frames, images, poses or samples.
         rate_hz: one over the median interval, or None for fewer than two; of an IMU that of its longest stream.
-        start, stop: first and last stamp, in seconds after the scene's first one.
+        start, stop: first and last timestamp, in seconds after the scene's first one.
         gaps: intervals longer than 1.5 median ones; the first 20.
         gap_count: all of them.
         first_frame_points: points of the first frame, for lidars and maps.
-        lens: projection model and picture size, for cameras and depth cameras.
-        intrinsics: what its images' lenses are, for cameras and depth cameras.
-        video: codec, where the pictures come from a video.
+        camera_model: projection model and image size, for cameras and depth cameras.
+        intrinsics: what its images' camera models are, for cameras and depth cameras.
+        video: codec, where the images come from a video.
         poses: how many, None where there are none.
         coordinates: frame of the poses, and of the points of a lidar.
         mounted: whether the rigid mounting on the ego is known.
@@ -74,7 +74,7 @@ class SensorSummary(msgspec.Struct, frozen=True, kw_only=True):
     gaps: tuple[Gap, ...]
     gap_count: int
     first_frame_points: int | None = None
-    lens: str | None = None
+    camera_model: str | None = None
     intrinsics: Intrinsics | None = None
     video: str | None = None
     poses: int | None = None
@@ -83,7 +83,7 @@ class SensorSummary(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TrajectorySummary(msgspec.Struct, frozen=True, kw_only=True):
-    """One way of the ego: how many poses, over how many seconds and metres, and whether it has orientations."""
+    """One ego trajectory: how many poses, over how many seconds and metres, and whether it has orientations."""
 
     name: str
     poses: int
@@ -106,13 +106,13 @@ class SceneSummary(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         source: where it comes from.
         format: name of its format.
-        start_ns: first time stamp [ns], None for a scene without time.
+        start_ns: first timestamp [ns], None for a scene without time.
         duration: seconds from the first to the last one.
         size_bytes: bytes on disk, where known.
         sensors: all of them.
         trajectories: all of them, the default one first.
         annotations: how many of each type.
-        notices: what was assumed, repaired or left out.
+        warnings: what was assumed, repaired or left out.
         corrections: what is not applied yet.
     """
 
@@ -124,15 +124,19 @@ class SceneSummary(msgspec.Struct, frozen=True, kw_only=True):
     sensors: tuple[SensorSummary, ...]
     trajectories: tuple[TrajectorySummary, ...]
     annotations: dict[str, int]
-    notices: tuple[Notice, ...]
+    warnings: tuple[DataWarning, ...]
     corrections: tuple[CorrectionSummary, ...] = ()
 
 
-def _span_of_ways(scene: Scene) -> tuple[int, int] | None:
-    stamps = [way.timestamps_ns for way in scene.trajectories.values() if len(way.timestamps_ns)]
-    if not stamps:
+def _span_of_trajectories(scene: Scene) -> tuple[int, int] | None:
+    timestamps = [
+        trajectory.timestamps_ns
+        for trajectory in scene.trajectories.values()
+        if len(trajectory.timestamps_ns)
+    ]
+    if not timestamps:
         return None
-    return min(int(times.min()) for times in stamps), max(int(times.max()) for times in stamps)
+    return min(int(times.min()) for times in timestamps), max(int(times.max()) for times in timestamps)
 
 
 def summarise(scene: Scene, *, size_bytes: int | None = None) -> SceneSummary:
@@ -141,7 +145,7 @@ def summarise(scene: Scene, *, size_bytes: int | None = None) -> SceneSummary:
     Raises:
         DataError: the first frame of a lidar cannot be read.
     """
-    span = time_span(scene) or _span_of_ways(scene)
+    span = time_span(scene) or _span_of_trajectories(scene)
     start_ns = 0 if span is None else span[0]
     types = [annotation.type for annotation in scene.annotations]
     return SceneSummary(
@@ -151,21 +155,21 @@ def summarise(scene: Scene, *, size_bytes: int | None = None) -> SceneSummary:
         duration=0.0 if span is None else (span[1] - span[0]) / 1e9,
         size_bytes=size_bytes,
         sensors=tuple(
-            _summarise_sensor(sensor, start_ns, each_lens=_has_lenses_at_hand(scene))
+            _summarise_sensor(sensor, start_ns, each_camera_model=_has_camera_models_at_hand(scene))
             for sensor in scene.sensors
         ),
         trajectories=tuple(
             TrajectorySummary(
                 name=name,
-                poses=len(way.timestamps_ns),
-                seconds=int(np.ptp(way.timestamps_ns)) / 1e9 if len(way.timestamps_ns) else 0.0,
-                metres=float(np.linalg.norm(np.diff(way.positions, axis=0), axis=1).sum()),
-                oriented=way.quaternions_xyzw is not None,
+                poses=len(trajectory.timestamps_ns),
+                seconds=int(np.ptp(trajectory.timestamps_ns)) / 1e9 if len(trajectory.timestamps_ns) else 0.0,
+                metres=float(np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1).sum()),
+                oriented=trajectory.quaternions_xyzw is not None,
             )
-            for name, way in scene.trajectories.items()
+            for name, trajectory in scene.trajectories.items()
         ),
         annotations={kind: types.count(kind) for kind in sorted(set(types))},
-        notices=scene.notices,
+        warnings=scene.warnings,
         corrections=tuple(
             CorrectionSummary(id=correction.id, type=correction.type, effect=effect_of(correction))
             for correction in scene.pending_corrections
@@ -173,16 +177,19 @@ def summarise(scene: Scene, *, size_bytes: int | None = None) -> SceneSummary:
     )
 
 
-def _has_lenses_at_hand(scene: Scene) -> bool:
-    """Whether the lens of each image costs no image: `.sfs` files have one a camera, and others may lie far away."""
+def _has_camera_models_at_hand(scene: Scene) -> bool:
+    """Whether the camera model of each image costs no image: `.sfs` files have one a camera.
+
+    And others may lie far away.
+    """
     return scene.format != "sfs" and "://" not in scene.source
 
 
-def _summarise_sensor(sensor: Sensor, start_ns: int, *, each_lens: bool) -> SensorSummary:
+def _summarise_sensor(sensor: Sensor, start_ns: int, *, each_camera_model: bool) -> SensorSummary:
     times = frame_times(sensor)
     paced = _longest_stream(sensor) if isinstance(sensor, ImuSensor) else times
     gaps = gaps_of(paced, start_ns)
-    poses: PosePath | None = getattr(sensor, "poses", None)
+    poses: Poses | None = getattr(sensor, "poses", None)
     return SensorSummary(
         id=sensor.id,
         type=str(sensor.type),
@@ -193,8 +200,8 @@ def _summarise_sensor(sensor: Sensor, start_ns: int, *, each_lens: bool) -> Sens
         gaps=tuple(gaps[:20]),
         gap_count=len(gaps),
         first_frame_points=_first_frame_points(sensor),
-        lens=_lens(sensor),
-        intrinsics=_intrinsics(sensor, each_lens=each_lens),
+        camera_model=_camera_model(sensor),
+        intrinsics=_intrinsics(sensor, each_camera_model=each_camera_model),
         video=_codec(sensor),
         poses=None if poses is None else len(poses.timestamps_ns),
         coordinates=_coordinates(sensor),
@@ -207,7 +214,7 @@ def _count(sensor: Sensor, times: Int64Array) -> int:
 
 
 def _longest_stream(sensor: ImuSensor) -> Int64Array:
-    """The stamps of an IMU's longest stream: those of several together have no rate."""
+    """The timestamps of an IMU's longest stream: those of several together have no rate."""
     streams = [stream.timestamps_ns for stream in sensor.streams.values()]
     return max(streams, key=len, default=np.zeros(0, np.int64))
 
@@ -219,14 +226,14 @@ def _rate(times: Int64Array) -> float | None:
 
 
 def gaps_of(times: Int64Array, start_ns: int) -> list[Gap]:
-    """The holes in a stream with stamps (N,) [ns], in seconds after `start_ns`."""
+    """The holes in a stream with timestamps (N,) [ns], in seconds after `start_ns`."""
     intervals = np.diff(times)
     if len(intervals) < 2:
         return []
-    places = np.flatnonzero(intervals > GAP_FACTOR * np.median(intervals))
+    locations = np.flatnonzero(intervals > GAP_FACTOR * np.median(intervals))
     return [
         Gap(start=(int(times[k]) - start_ns) / 1e9, stop=(int(times[k + 1]) - start_ns) / 1e9)
-        for k in places.tolist()
+        for k in locations.tolist()
     ]
 
 
@@ -238,25 +245,30 @@ def _first_frame_points(sensor: Sensor) -> int | None:
     return None
 
 
-def _lens(sensor: Sensor) -> str | None:
+def _camera_model(sensor: Sensor) -> str | None:
     if not isinstance(sensor, CameraSensor | DepthCameraSensor):
         return None
     return f"{sensor.camera.model} {sensor.camera.width}x{sensor.camera.height}"
 
 
-def _intrinsics(sensor: Sensor, *, each_lens: bool) -> Intrinsics | None:
-    """The lenses of the images, as far as they can be read: what no image can be made of has none."""
+def _intrinsics(sensor: Sensor, *, each_camera_model: bool) -> Intrinsics | None:
+    """The camera models of the images, as far as they can be read: what no image can be made of has none."""
     if not isinstance(sensor, CameraSensor | DepthCameraSensor):
         return None
-    images = sensor.pictures if isinstance(sensor, CameraSensor) else sensor.frames
-    lenses = set()
-    for k in range(len(images) if each_lens else 0):
+    images = sensor.images if isinstance(sensor, CameraSensor) else sensor.frames
+    camera_models = set()
+    for k in range(len(images) if each_camera_model else 0):
         with suppress(DataError):
-            lenses.add(images[k].camera)
-    lenses = lenses or {sensor.camera}
-    table = np.array([(lens.fx, lens.fy, lens.cx, lens.cy) for lens in lenses])
+            camera_models.add(images[k].camera)
+    camera_models = camera_models or {sensor.camera}
+    table = np.array(
+        [
+            (camera_model.fx, camera_model.fy, camera_model.cx, camera_model.cy)
+            for camera_model in camera_models
+        ]
+    )
     fx, fy, cx, cy = zip(table.min(axis=0).tolist(), table.max(axis=0).tolist(), strict=True)
-    return Intrinsics(lenses=len(lenses), fx=fx, fy=fy, cx=cx, cy=cy)
+    return Intrinsics(camera_models=len(camera_models), fx=fx, fy=fy, cx=cx, cy=cy)
 
 
 def _codec(sensor: Sensor) -> str | None:

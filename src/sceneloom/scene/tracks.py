@@ -1,4 +1,4 @@
-"""Objects followed through time: what a tracker tells of each, and of all at one time."""
+"""Objects followed through time: what a tracker reports each, and of all at one time."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -25,11 +25,11 @@ class Support(IntEnum):
     """What a state of a track rests on at its time."""
 
     BOTH = 0
-    """A box of a sweep and one of a picture."""
+    """A box of a sweep and one of an image."""
     SWEEP = 1
     """A box of a sweep alone."""
-    PICTURE = 2
-    """A box of a picture alone."""
+    IMAGE = 2
+    """A box of an image alone."""
     PREDICTED = 3
     """No box: where its motion leads it."""
     INTERPOLATED = 4
@@ -48,12 +48,12 @@ _STATE = {
 """The float64 columns of states, and the shape of a row."""
 
 
-def _check_states(states: "Track | TrackedObjects", count: int, place: str) -> None:
+def _check_states(states: "Track | TrackedObjects", count: int, location: str) -> None:
     for name, shape in _STATE.items():
-        hold_array(states, f"{place}.{name}", (count, *shape), np.float64)
-    hold_array(states, f"{place}.supports", (count,), np.uint8)
+        hold_array(states, f"{location}.{name}", (count, *shape), np.float64)
+    hold_array(states, f"{location}.supports", (count,), np.uint8)
     for camera_id, corners in states.corners_xyxy.items():
-        check_array(f"{place}.corners_xyxy[{camera_id!r}]", corners, (count, 4), np.float64)
+        check_array(f"{location}.corners_xyxy[{camera_id!r}]", corners, (count, 4), np.float64)
 
 
 def _freeze(states: "Track | TrackedObjects", names: tuple[str, ...]) -> None:
@@ -80,7 +80,7 @@ class Track:
         covariances: (K, 10, 10) float64 of center, size, yaw and velocity in this order.
         scores: (K,) float64, 0 to 1: probability that the object exists, at that time.
         supports: (K,) uint8 of `Support`.
-        corners_xyxy: by camera, (K, 4) float64 [px] in the corner convention, NaN where no box of that camera's picture
+        corners_xyxy: by camera, (K, 4) float64 [px] in the corner convention, NaN where no box of that camera's image
             is the object's.
 
     Raises:

@@ -19,7 +19,7 @@ def key_of(identifier: Identifier) -> Key:
 
 
 Progress = Callable[[int, int], None]
-"""Is told how much of some work is done, and how much there is in all."""
+"""Is reported how much of some work is done, and how much there is in all."""
 
 NO_FIELDS: Mapping[str, Any] = MappingProxyType({})
 """The extra fields of an object that has none."""

@@ -17,7 +17,7 @@ from sceneloom.fusion.messages.records import SentRecord
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.fusion.outcome import Cause, Outcome, refused
 from sceneloom.fusion.properties.store import Property
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.service.client_errors import code_of, details_of, reader_of, service_error
 from sceneloom.service.motion_form import motion_request
 from sceneloom.service.pem import read_certificates, read_pair
@@ -76,7 +76,7 @@ class FusionClient:
         """
         if token is not None and ca is None and not address.startswith(_LOOPBACK):
             raise OptionError(
-                f"a token for {address} without TLS; expected `ca`, the file that tells its certificate"
+                f"a token for {address} without TLS; expected `ca`, the file that reports its certificate"
             )
         self.address, self.session, self.deadline_s = address, session, deadline_s
         self._metadata = () if token is None else (("authorization", f"Bearer {token}"),)
@@ -139,8 +139,8 @@ class FusionClient:
         fill_message(request.calibration, data)
         return self._status("SetCalibration", request)
 
-    def send_motion(self, path: PosePath) -> Outcome:
-        """Tell where the vehicle was."""
+    def send_motion(self, path: Poses) -> Outcome:
+        """Report where the vehicle was."""
         try:
             request = motion_request(path, session=self.session)
         except DataError as error:

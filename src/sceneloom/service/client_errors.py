@@ -38,13 +38,13 @@ class UnreachableError(ServiceError):
 class UnauthenticatedError(ServiceError):
     """The token is missing or wrong."""
 
-    advice = "say the token that the service was started with"
+    advice = "state the token that the service was started with"
 
 
 class TooLargeError(ServiceError):
     """A message is larger than one side takes."""
 
-    advice = "send smaller pictures or clouds, or raise the limit of the service"
+    advice = "send smaller images or clouds, or raise the limit of the service"
 
 
 class DeadlineError(ServiceError):
@@ -81,7 +81,7 @@ def reader_of(reply_type: Any) -> Callable[[bytes], Any]:
 
 
 def details_of(error: grpc.RpcError) -> str:
-    """What is said of a call that failed."""
+    """What is stated for a call that failed."""
     details = str(getattr(error, "details", lambda: "")() or "")
     return "the answer is no message of this service" if _UNREADABLE in details else details
 

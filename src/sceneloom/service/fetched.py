@@ -1,4 +1,4 @@
-"""Where fetched results go: lines of JSON, a folder of depth images, pictures and points, or a scene file."""
+"""Where fetched results go: lines of JSON, a folder of depth images, images and points, or a scene file."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,7 +14,7 @@ import numpy as np
 from sceneloom.errors import OptionError
 from sceneloom.formats.depth_images import write_depth_png
 from sceneloom.formats.output import filling, replacing
-from sceneloom.formats.sfs.write_pictures import encode_jpeg
+from sceneloom.formats.sfs.write_images import encode_jpeg
 from sceneloom.formats.sfs.writer import SceneWriter
 from sceneloom.fusion.events import Result
 from sceneloom.fusion.messages.array_bytes import bytes_of
@@ -22,7 +22,7 @@ from sceneloom.fusion.messages.encodings import ENCODINGS
 from sceneloom.fusion.messages.fused import FusedDetections, SensorFusionData
 from sceneloom.fusion.messages.json_form import to_json
 from sceneloom.fusion.messages.scene_form.clouds import lidar_frame_of_result
-from sceneloom.fusion.messages.scene_form.pictures import rgb_of_pixels
+from sceneloom.fusion.messages.scene_form.images import rgb_of_pixels
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.frames import LazyFrames
 
@@ -109,7 +109,7 @@ class SceneFile:
 
 @dataclass(slots=True)
 class ResultFolder:
-    """Writes sensor data: `results.jsonl`, and of each result a depth image, a picture and the points.
+    """Writes sensor data: `results.jsonl`, and of each result a depth image, an image and the points.
 
     `depth/NNNNNN.png` has 16 bits, metres times 256; `points/NNNNNN.npz` one array for each field;
     names that could be paths are percent-encoded there.
@@ -121,35 +121,35 @@ class ResultFolder:
         """Take one result."""
         record = _sensor_data(result)
         name = f"{result.number:06d}"
-        depth = self._place("depth", f"{name}.png")
+        depth = self._location("depth", f"{name}.png")
         beyond = write_depth_png(record.depths, depth)
-        points = self._place("points", f"{name}.npz")
+        points = self._location("points", f"{name}.npz")
         _write_columns(points, record)
         line = described(result) | {
             "depth": _relative(depth, self.folder),
             "depth_beyond_range": beyond,
             "points": _relative(points, self.folder),
-            "picture": _relative(self._picture(name, record), self.folder),
+            "image": _relative(self._image(name, record), self.folder),
         }
         with (self.folder / "results.jsonl").open("ab") as lines:
             lines.write(msgspec.json.encode(line) + b"\n")
 
-    def _picture(self, name: str, record: SensorFusionData) -> Path:
+    def _image(self, name: str, record: SensorFusionData) -> Path:
         if ENCODINGS[record.encoding].is_file:
-            path = self._place("pictures", f"{name}.{'jpg' if record.encoding == 'jpeg' else 'png'}")
+            path = self._location("images", f"{name}.{'jpg' if record.encoding == 'jpeg' else 'png'}")
             path.write_bytes(bytes_of(record.image_data))
             return path
-        path = self._place("pictures", f"{name}.jpg")
+        path = self._location("images", f"{name}.jpg")
         pixels = record.pixels
         if pixels is None:
-            raise OptionError(f"a picture of encoding {record.encoding!r}; expected pixels")
+            raise OptionError(f"an image of encoding {record.encoding!r}; expected pixels")
         path.write_bytes(encode_jpeg(rgb_of_pixels(pixels, record.encoding)))
         return path
 
-    def _place(self, folder: str, name: str) -> Path:
-        place = self.folder / folder
-        place.mkdir(exist_ok=True)
-        return place / name
+    def _location(self, folder: str, name: str) -> Path:
+        location = self.folder / folder
+        location.mkdir(exist_ok=True)
+        return location / name
 
 
 def _write_columns(path: Path, record: SensorFusionData) -> None:

@@ -32,7 +32,7 @@ _SMALL = 32_768
 _FEW = 100
 """Detections of a result that is made a reply at once."""
 
-_REFUSALS_TOLD = 100
+_REFUSALS_REPORTED = 100
 
 
 class Handlers:
@@ -45,7 +45,7 @@ class Handlers:
         self.draining = False
 
     def generic_handler(self) -> grpc.GenericRpcHandler:
-        """Give what a gRPC server is told, from the table of methods."""
+        """Give what a gRPC server is reported, from the table of methods."""
         special: dict[str, grpc.RpcMethodHandler[Any, Any]] = {
             "SendStream": grpc.stream_unary_rpc_method_handler(self.send_stream),
             # one message, whose writing can fail before the call has ended
@@ -117,7 +117,7 @@ class Handlers:
                     summary.accepted += 1
                 else:
                     summary.refused += 1
-                    if summary.refused <= _REFUSALS_TOLD:
+                    if summary.refused <= _REFUSALS_REPORTED:
                         summary.refusals.append(fusion_pb2.Refusal(number=number, status=status))
                 number += 1
         return summary.SerializeToString()
@@ -185,9 +185,9 @@ class Handlers:
                 if result is None:
                     break
                 taken[result.number] = result
-                for told in await session.run(tracked.take, result):
-                    await self._write(session, told, context)
-                    del taken[told.number]
+                for reported in await session.run(tracked.take, result):
+                    await self._write(session, reported, context)
+                    del taken[reported.number]
                     delivered += 1
         finally:
             for result in taken.values():

@@ -35,7 +35,7 @@ class ServiceLimits:
     drain_seconds: float = 10.0
 
     @classmethod
-    def of(cls, table: Mapping[str, Any], *, file: object = "limits", place: str = "") -> Self:
+    def of(cls, table: Mapping[str, Any], *, file: object = "limits", location: str = "") -> Self:
         """Read limits from a table of a configuration file.
 
         Raises:
@@ -43,7 +43,7 @@ class ServiceLimits:
         """
         known = {field.name: field.type for field in fields(cls)}
         for name, value in table.items():
-            where = f"{place}.{name}" if place else name
+            where = f"{location}.{name}" if location else name
             if name not in known:
                 raise DataError(file, where, f"unknown; expected one of {', '.join(known)}")
             whole = known[name] is int

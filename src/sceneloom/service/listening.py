@@ -38,5 +38,5 @@ def _addresses(host: str, port: int) -> list[tuple[int, tuple[object, ...]]]:
 
 
 def _advice(error: OSError, option: str) -> str:
-    told = (error.strerror or str(error)).lower()
-    return f"{told}; choose another {option} (0 for a free one), or an address of this machine"
+    reported = (error.strerror or str(error)).lower()
+    return f"{reported}; choose another {option} (0 for a free one), or an address of this machine"

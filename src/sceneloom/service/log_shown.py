@@ -6,7 +6,7 @@ from types import MappingProxyType
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float32Array, Float64Array
-from sceneloom.formats.topics.lenses import is_foreign, lens_record
+from sceneloom.formats.topics.camera_models import camera_model_record, is_foreign
 from sceneloom.formats.topics.packed_points import pack
 from sceneloom.formats.topics.records import (
     AnyRecord,
@@ -14,10 +14,10 @@ from sceneloom.formats.topics.records import (
     Box3D,
     Boxes2DRecord,
     Boxes3DRecord,
+    CameraModelRecord,
     CloudRecord,
+    CompressedImageRecord,
     ImageRecord,
-    LensRecord,
-    PictureRecord,
     TransformRecord,
 )
 from sceneloom.fusion.calibration.axes import SensorKind
@@ -77,11 +77,11 @@ def shown_records(
     return {part: shown for part, shown in found.items() if shown is not None}
 
 
-def shown_lenses(setting: Setting, frame_name: FrameName) -> dict[int, LensRecord]:
+def shown_camera_models(setting: Setting, frame_name: FrameName) -> dict[int, CameraModelRecord]:
     """Give the intrinsics of each camera whose model viewers know."""
     cameras = {camera_id: pair.camera for (camera_id, _), pair in setting.pairs.items()}
     return {
-        camera_id: lens_record(camera, 0, frame_name("camera", camera_id), _FISHEYE)
+        camera_id: camera_model_record(camera, 0, frame_name("camera", camera_id), _FISHEYE)
         for camera_id, camera in cameras.items()
         if not is_foreign(camera)
     }
@@ -110,10 +110,10 @@ def _image_time_ns(record: SensorFusionData | FusedDetections) -> int:
 
 def _image(
     time_ns: int, frame_id: str, encoding: str, size_hwc: tuple[int, int, int], data: AnyArray
-) -> ImageRecord | PictureRecord | None:
+) -> ImageRecord | CompressedImageRecord | None:
     height, width, channel = size_hwc
     if ENCODINGS[encoding].is_file:
-        return PictureRecord(time_ns, frame_id, encoding, bytes_view(data))
+        return CompressedImageRecord(time_ns, frame_id, encoding, bytes_view(data))
     name = _RAW_NAMES.get(channel) if encoding == "raw" else encoding
     if name is None:
         return None

@@ -58,7 +58,7 @@ def set_calibration(fusion: FusionInterface, request: fusion_pb2.SetCalibrationR
 
 
 def send_motion(fusion: FusionInterface, request: fusion_pb2.SendMotionRequest) -> Outcome:
-    """The way of the vehicle."""
+    """The trajectory of the vehicle."""
     return fusion.send_motion(path_of(request))
 
 

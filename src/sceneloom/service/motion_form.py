@@ -1,4 +1,4 @@
-"""The way of the vehicle as messages, and back."""
+"""The trajectory of the vehicle as messages, and back."""
 
 import numpy as np
 
@@ -6,17 +6,17 @@ from sceneloom.errors import DataError
 from sceneloom.fusion.messages.protobuf_fields import timestamp_from_protobuf, timestamp_to_protobuf
 from sceneloom.fusion.messages.timestamps import Timestamp
 from sceneloom.fusion.messages.wire import fusion_pb2
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 
 
-def motion_request(path: PosePath, *, session: str = "") -> fusion_pb2.SendMotionRequest:
-    """Give the message of a way.
+def motion_request(path: Poses, *, session: str = "") -> fusion_pb2.SendMotionRequest:
+    """Give the message of a trajectory.
 
     Raises:
-        DataError: it has no times, or one that a time stamp cannot say.
+        DataError: it has no times, or one that a timestamp cannot state.
     """
-    if path.endless:
-        raise DataError("motion", "poses", "a place without times; expected poses with times")
+    if path.static:
+        raise DataError("motion", "poses", "a location without times; expected poses with times")
     poses = [
         fusion_pb2.Pose(
             timestamp=timestamp_to_protobuf(Timestamp.of(timestamp_ns)),
@@ -33,8 +33,8 @@ def motion_request(path: PosePath, *, session: str = "") -> fusion_pb2.SendMotio
     return fusion_pb2.SendMotionRequest(poses=poses, session=session)
 
 
-def path_of(request: fusion_pb2.SendMotionRequest) -> PosePath:
-    """Give the way of a message.
+def path_of(request: fusion_pb2.SendMotionRequest) -> Poses:
+    """Give the trajectory of a message.
 
     Raises:
         DataError: a pose has more or fewer numbers.
@@ -50,7 +50,7 @@ def path_of(request: fusion_pb2.SendMotionRequest) -> PosePath:
         timestamp_from_protobuf(pose.timestamp, "motion", f"poses[{k}].timestamp").nanoseconds
         for k, pose in enumerate(poses)
     ]
-    return PosePath(
+    return Poses(
         np.array(times, np.int64),
         np.array([list(pose.position) for pose in poses], np.float64).reshape(-1, 3),
         np.array([list(pose.quaternion_xyzw) for pose in poses], np.float64).reshape(-1, 4),

@@ -13,14 +13,14 @@ from sceneloom.formats.files import open_file
 from sceneloom.fusion.calibration.entries import CalibrationEntry
 from sceneloom.fusion.calibration.table import CalibrationTable
 from sceneloom.fusion.events import Event, Result
-from sceneloom.fusion.intake import admitted_alone
 from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.messages.protobuf_form import encode, from_protobuf, parse_message
 from sceneloom.fusion.messages.records import kind_of
 from sceneloom.fusion.messages.wire import fusion_pb2
-from sceneloom.fusion.motion import RecentWay
+from sceneloom.fusion.motion import RecentTrajectory
 from sceneloom.fusion.properties.store import Snapshot
 from sceneloom.fusion.queues import Flushed, Moved
+from sceneloom.fusion.received_records import accepted_alone
 from sceneloom.fusion.setting import Setting
 from sceneloom.service.motion_form import path_of
 from sceneloom.service.received import snapshot_of
@@ -90,10 +90,10 @@ def read_log(path: Path) -> Iterator[LogEntry]:
             if message_type is None or "what" not in channel.metadata:
                 continue
             found = True
-            told = channel.metadata
+            reported = channel.metadata
             yield LogEntry(
-                told.get("session", ""),
-                told["what"],
+                reported.get("session", ""),
+                reported["what"],
                 channel.topic,
                 record.log_time,
                 parse_message(message_type, record.data),
@@ -178,8 +178,8 @@ def compare(path: str | Path) -> ReplayReport:
         for name, left in waiting.items()
         if name not in gaps
     }
-    told = {name: tuple(found) for name, found in different.items()}
-    return ReplayReport(equal, told, beyond, is_complete(Path(path)), gaps)
+    reported = {name: tuple(found) for name, found in different.items()}
+    return ReplayReport(equal, reported, beyond, is_complete(Path(path)), gaps)
 
 
 @dataclass(slots=True)
@@ -194,7 +194,7 @@ class _Session:
     _properties: Any = None
     _table: CalibrationTable = field(default_factory=CalibrationTable)
     _setting: Setting | None = None
-    _way: RecentWay = field(default_factory=RecentWay)
+    _trajectory: RecentTrajectory = field(default_factory=RecentTrajectory)
 
     def __post_init__(self) -> None:
         self._fusion = FusionInterface(inline=True, observer=self._note)
@@ -237,12 +237,12 @@ class _Session:
             if self._properties is None:
                 raise DataError(self.path, "", "a record before any configuration; expected it first")
             self._setting = Setting.of(snapshot_of(self._properties, self._algorithms), self._table)
-        self._fusion.repeat(admitted_alone(from_protobuf(message), self._setting))
+        self._fusion.repeat(accepted_alone(from_protobuf(message), self._setting))
 
     def motion(self, message: Any) -> None:
         """Move the vehicle on."""
         path = path_of(message)
-        self._fusion.repeat(Moved(self._way.extended(path), path))
+        self._fusion.repeat(Moved(self._trajectory.extended(path), path))
 
     def flush(self, _: Any) -> None:
         """Fuse what waits."""
@@ -258,7 +258,7 @@ _STEPS = {
     "motion": _Session.motion,
     "flush": _Session.flush,
 }
-"""What each entry of a log does; the others are only told."""
+"""What each entry of a log does; the others are only reported."""
 
 
 def _message_type(schema: str) -> type[Any] | None:

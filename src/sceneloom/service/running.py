@@ -1,4 +1,4 @@
-"""Runs a server until the process is told to end, or beside other work in a thread."""
+"""Runs a server until the process is reported to end, or beside other work in a thread."""
 
 import asyncio
 import gc
@@ -40,7 +40,7 @@ def configured(
         return ServiceLimits(**limits), None
     found = read_configuration_file(path, further=("service",))
     table = found.further.get("service", {})
-    ServiceLimits.of(table, file=path, place="service")
+    ServiceLimits.of(table, file=path, location="service")
     return ServiceLimits(**{**table, **limits}), found.apply
 
 
@@ -54,7 +54,7 @@ def serve_until_ended(
     """Serve until SIGTERM or Ctrl-C; then fuse what waits, deliver it, and return. A second signal ends at once.
 
     Args:
-        started: told the server once it listens.
+        started: reported the server once it listens.
         quiet: log warnings only.
         verbose: log what helps to find faults, too.
 
@@ -109,7 +109,7 @@ async def _serve(settings: ServerSettings, started: Callable[[FusionServer], Non
 
 
 async def _warmed_up(ended: asyncio.Event) -> bool:
-    """Load what requests need; False if the server is told to end meanwhile, which it does at once."""
+    """Load what requests need; False if the server is reported to end meanwhile, which it does at once."""
     loop = asyncio.get_running_loop()
     done: asyncio.Future[None] = loop.create_future()
     processes: list[subprocess.Popen[str]] = []

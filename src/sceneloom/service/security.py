@@ -15,7 +15,7 @@ from sceneloom.formats.files import read_settings
 from sceneloom.service.pem import read_certificates, read_pair
 
 _OPEN_SERVICES = ("/grpc.health.v1.Health/",)
-"""Services that need no token: they tell whether the server is up, and nothing else."""
+"""Services that need no token: they report whether the server is up, and nothing else."""
 
 _SHORTEST_TOKEN = 16
 

@@ -9,21 +9,21 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from sceneloom.errors import DataError, OptionError
-from sceneloom.fusion.calibration.lenses import LENSES
+from sceneloom.fusion.calibration.camera_models import CAMERA_MODELS
 from sceneloom.fusion.messages.calibration_data import CalibrationData
 from sceneloom.fusion.messages.records import SentRecord, kind_of
 from sceneloom.fusion.outcome import Cause, Outcome
-from sceneloom.scene.notices import Notice, NoticeKind
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import sweep_period_ns, usual_period_ns
 from sceneloom.scene.types import Progress
-from sceneloom.service.sent_records import Piece, pieces_of
+from sceneloom.scene.warnings import DataWarning, WarningKind
+from sceneloom.service.sent_records import Piece, chunks_of
 from sceneloom.service.sent_rig import (
     CAMERA_AXES,
     LIDAR_AXES,
     SentRig,
-    format_lenses,
+    format_camera_models,
     format_sensors,
     sent_rig,
 )
@@ -55,8 +55,8 @@ class Receiver(Protocol):
         """Table 3."""
         ...
 
-    def send_motion(self, path: PosePath) -> Outcome:
-        """Tell where the vehicle was."""
+    def send_motion(self, path: Poses) -> Outcome:
+        """Report where the vehicle was."""
         ...
 
     def send(self, record: SentRecord) -> Outcome:
@@ -78,7 +78,7 @@ class SendReport:
         sent: records by kind, and poses as `motion`.
         refused: how many of them were not taken, by cause.
         seconds: how long it took.
-        notices: what was assumed or left out.
+        warnings: what was assumed or left out.
     """
 
     source: str
@@ -86,7 +86,7 @@ class SendReport:
     sent: Mapping[str, int]
     refused: Mapping[str, int]
     seconds: float
-    notices: tuple[Notice, ...] = ()
+    warnings: tuple[DataWarning, ...] = ()
 
 
 @dataclass(slots=True)
@@ -117,7 +117,7 @@ class Pace:
 
 
 @dataclass(slots=True)
-class Tally:
+class Statistics:
     """Sends records, and counts them and what was refused."""
 
     receiver: Receiver
@@ -159,15 +159,15 @@ def send_scene(
 ) -> SendReport:
     """Configure a session for the sensors of a scene and send all that they measured, in the order of time.
 
-    Lidars are numbered from 0, then cameras. Sweeps, pictures, boxes of the scene's annotations and the way of the
-    vehicle are sent; times before 0 are moved by whole seconds, for a time stamp cannot say them.
+    Lidars are numbered from 0, then cameras. Sweeps, images, boxes of the scene's annotations and the ego trajectory
+     are sent; times before 0 are moved by whole seconds, for a timestamp cannot state them.
 
     Args:
         rate: 1 for as fast as it was, 2 for twice as fast, 0 for as fast as the session takes it.
-        trajectory: the ego's way by name; None for the one that the scene has, if any.
+        trajectory: the ego trajectory by name; None for the one that the scene has, if any.
         heading: "motion" to derive orientations where it has positions only.
         lenient: pass over frames that cannot be read.
-        progress: told after each record.
+        progress: reported after each record.
         pace: holds records back; None for one of that rate.
 
     Raises:
@@ -177,27 +177,29 @@ def send_scene(
     """
     begun = time.perf_counter()
     rig = sent_rig(scene, trajectory=trajectory, heading=heading)
-    tally = Tally(receiver, pace or Pace(rate))
+    statistics = Statistics(receiver, pace or Pace(rate))
     _configure(receiver, rig)
-    skipped: list[Notice] = []
-    with refusing(receiver, tally.pace.rate):
-        _send_pieces(rig, tally, skipped if lenient else None, progress)
+    skipped: list[DataWarning] = []
+    with refusing(receiver, statistics.pace.rate):
+        _send_chunks(rig, statistics, skipped if lenient else None, progress)
     receiver.flush()
     return SendReport(
         source=rig.scene.source,
         sensors={str(sensor_id): number for sensor_id, number in rig.numbers.items()},
-        sent=dict(sorted(tally.sent.items())),
-        refused=dict(sorted(tally.refused.items())),
+        sent=dict(sorted(statistics.sent.items())),
+        refused=dict(sorted(statistics.refused.items())),
         seconds=time.perf_counter() - begun,
-        notices=(*rig.scene.notices, *rig.notices, *skipped),
+        warnings=(*rig.scene.warnings, *rig.warnings, *skipped),
     )
 
 
-def _send_pieces(rig: SentRig, tally: Tally, skipped: list[Notice] | None, progress: Progress | None) -> None:
+def _send_chunks(
+    rig: SentRig, statistics: Statistics, skipped: list[DataWarning] | None, progress: Progress | None
+) -> None:
     total = sum(len(lidar.frames) for lidar in rig.scene.lidars)
-    total += sum(len(camera.pictures) for camera in rig.scene.cameras)
-    for done, piece in enumerate(pieces_of(rig), start=1):
-        tally.pace.until(piece.timestamp_ns)
+    total += sum(len(camera.images) for camera in rig.scene.cameras)
+    for done, piece in enumerate(chunks_of(rig), start=1):
+        statistics.pace.until(piece.timestamp_ns)
         try:
             records = piece.records()
         except DataError as error:
@@ -205,25 +207,25 @@ def _send_pieces(rig: SentRig, tally: Tally, skipped: list[Notice] | None, progr
                 raise
             skipped.append(_unreadable(error))
             records = []
-        _send_motion(piece, tally)
+        _send_motion(piece, statistics)
         for record in records:
-            tally.send(record)
+            statistics.send(record)
         if progress is not None:
             progress(done, total)
 
 
-def _send_motion(piece: Piece, tally: Tally) -> None:
+def _send_motion(piece: Piece, statistics: Statistics) -> None:
     if piece.motion is not None:
-        outcome = tally.receiver.send_motion(piece.motion)
-        tally.count("motion", outcome, len(piece.motion.timestamps_ns))
+        outcome = statistics.receiver.send_motion(piece.motion)
+        statistics.count("motion", outcome, len(piece.motion.timestamps_ns))
 
 
-def _unreadable(error: DataError) -> Notice:
-    return Notice(kind=NoticeKind.SKIPPED, code="frame-unreadable", place="", message=str(error))
+def _unreadable(error: DataError) -> DataWarning:
+    return DataWarning(kind=WarningKind.SKIPPED, code="frame-unreadable", location="", message=str(error))
 
 
 def _configure(receiver: Receiver, rig: SentRig) -> None:
-    """Say what the session has to know: frames, how often sensors measure, lenses and where they are."""
+    """Report what the session has to know: frames, how often sensors measure, camera models and where they are."""
     settings: dict[str, Any] = {
         "camera_axes": CAMERA_AXES,
         "lidar_axes": LIDAR_AXES,
@@ -232,7 +234,7 @@ def _configure(receiver: Receiver, rig: SentRig) -> None:
             sweep_period_ns(lidar) for lidar in rig.scene.lidars if lidar.id in rig.numbers
         ),
         "camera_frequency": _frequency(
-            usual_period_ns(camera.pictures.timestamps_ns)
+            usual_period_ns(camera.images.timestamps_ns)
             for camera in rig.scene.cameras
             if camera.id in rig.numbers
         ),
@@ -241,9 +243,11 @@ def _configure(receiver: Receiver, rig: SentRig) -> None:
     room = math.ceil(1.5 * fastest * PATIENCE_MS / 1e3) + 16  # what comes while others are waited for
     least = {"pairing_timeout_ms": PATIENCE_MS, "queue_length": room}
     settings |= {name: value for name, value in least.items() if receiver.get_property(name) < value}
-    if rig.lenses:
-        receiver.add_property(LENSES, "lenses that table 3 cannot say, as JSON by camera_id", "string")
-        settings[LENSES] = format_lenses(rig.lenses)
+    if rig.camera_models:
+        receiver.add_property(
+            CAMERA_MODELS, "camera models that table 3 cannot state, as JSON by camera_id", "string"
+        )
+        settings[CAMERA_MODELS] = format_camera_models(rig.camera_models)
     for name, value in settings.items():
         must(receiver.set_property(name, value), f"property {name}")
     for entry in rig.calibrations:

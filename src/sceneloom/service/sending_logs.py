@@ -13,7 +13,7 @@ from sceneloom.fusion.properties.store import Property
 from sceneloom.service.motion_form import path_of
 from sceneloom.service.received import property_of
 from sceneloom.service.replay import LogEntry, read_log
-from sceneloom.service.sending import Pace, Receiver, SendReport, Tally, must
+from sceneloom.service.sending import Pace, Receiver, SendReport, Statistics, must
 from sceneloom.service.values import value_from_protobuf
 
 
@@ -46,13 +46,13 @@ def send_log(
         if step is None:
             continue
         if entry.session not in sessions:
-            sessions[entry.session] = _Sending(Tally(open_session(entry.session), kept))
+            sessions[entry.session] = _Sending(Statistics(open_session(entry.session), kept))
         kept.until(entry.log_time_ns)
         step(sessions[entry.session], entry)
     for sending in sessions.values():
         sending.end()
-    sent: Counter[str] = sum((sending.tally.sent for sending in sessions.values()), Counter())
-    refused: Counter[str] = sum((sending.tally.refused for sending in sessions.values()), Counter())
+    sent: Counter[str] = sum((sending.statistics.sent for sending in sessions.values()), Counter())
+    refused: Counter[str] = sum((sending.statistics.refused for sending in sessions.values()), Counter())
     return SendReport(
         source=str(path),
         sensors={},
@@ -66,14 +66,14 @@ def send_log(
 class _Sending:
     """One session of a log that is sent again."""
 
-    tally: Tally
+    statistics: Statistics
     _known: dict[str, Property] = field(default_factory=dict)
     _policy: str | None = None
 
     @property
     def receiver(self) -> Receiver:
         """What is sent to."""
-        return self.tally.receiver
+        return self.statistics.receiver
 
     def properties(self, entry: LogEntry) -> None:
         """Add and set what is not so yet; the algorithms follow by themselves."""
@@ -83,7 +83,7 @@ class _Sending:
                 outcome = self.receiver.add_property(found.name, found.description, str(found.type))
                 if outcome.cause is not Cause.KNOWN_NAME:
                     must(outcome, f"property {found.name}")
-            if found.name == _POLICY and self.tally.pace.rate <= 0:
+            if found.name == _POLICY and self.statistics.pace.rate <= 0:
                 # as fast as possible, what there is no room for is sent again; in the end it is as it was
                 self._policy = found.value
                 must(self.receiver.set_property(_POLICY, "refuse"), f"property {_POLICY}")
@@ -109,12 +109,12 @@ class _Sending:
 
     def record(self, entry: LogEntry) -> None:
         """Send a record."""
-        self.tally.send(from_protobuf(entry.message))
+        self.statistics.send(from_protobuf(entry.message))
 
     def motion(self, entry: LogEntry) -> None:
         """Send poses."""
         path = path_of(entry.message)
-        self.tally.count("motion", self.receiver.send_motion(path), len(path.timestamps_ns))
+        self.statistics.count("motion", self.receiver.send_motion(path), len(path.timestamps_ns))
 
     def flush(self, _: LogEntry) -> None:
         """Fuse what waits."""
@@ -141,4 +141,4 @@ _STEPS: dict[str, Callable[[_Sending, LogEntry], None]] = {
     "motion": _Sending.motion,
     "flush": _Sending.flush,
 }
-"""What is sent of each entry of a log; the others only tell."""
+"""What is sent of each entry of a log; the others only report."""

@@ -11,16 +11,16 @@ from sceneloom.fusion.messages.boxes import Boxes2d, Boxes3d
 from sceneloom.fusion.messages.records import SentRecord
 from sceneloom.fusion.messages.scene_form.boxes import boxes_2d_record, boxes_3d_record
 from sceneloom.fusion.messages.scene_form.clouds import point_cloud_of
-from sceneloom.fusion.messages.scene_form.pictures import image_data_of
+from sceneloom.fusion.messages.scene_form.images import image_data_of
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.play import Reader, in_time_order
 from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
 from sceneloom.scene.annotations.cuboids import CuboidAnnotation
-from sceneloom.scene.cameras import Picture
+from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.detections import Boxes2D, Boxes3D
 from sceneloom.scene.point_times import RawTimes, timed_frame
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.sample_boxes import BoxTable
 from sceneloom.scene.span import scene_period_ns, sweep_period_ns, time_span
 from sceneloom.scene.types import Identifier
@@ -33,7 +33,7 @@ _UNNAMED = "object"
 
 @dataclass(slots=True)
 class Piece:
-    """What a sensor measured at one time, and the way of the vehicle until then.
+    """What a sensor measured at one time, and the ego trajectory until then.
 
     Attributes:
         timestamp_ns: when, on the scene's clock.
@@ -41,7 +41,7 @@ class Piece:
     """
 
     timestamp_ns: int
-    motion: PosePath | None
+    motion: Poses | None
     _maker: "_Maker"
     _sensor_id: Identifier
     _read: Reader
@@ -55,7 +55,7 @@ class Piece:
         return self._maker.records(self._sensor_id, self._read())
 
 
-def pieces_of(rig: SentRig) -> Iterator[Piece]:
+def chunks_of(rig: SentRig) -> Iterator[Piece]:
     """Give all that is to be sent, without reading it."""
     span = time_span(rig.scene)
     first_ns = 0 if span is None else span[0]
@@ -71,13 +71,13 @@ def pieces_of(rig: SentRig) -> Iterator[Piece]:
 
 @dataclass(slots=True)
 class _Motion:
-    """Cuts the way of the vehicle into pieces; each reaches a sweep beyond what it is sent before."""
+    """Cuts the ego trajectory into chunks; each reaches a sweep beyond what it is sent before."""
 
     rig: SentRig
     shift_ns: int
     _sent: int = 0
 
-    def until(self, timestamp_ns: int) -> PosePath | None:
+    def until(self, timestamp_ns: int) -> Poses | None:
         path = self.rig.path
         if path is None:
             return None
@@ -94,7 +94,7 @@ class _Motion:
             raise OptionError(
                 f"times from {int(path.timestamps_ns[0])} ns; messages hold {2**63 / 1e9:.0f} s from the first"
             )
-        return PosePath(
+        return Poses(
             path.timestamps_ns[rows] + self.shift_ns, path.positions[rows], path.quaternions_xyzw[rows]
         )
 
@@ -115,13 +115,13 @@ class _Maker:
         self._boxes = BoxTable(self.rig.scene)
         self._lidars = {lidar.id: lidar for lidar in self.rig.scene.lidars}
 
-    def records(self, sensor_id: Identifier, frame: LidarFrame | Picture) -> list[SentRecord]:
+    def records(self, sensor_id: Identifier, frame: LidarFrame | CameraImage) -> list[SentRecord]:
         number = self.rig.numbers[sensor_id]
         seq = self._seqs.get(sensor_id, -1) + 1
         self._seqs[sensor_id] = seq
         if isinstance(frame, LidarFrame):
             return self._of_sweep(sensor_id, number, seq, frame)
-        return self._of_picture(sensor_id, number, seq, frame)
+        return self._of_image(sensor_id, number, seq, frame)
 
     def _of_sweep(self, lidar_id: Identifier, number: int, seq: int, frame: LidarFrame) -> list[SentRecord]:
         if lidar_id in self.rig.at_once:
@@ -135,15 +135,15 @@ class _Maker:
         boxes = self._boxes_3d(lidar_id, number, seq, frame.timestamp_ns)
         return records if boxes is None else [*records, boxes]
 
-    def _of_picture(self, camera_id: Identifier, number: int, seq: int, picture: Picture) -> list[SentRecord]:
-        moved = replace(picture, timestamp_ns=picture.timestamp_ns + self.shift_ns)
-        encoding = "rgb8" if picture.encoded is None else "jpeg"
+    def _of_image(self, camera_id: Identifier, number: int, seq: int, image: CameraImage) -> list[SentRecord]:
+        moved = replace(image, timestamp_ns=image.timestamp_ns + self.shift_ns)
+        encoding = "rgb8" if image.encoded is None else "jpeg"
         records: list[SentRecord] = [image_data_of(moved, sensor_id=number, seq=seq, encoding=encoding)]
-        boxes = self._boxes_2d(camera_id, number, seq, picture)
+        boxes = self._boxes_2d(camera_id, number, seq, image)
         return records if boxes is None else [*records, boxes]
 
     def _boxes_3d(self, lidar_id: Identifier, number: int, seq: int, time_ns: int) -> Boxes3d | None:
-        """The cuboids of the scene as a detector in the sweep would say them; None where there are none at all."""
+        """The cuboids of the scene as a detector in the sweep would state them; None where there are none at all."""
         source = self.rig.sources[lidar_id]
         if not self._boxes.annotations or source is None:
             return None
@@ -166,7 +166,7 @@ class _Maker:
         return boxes_3d_record(boxes, sensor_id=number, seq=seq)
 
     def _tracks_in(self, camera_id: Identifier) -> "list[_Track]":
-        """The boxes of a camera's pictures over time: annotations of their own, and cuboids as it sees them."""
+        """The boxes of a camera's images over time: annotations of their own, and cuboids as it sees them."""
         if camera_id not in self._tracks:
             found: list[_Track] = []
             for row, annotation in enumerate(self.rig.scene.annotations):
@@ -183,30 +183,30 @@ class _Maker:
             self._tracks[camera_id] = found
         return self._tracks[camera_id]
 
-    def _boxes_2d(self, camera_id: Identifier, number: int, seq: int, picture: Picture) -> Boxes2d | None:
-        """The boxes of the scene in a picture; None where the scene has none of its camera."""
+    def _boxes_2d(self, camera_id: Identifier, number: int, seq: int, image: CameraImage) -> Boxes2d | None:
+        """The boxes of the scene in an image; None where the scene has none of its camera."""
         tracks = self._tracks_in(camera_id)
         if not tracks:
             return None
         there = []
         for track in tracks:
-            left, top, width, height = track.at(picture.timestamp_ns)
+            left, top, width, height = track.at(image.timestamp_ns)
             if width > 0 and height > 0:
                 there.append((track.row, track.label, (left, top, left + width, top + height)))
         boxes = Boxes2D(
-            picture.timestamp_ns + self.shift_ns,
+            image.timestamp_ns + self.shift_ns,
             np.array([corners for _, _, corners in there], np.float64).reshape(-1, 4),
             np.ones(len(there)),
             tuple(label for _, label, _ in there),
             ids=np.array([row for row, _, _ in there], np.int64),
         )
-        size_wh = picture.camera.width, picture.camera.height
+        size_wh = image.camera.width, image.camera.height
         return boxes_2d_record(boxes, sensor_id=number, seq=seq, size_wh=size_wh)
 
 
 @dataclass(frozen=True, slots=True)
 class _Track:
-    """One object in the pictures of a camera.
+    """One object in the images of a camera.
 
     Attributes:
         row: number of its annotation.

@@ -1,4 +1,4 @@
-"""The sensors of a scene as a session knows them: numbers, calibrations of table 3, and the way of the vehicle."""
+"""The sensors of a scene as a session knows them: numbers, calibrations of table 3, and the ego trajectory."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -22,24 +22,24 @@ from sceneloom.motion.ego_motion import find_ego_motion
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.ego import EgoMotion
-from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import points_source, sensor_source
 from sceneloom.scene.shutter import Shutter
 from sceneloom.scene.span import scene_period_ns
 from sceneloom.scene.types import Identifier, PointsFrame
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 CAMERA_AXES, LIDAR_AXES = "+z,+x,-y", "+x,-y,+z"
-"""Where forward, right and up point in the frames of a scene: what a session has to be told."""
+"""Where forward, right and up point in the frames of a scene: what a session has to be reported."""
 
 MOST_SENSORS = 256
 
 _HELD_BY_TABLE_3 = ("k1", "k2", "p1", "p2", "k3")
 _LOOKED_AT = 9
 _LOOSE_M, _LOOSE_RAD = 0.02, 0.005
-"""How much a mounting may move before it is said that it does: more than poses of a rigid one are off."""
+"""How much a mounting may move before it is stated that it does: more than poses of a rigid one are off."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,28 +50,28 @@ class SentRig:
         scene: the scene, its points in the frames of their sensors or of the ego.
         numbers: sensor_id of each lidar and camera that is sent, lidars first.
         calibrations: of each camera with each lidar.
-        lenses: those that table 3 cannot say, by camera number.
+        camera_models: those that table 3 cannot state, by camera number.
         sources: takes the points of a lidar into the world; None where that is not known.
         at_once: lidars whose points hold for one time: those that came in the world, where each stands already.
-        path: the way of the first lidar; None where it is not known, or it stood still.
-        notices: what was assumed or does not fit.
+        path: the trajectory of the first lidar; None where it is not known, or it was stationary.
+        warnings: what was assumed or does not fit.
     """
 
     scene: Scene
     numbers: Mapping[Identifier, int]
     calibrations: tuple[CalibrationEntry, ...]
-    lenses: Mapping[int, Camera]
+    camera_models: Mapping[int, Camera]
     sources: Mapping[Identifier, PoseSource | None]
     at_once: frozenset[Identifier]
-    path: PosePath | None
-    notices: tuple[Notice, ...]
+    path: Poses | None
+    warnings: tuple[DataWarning, ...]
 
 
 def sent_rig(scene: Scene, *, trajectory: str | None = None, heading: str | None = None) -> SentRig:
     """Number the sensors of a scene and calibrate each camera with each lidar.
 
     Args:
-        trajectory: the ego's way by name, as `fuse` takes it; None for the one that the scene has, if any.
+        trajectory: the ego trajectory by name, as `fuse` takes it; None for the one that the scene has, if any.
         heading: "motion" to derive orientations where it has positions only.
 
     Raises:
@@ -83,10 +83,10 @@ def sent_rig(scene: Scene, *, trajectory: str | None = None, heading: str | None
     if at_once:
         scene = to_sensor(scene, trajectory=trajectory, heading=heading)
     lidars = [lidar for lidar in scene.lidars if len(lidar.frames)]
-    cameras = [camera for camera in scene.cameras if len(camera.pictures)]
+    cameras = [camera for camera in scene.cameras if len(camera.images)]
     if not lidars or not cameras:
         problem = (
-            f"{len(lidars)} lidars with sweeps, {len(cameras)} cameras with pictures; expected one of each"
+            f"{len(lidars)} lidars with sweeps, {len(cameras)} cameras with images; expected one of each"
         )
         raise DataError(scene.source, "", problem)
     if len(lidars) + len(cameras) > MOST_SENSORS:
@@ -95,70 +95,88 @@ def sent_rig(scene: Scene, *, trajectory: str | None = None, heading: str | None
         )
     ids = (*(lidar.id for lidar in lidars), *(camera.id for camera in cameras))
     numbers = {sensor_id: number for number, sensor_id in enumerate(ids)}
-    ego, notices = _ego(scene, trajectory, heading)
+    ego, warnings = _ego(scene, trajectory, heading)
     reach_ns = scene_period_ns(scene)
-    places = _Places(scene, ego, reach_ns)
+    locations = _Locations(scene, ego, reach_ns)
     calibrations: list[CalibrationEntry] = []
-    lenses: dict[int, Camera] = {}
+    camera_models: dict[int, Camera] = {}
     for camera, lidar in product(cameras, lidars):
-        camera_from_points, loose = places.between(camera, lidar)
-        data, lens, told = table_3(camera, camera_from_points)
+        camera_from_points, loose = locations.between(camera, lidar)
+        data, camera_model, reported = table_3(camera, camera_from_points)
         calibrations.append(CalibrationEntry(numbers[camera.id], numbers[lidar.id], data))
-        if lens is not None:
-            lenses[numbers[camera.id]] = lens
-        notices += [*loose, *(told if lidar is lidars[0] else ())]
-    sources = {lidar.id: places.of_points(lidar) for lidar in lidars}
+        if camera_model is not None:
+            camera_models[numbers[camera.id]] = camera_model
+        warnings += [*loose, *(reported if lidar is lidars[0] else ())]
+    sources = {lidar.id: locations.of_points(lidar) for lidar in lidars}
     path = _path(sources[lidars[0].id])
-    return SentRig(scene, numbers, tuple(calibrations), lenses, sources, at_once, path, tuple(notices))
+    return SentRig(
+        scene, numbers, tuple(calibrations), camera_models, sources, at_once, path, tuple(warnings)
+    )
 
 
 def table_3(
     camera: CameraSensor, camera_from_points: RigidTransform
-) -> tuple[CalibrationData, Camera | None, list[Notice]]:
-    """Give the record of a camera; of a lens that it cannot hold the one that comes nearest, and the lens itself."""
+) -> tuple[CalibrationData, Camera | None, list[DataWarning]]:
+    """Give the record of a camera; of a camera model that it cannot hold the one that comes nearest.
+
+    And the camera model itself.
+    """
     axes = DeclaredAxes.of_words(CAMERA_AXES), DeclaredAxes.of_words(LIDAR_AXES)
     try:
         return calibration_data(camera.camera, camera_from_points, *axes), None, []
     except CalibrationError:
         pass
-    lens, message = _nearest(camera.camera)
-    place = f"sensors[{camera.id}]"
-    notice = Notice(kind=NoticeKind.ASSUMED, code="lens-beyond-table-3", place=place, message=message)
-    return calibration_data(lens, camera_from_points, *axes), camera.camera, [notice]
+    camera_model, message = _nearest(camera.camera)
+    location = f"sensors[{camera.id}]"
+    warning = DataWarning(
+        kind=WarningKind.ASSUMED, code="camera-model-beyond-table-3", location=location, message=message
+    )
+    return calibration_data(camera_model, camera_from_points, *axes), camera.camera, [warning]
 
 
-def _nearest(lens: Camera) -> tuple[Camera, str]:
+def _nearest(camera_model: Camera) -> tuple[Camera, str]:
     fixed = [name for name in MODELS["brown_conrady"].coefficient_names if name not in _HELD_BY_TABLE_3]
-    exactly = "the property `lenses` says it exactly"
+    exactly = "the property `camera_models` says it exactly"
     try:
-        found = fit(lens, "brown_conrady", fixed=fixed)
+        found = fit(camera_model, "brown_conrady", fixed=fixed)
     except CalibrationError as error:
-        plain = Camera("pinhole", lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy)
-        return plain, f"a {lens.model} lens, which table 3 cannot hold nearly ({error}); {exactly}"
+        plain = Camera(
+            "pinhole",
+            camera_model.width,
+            camera_model.height,
+            camera_model.fx,
+            camera_model.fy,
+            camera_model.cx,
+            camera_model.cy,
+        )
+        return (
+            plain,
+            f"a {camera_model.model} camera model, which table 3 cannot hold nearly ({error}); {exactly}",
+        )
     held = (*found.camera.coefficients[:5], *[0.0] * (len(found.camera.coefficients) - 5))
     kept = Camera(
         "brown_conrady",
-        lens.width,
-        lens.height,
+        camera_model.width,
+        camera_model.height,
         found.camera.fx,
         found.camera.fy,
         found.camera.cx,
         found.camera.cy,
         held,
     )
-    return kept, f"{found.message(lens)}, for table 3; {exactly}"
+    return kept, f"{found.message(camera_model)}, for table 3; {exactly}"
 
 
-def format_lenses(lenses: Mapping[int, Camera]) -> str:
-    """Write the value of the property `lenses`."""
+def format_camera_models(camera_models: Mapping[int, Camera]) -> str:
+    """Write the value of the property `camera_models`."""
     entries = {
         str(number): {
-            "model": lens.model,
-            "image_size": [lens.width, lens.height],
-            **{name: getattr(lens, name) for name in ("fx", "fy", "cx", "cy")},
-            "coefficients": list(lens.coefficients),
+            "model": camera_model.model,
+            "image_size": [camera_model.width, camera_model.height],
+            **{name: getattr(camera_model, name) for name in ("fx", "fy", "cx", "cy")},
+            "coefficients": list(camera_model.coefficients),
         }
-        for number, lens in lenses.items()
+        for number, camera_model in camera_models.items()
     }
     return msgspec.json.encode(entries).decode()
 
@@ -180,8 +198,10 @@ def format_sensors(rig: SentRig) -> str:
     return msgspec.json.encode(entries).decode()
 
 
-def _ego(scene: Scene, trajectory: str | None, heading: str | None) -> tuple[EgoMotion | None, list[Notice]]:
-    """The ego's way as far as it is known without looking for it."""
+def _ego(
+    scene: Scene, trajectory: str | None, heading: str | None
+) -> tuple[EgoMotion | None, list[DataWarning]]:
+    """The ego trajectory as far as it is known without looking for it."""
     if trajectory is not None:
         return find_ego_motion(scene, name=trajectory, heading=heading), []
     if not scene.trajectories:
@@ -191,20 +211,22 @@ def _ego(scene: Scene, trajectory: str | None, heading: str | None) -> tuple[Ego
     except PoseError as error:
         message = f"sent without motion: {error}"
         return None, [
-            Notice(kind=NoticeKind.SKIPPED, code="motion-unknown", place=scene.source, message=message)
+            DataWarning(
+                kind=WarningKind.SKIPPED, code="motion-unknown", location=scene.source, message=message
+            )
         ]
 
 
-def _path(source: PoseSource | None) -> PosePath | None:
-    if source is None or source.path.endless:
+def _path(source: PoseSource | None) -> Poses | None:
+    if source is None or source.path.static:
         return None
     times = source.path.timestamps_ns
     poses = source.at(times)
-    return PosePath(times, poses.positions, poses.quaternions_xyzw)
+    return Poses(times, poses.positions, poses.quaternions_xyzw)
 
 
 @dataclass(frozen=True, slots=True)
-class _Places:
+class _Locations:
     """Where cameras and points of lidars are, one from another."""
 
     scene: Scene
@@ -218,14 +240,14 @@ class _Places:
         except PoseError:
             return None
 
-    def between(self, camera: CameraSensor, lidar: LidarSensor) -> tuple[RigidTransform, list[Notice]]:
+    def between(self, camera: CameraSensor, lidar: LidarSensor) -> tuple[RigidTransform, list[DataWarning]]:
         """Give `camera_from_points`, by their mountings, else by where both were at the same times.
 
         Raises:
             PoseError: neither is known.
         """
-        riding = lidar.points_frame is PointsFrame.EGO
-        ego_from_points = RigidTransform.identity() if riding else lidar.mount
+        rider_association = lidar.points_frame is PointsFrame.EGO
+        ego_from_points = RigidTransform.identity() if rider_association else lidar.mount
         if camera.mount is not None and ego_from_points is not None:
             return camera.mount.inverse() @ ego_from_points, []
         found = list(self._seen(camera, lidar))
@@ -241,7 +263,7 @@ class _Places:
         of_points = points_source(self.scene, lidar, self.ego, reach_ns=self.reach_ns)
         if of_points is None:
             return
-        times = camera.pictures.timestamps_ns
+        times = camera.images.timestamps_ns
         times = times[np.unique(np.linspace(0, len(times) - 1, _LOOKED_AT).astype(np.int64))]
         cameras, points = of_camera.at(times), of_points.at(times)
         for k in np.flatnonzero((cameras.coverage < 2) & (points.coverage < 2)):
@@ -256,18 +278,21 @@ class _Places:
 
 def _loose(
     camera: CameraSensor, lidar: LidarSensor, middle: RigidTransform, found: list[RigidTransform]
-) -> list[Notice]:
-    """Say where a camera moves against a lidar: a record of table 3 holds one place."""
+) -> list[DataWarning]:
+    """Report where a camera moves against a lidar: a record of table 3 holds one location."""
     shift = max(float(np.linalg.norm(one.translation - middle.translation)) for one in found)
-    turn = max(
+    rotation = max(
         float(np.linalg.norm(one.rotation @ middle.rotation.T - np.eye(3))) / np.sqrt(2) for one in found
     )
-    if shift <= _LOOSE_M and turn <= _LOOSE_RAD:
+    if shift <= _LOOSE_M and rotation <= _LOOSE_RAD:
         return []
     message = (
-        f"it moves against lidar {lidar.id!r} by up to {shift:.3f} m and {np.degrees(turn):.2f}°; the place in the "
+        f"it moves against lidar {lidar.id!r} by up to {shift:.3f} m and {np.degrees(rotation):.2f}°; the location in "
+        f"the "
         "middle of the drive was taken"
     )
     return [
-        Notice(kind=NoticeKind.ASSUMED, code="mounting-moves", place=f"sensors[{camera.id}]", message=message)
+        DataWarning(
+            kind=WarningKind.ASSUMED, code="mounting-moves", location=f"sensors[{camera.id}]", message=message
+        )
     ]

@@ -49,8 +49,8 @@ class ServerSettings:
         metrics_port: where to answer `GET /metrics` over HTTP, 0 for a free one; None for nowhere.
         limits: of the service and its sessions.
         security: what callers have to prove.
-        configure: told each new session's interface, to set properties and calibrations.
-        observe: given a session's name, gives who is told what happens in it; None for nobody.
+        configure: reported each new session's interface, to set properties and calibrations.
+        observe: given a session's name, gives who is reported what happens in it; None for nobody.
         clock: seconds, by which sessions grow idle.
     """
 
@@ -178,7 +178,7 @@ class FusionServer:
         """End: take nothing more, fuse what waits, let those who fetch have their results, close.
 
         Args:
-            limit_s: how long they may take; None for what the limits say.
+            limit_s: how long they may take; None for what the limits state.
 
         Returns:
             the sessions whose threads hang, so that the process will not end by itself.

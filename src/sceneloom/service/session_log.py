@@ -27,7 +27,7 @@ from sceneloom.formats.mcap.schemas import foxglove_type, schema_bytes, serialis
 from sceneloom.formats.mcap.writer import McapWriter
 from sceneloom.formats.output import check_output
 from sceneloom.formats.topics.records import AnyRecord, Boxes3DRecord
-from sceneloom.fusion.admitted import Admitted
+from sceneloom.fusion.accepted import Accepted
 from sceneloom.fusion.events import Dropped, Event, Refused, Result
 from sceneloom.fusion.messages.fused import FusedDetections
 from sceneloom.fusion.messages.protobuf_form import encode, encode_in, fill_message
@@ -35,7 +35,7 @@ from sceneloom.fusion.messages.records import ResultRecord, SentRecord, kind_of,
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.fusion.queues import Flushed, Moved
 from sceneloom.fusion.setting import Setting
-from sceneloom.service.log_shown import shown_lenses, shown_records, shown_transforms
+from sceneloom.service.log_shown import shown_camera_models, shown_records, shown_transforms
 from sceneloom.service.motion_form import motion_request
 from sceneloom.service.replies import properties_message
 from sceneloom.service.values import value_to_protobuf
@@ -347,7 +347,7 @@ class BlackBox:
     def _write(self, entry: _Entry) -> None:
         try:
             entry.step(entry.time_ns)
-        except Exception as error:  # noqa: BLE001 - one entry that cannot be said must not end the log
+        except Exception as error:  # noqa: BLE001 - one entry that cannot be stated must not end the log
             LOG.error("an entry cannot be logged", extra={"fields": {"error": repr(error)}})  # noqa: TRY400
             with self._changed:
                 self._missing[entry.session] += 1
@@ -394,19 +394,19 @@ class _Session:
         Raises:
             NotLoggedError: it will not be.
         """
-        held = event.admitted.record if isinstance(event, Dropped) else getattr(event, "record", None)
+        held = event.accepted.record if isinstance(event, Dropped) else getattr(event, "record", None)
         size = _OVERHEAD + (size_of(held) if isinstance(held, SentRecord | ResultRecord) else 0)
         self._box.put(partial(self._event, event), self._name, size)
 
     def _event(self, event: Event, time_ns: int) -> None:
         self._time_ns = time_ns
         match event:
-            case Admitted():
-                self._admitted(event)
+            case Accepted():
+                self._accepted(event)
             case Refused():
                 self._refused(event)
             case Dropped():
-                record = event.admitted.record
+                record = event.accepted.record
                 self._record(f"dropped/{kind_of(record).name}", record, "dropped-record")
             case Moved():
                 self._add("motion", motion_request(event.sent, session=self._name), "motion")
@@ -415,7 +415,7 @@ class _Session:
             case Result():
                 self._given(event)
 
-    def _admitted(self, event: Admitted) -> None:
+    def _accepted(self, event: Accepted) -> None:
         """Write a record that was taken, after the configuration in force where that is another."""
         if event.setting is not self._setting:
             self._configured(event.setting)
@@ -471,8 +471,8 @@ class _Session:
         if set(known) - set(setting.table.entries):
             self._add("pairs", value_to_protobuf(list(setting.table.entries)), "pairs")
         if self._box.shown:
-            for camera_id, lens in shown_lenses(setting, self._frame).items():
-                self._show(f"camera/{camera_id}/lens", lens)
+            for camera_id, camera_model in shown_camera_models(setting, self._frame).items():
+                self._show(f"camera/{camera_id}/camera model", camera_model)
             for transform in shown_transforms(setting, self._frame):
                 self._show("frames", transform)
 

@@ -50,7 +50,7 @@ class Session:
         last_used_s: when the last request began or ended.
         last_fetched_s: when the last result was delivered.
         ended: whether its results were the last ones.
-        observed: whether somebody is told what happens, which takes its time.
+        observed: whether somebody is reported what happens, which takes its time.
     """
 
     def __init__(

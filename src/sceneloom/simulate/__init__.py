@@ -1,4 +1,4 @@
-"""The analytic scene factory: made-up drives with exact answers, the test bench of everything else."""
+"""The analytic scene factory: synthetic drives with exact answers, the test bench of everything else."""
 
 from typing import TYPE_CHECKING
 
@@ -7,7 +7,7 @@ from sceneloom.lazy import names_on_first_use
 if TYPE_CHECKING:
     from sceneloom.simulate.annotated import annotate
     from sceneloom.simulate.boxes import BoxTruth
-    from sceneloom.simulate.camera import CameraSpec, PictureTruth, camera_mount
+    from sceneloom.simulate.camera import CameraSpec, ImageTruth, camera_mount
     from sceneloom.simulate.detections import SimulatedDetections
     from sceneloom.simulate.detections_2d import detect_2d
     from sceneloom.simulate.detections_3d import detect_3d
@@ -48,7 +48,7 @@ else:
             "Mover": "sceneloom.simulate.movers:Mover",
             "OcclusionTruth": "sceneloom.simulate.truth:OcclusionTruth",
             "PathSpec": "sceneloom.simulate.path:PathSpec",
-            "PictureTruth": "sceneloom.simulate.camera:PictureTruth",
+            "ImageTruth": "sceneloom.simulate.camera:ImageTruth",
             "PointTimes": "sceneloom.simulate.faults:PointTimes",
             "RadarSpec": "sceneloom.simulate.radar:RadarSpec",
             "RadarTruth": "sceneloom.simulate.radar:RadarTruth",
@@ -85,6 +85,7 @@ __all__ = [
     "ExposureSpec",
     "Faults",
     "GnssSpec",
+    "ImageTruth",
     "ImuSpec",
     "ImuTruth",
     "LidarSpec",
@@ -92,7 +93,6 @@ __all__ = [
     "Mover",
     "OcclusionTruth",
     "PathSpec",
-    "PictureTruth",
     "PointTimes",
     "RadarSpec",
     "RadarTruth",

@@ -23,7 +23,7 @@ from sceneloom.scene.annotations.relations import (
 )
 from sceneloom.scene.annotations.shapes import ShapeAnnotation, ShapeType, VertexPath
 from sceneloom.scene.at import cuboid_poses
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.simulate.drive import SimulatedDrive
 from sceneloom.simulate.street import StreetObject
 
@@ -33,7 +33,7 @@ _CORNER_FROM_CENTRE = 0.5
 _OUTLINE_DIRECTIONS = 24
 _LEAST_PIXELS = 200
 _LANE_AHEAD = 25.0
-_SLIGHT_TURN_XYZW = (0.0, 0.0, 0.0087265, 0.9999619)
+_SLIGHT_ROTATION_XYZW = (0.0, 0.0, 0.0087265, 0.9999619)
 """One degree about the upright axis."""
 
 _UNTIL_AFTER_NS = 1_000_000
@@ -43,25 +43,25 @@ _UNTIL_AFTER_NS = 1_000_000
 def annotate(drive: SimulatedDrive) -> SimulatedDrive:
     """Give a drive one annotation of each type of the format beside the boxes that it has, from its exact truth.
 
-    They are about the two cars that the camera "camera0" sees best in its middle picture.
+    They are about the two cars that the camera "camera0" sees best in its middle image.
 
     Raises:
-        OptionError: the drive has no sensors of these names, or its pictures show fewer than two cars.
+        OptionError: the drive has no sensors of these names, or its images show fewer than two cars.
     """
     known = {sensor.id for sensor in drive.scene.sensors}
     if not {CAMERA, LIDAR} <= known:
         raise OptionError(f"sensors {', '.join(map(str, known))}; expected {CAMERA} and {LIDAR} among them")
     view = _View.of(drive)
     first, second = _best_seen(drive, view)
-    told = {thing.instance: f"car-{thing.instance}" for thing in (first, second)}
-    boxes = tuple(_box(a, view, first, told, drive) for a in drive.scene.annotations)
+    reported = {thing.instance: f"car-{thing.instance}" for thing in (first, second)}
+    boxes = tuple(_box(a, view, first, reported, drive) for a in drive.scene.annotations)
     further: tuple[Annotation, ...] = (
-        *_in_pictures(drive, view, first),
+        *_in_images(drive, view, first),
         *_in_world(drive, view, first),
         _keypoints(drive, view, first),
         _labelled(drive, first, "labeled_points"),
         _labelled(drive, second, "point_segmentation"),
-        *_relations(view, told[first.instance], told[second.instance]),
+        *_relations(view, reported[first.instance], reported[second.instance]),
         *_corrections(drive, view),
     )
     weather = AttributePath("weather", ("dry", "rain"), view.times_ns[[0, len(view.times_ns) // 2]])
@@ -70,7 +70,7 @@ def annotate(drive: SimulatedDrive) -> SimulatedDrive:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _View:
-    """What the pictures show: times (K,) int64 [ns], instances (K, H, W)."""
+    """What the images show: times (K,) int64 [ns], instances (K, H, W)."""
 
     times_ns: Int64Array
     instances: AnyArray
@@ -78,12 +78,12 @@ class _View:
     @classmethod
     def of(cls, drive: SimulatedDrive) -> "_View":
         camera = next(camera for camera in drive.scene.cameras if camera.id == CAMERA)
-        times = camera.pictures.timestamps_ns
+        times = camera.images.timestamps_ns
         return cls(times, np.stack([drive.truth.instances(CAMERA, k) for k in range(len(times))]))
 
     @property
     def middle(self) -> int:
-        """Number of the middle picture."""
+        """Number of the middle image."""
         return len(self.times_ns) // 2
 
     def masks(self, thing: StreetObject) -> BoolArray:
@@ -103,7 +103,7 @@ class _View:
 
 
 def _best_seen(drive: SimulatedDrive, view: _View) -> tuple[StreetObject, StreetObject]:
-    """The two cars of which the middle picture shows most, without those that its edge cuts."""
+    """The two cars of which the middle image shows most, without those that its edge cuts."""
     shown = view.instances[view.middle]
     edge = set(np.concatenate([shown[:, 0], shown[:, -1], shown[-1]]).tolist())
     counts = np.bincount(shown[shown > 0], minlength=len(drive.truth.objects) + 1)
@@ -115,18 +115,18 @@ def _best_seen(drive: SimulatedDrive, view: _View) -> tuple[StreetObject, Street
     whole = [thing for thing in cars if thing.instance not in edge]
     best = sorted(whole, key=lambda thing: -int(counts[thing.instance]))
     if len(best) < 2:
-        raise OptionError(f"{len(best)} cars whole in the middle picture; expected two: take another seed")
+        raise OptionError(f"{len(best)} cars whole in the middle image; expected two: take another seed")
     return best[0], best[1]
 
 
 def _box(
-    annotation: Annotation, view: _View, seen: StreetObject, told: dict[int, str], drive: SimulatedDrive
+    annotation: Annotation, view: _View, seen: StreetObject, reported: dict[int, str], drive: SimulatedDrive
 ) -> Annotation:
-    """Tell of the cuboids that matter whose they are, and of one of them where and when it is seen."""
-    if not isinstance(annotation, CuboidAnnotation) or annotation.id not in told.values():
+    """Report of the cuboids that matter whose they are, and of one of them where and when it is seen."""
+    if not isinstance(annotation, CuboidAnnotation) or annotation.id not in reported.values():
         return annotation
     annotation = replace(annotation, parent_id="parked")
-    if annotation.id != told[seen.instance]:
+    if annotation.id != reported[seen.instance]:
         return annotation
     boxes, times = view.boxes(seen), view.times_ns
     there = np.isfinite(boxes[:, 0])
@@ -146,7 +146,7 @@ def _box(
     )
 
 
-def _in_pictures(drive: SimulatedDrive, view: _View, car: StreetObject) -> tuple[Annotation, ...]:
+def _in_images(drive: SimulatedDrive, view: _View, car: StreetObject) -> tuple[Annotation, ...]:
     boxes, times = view.boxes(car), view.times_ns
     there = np.flatnonzero(np.isfinite(boxes[:, 0]))
     seen_ns, box = times[there], boxes[there]
@@ -154,7 +154,11 @@ def _in_pictures(drive: SimulatedDrive, view: _View, car: StreetObject) -> tuple
     middles = tuple((row[:2] + row[2:] / 2)[None] for row in box)
     lanes = tuple(_lane_pixels(drive, int(k)) for k in there)
     shapes = {ShapeType.POLYGON_2D: outlines, ShapeType.POINT_2D: middles, ShapeType.POLYLINE_2D: lanes}
-    labels = {ShapeType.POLYGON_2D: "outline", ShapeType.POINT_2D: "middle", ShapeType.POLYLINE_2D: "way"}
+    labels = {
+        ShapeType.POLYGON_2D: "outline",
+        ShapeType.POINT_2D: "middle",
+        ShapeType.POLYLINE_2D: "trajectory",
+    }
     return (
         Box2DAnnotation("box", CAMERA, BoxPath(seen_ns, box), label="car", parent_id="vehicle"),
         *(
@@ -175,20 +179,22 @@ def _outline(mask: BoolArray) -> Float64Array:
     return outline
 
 
-def _way_ahead(drive: SimulatedDrive) -> Float64Array:
-    """The ego's way on the ground, and straight on, (V, 3) [m]."""
-    way = next(iter(drive.scene.trajectories.values())).positions
-    along = (way[-1] - way[-2])[:2]
-    ahead = way[-1, :2] + along / np.linalg.norm(along) * np.linspace(1.0, _LANE_AHEAD, 12)[:, None]
-    places = np.concatenate([way[np.linspace(0, len(way) - 1, 12).astype(np.int64), :2], ahead])
-    return np.column_stack([places, np.zeros(len(places))])
+def _path_ahead(drive: SimulatedDrive) -> Float64Array:
+    """The ego trajectory on the ground, and straight on, (V, 3) [m]."""
+    trajectory = next(iter(drive.scene.trajectories.values())).positions
+    along = (trajectory[-1] - trajectory[-2])[:2]
+    ahead = trajectory[-1, :2] + along / np.linalg.norm(along) * np.linspace(1.0, _LANE_AHEAD, 12)[:, None]
+    locations = np.concatenate(
+        [trajectory[np.linspace(0, len(trajectory) - 1, 12).astype(np.int64), :2], ahead]
+    )
+    return np.column_stack([locations, np.zeros(len(locations))])
 
 
 def _lane_pixels(drive: SimulatedDrive, k: int) -> Float64Array:
-    """The ego's way as picture k shows it, (V, 2) [px] in the corner convention."""
+    """The ego trajectory as image k shows it, (V, 2) [px] in the corner convention."""
     camera_from_world = drive.truth.world_from_camera(CAMERA, k).inverse()
     camera = next(camera.camera for camera in drive.scene.cameras if camera.id == CAMERA)
-    pixels, visible = project(camera, camera_from_world.apply(_way_ahead(drive)))
+    pixels, visible = project(camera, camera_from_world.apply(_path_ahead(drive)))
     return pixels[visible] + _CORNER_FROM_CENTRE
 
 
@@ -211,17 +217,17 @@ def _in_world(drive: SimulatedDrive, view: _View, car: StreetObject) -> tuple[An
         ShapeAnnotation(
             str(kind),
             kind,
-            VertexPath(times, (places,)),
+            VertexPath(times, (locations,)),
             label=label,
             stationary=True,
             is_closed=True if kind is ShapeType.POLYLINE else None,
         )
-        for (kind, places), label in zip(vertices.items(), labels, strict=True)
+        for (kind, locations), label in zip(vertices.items(), labels, strict=True)
     )
 
 
 def _most_seen(drive: SimulatedDrive, view: _View, label: str) -> StreetObject:
-    """The object of a class that the middle picture shows best; any object where the street has none."""
+    """The object of a class that the middle image shows best; any object where the street has none."""
     shown = view.instances[view.middle]
     things = [thing for thing in drive.truth.objects if thing.label == label] or list(drive.truth.objects)
     return max(things, key=lambda thing: int(np.count_nonzero(shown == thing.instance)))
@@ -236,7 +242,7 @@ def _corners(drive: SimulatedDrive, car: StreetObject) -> Float64Array:
 
 
 def _keypoints(drive: SimulatedDrive, view: _View, car: StreetObject) -> PointsAnnotation:
-    """The corners of the car's roof, with where each picture shows them."""
+    """The corners of the car's roof, with where each image shows them."""
     roof, times = _corners(drive, car)[4:], view.times_ns
     camera = next(camera.camera for camera in drive.scene.cameras if camera.id == CAMERA)
     pixels = np.stack(
@@ -282,14 +288,14 @@ def _relations(view: _View, first: str, second: str) -> tuple[Annotation, ...]:
 
 
 def _corrections(drive: SimulatedDrive, view: _View) -> tuple[Annotation, ...]:
-    """A localisation that drifts by 0.3 m to the side, and a camera that is turned by a degree."""
+    """A localisation that drifts by 0.3 m to the side, and a camera that is rotated by a degree."""
     ends = view.times_ns[[0, -1]]
-    still, turn = np.array([[0.0, 0.0, 0.0, 1.0]] * 2), np.array([_SLIGHT_TURN_XYZW])
-    drift = PosePath(ends, np.array([[0.0, 0.0, 0.0], [0.0, 0.3, 0.0]]), still)
-    lens = next(camera.camera for camera in drive.scene.cameras if camera.id == CAMERA)
-    mended = replace(lens, fx=1.01 * lens.fx, fy=1.01 * lens.fy)
-    turned = PosePath(ends[:1], np.zeros((1, 3)), turn / np.linalg.norm(turn))
+    still, rotation = np.array([[0.0, 0.0, 0.0, 1.0]] * 2), np.array([_SLIGHT_ROTATION_XYZW])
+    drift = Poses(ends, np.array([[0.0, 0.0, 0.0], [0.0, 0.3, 0.0]]), still)
+    camera_model = next(camera.camera for camera in drive.scene.cameras if camera.id == CAMERA)
+    repaired = replace(camera_model, fx=1.01 * camera_model.fx, fy=1.01 * camera_model.fy)
+    rotated = Poses(ends[:1], np.zeros((1, 3)), rotation / np.linalg.norm(rotation))
     return (
         LocalizationAdjustment("drift", drift),
-        CameraCalibration("mended", CAMERA, turned, mended, time_offset_ns=2_000_000),
+        CameraCalibration("repaired", CAMERA, rotated, repaired, time_offset_ns=2_000_000),
     )

@@ -1,4 +1,4 @@
-"""The check that the numbers of a made-up device can be."""
+"""The check that the numbers of a synthetic device can be."""
 
 from collections.abc import Iterable, Iterator, Sequence
 

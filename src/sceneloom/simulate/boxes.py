@@ -25,7 +25,7 @@ class BoxTruth:
 
     Attributes:
         timestamps_ns: (T,) int64 [ns].
-        instances: (I,) int64, as in instance pictures.
+        instances: (I,) int64, as in instance images.
         labels: I of them.
         sizes_lwh: (I, 3) float64 [m].
         centers_world: (T, I, 3) float64 [m].
@@ -51,20 +51,20 @@ def boxes_of(street: Street, timestamps_ns: Int64Array) -> BoxTruth:
     times = np.asarray(timestamps_ns, np.int64).reshape(-1)
     things: tuple[StreetObject | Mover, ...] = (*street.objects, *street.movers.things)
     sizes = np.array([thing.size_lwh for thing in things], np.float64).reshape(-1, 3)
-    count, standing = len(times), len(street.objects)
-    places = np.array([(*thing.center_world, thing.yaw) for thing in street.objects]).reshape(-1, 4)
+    count, stationary = len(times), len(street.objects)
+    locations = np.array([(*thing.center_world, thing.yaw) for thing in street.objects]).reshape(-1, 4)
     which = np.arange(len(street.movers))[None, :]
     states = street.movers.states(which, times[:, None])
-    lifted = states.positions + np.array([0.0, 0.0, 0.5]) * sizes[standing:]
-    still = np.zeros((count, standing))
+    lifted = states.positions + np.array([0.0, 0.0, 0.5]) * sizes[stationary:]
+    still = np.zeros((count, stationary))
     return BoxTruth(
         times,
         np.array([thing.instance for thing in things], np.int64),
         tuple(thing.label for thing in things),
         sizes,
-        np.concatenate([np.broadcast_to(places[:, :3], (count, standing, 3)), lifted], axis=1),
-        np.concatenate([np.broadcast_to(places[:, 3], (count, standing)), states.yaws], axis=1),
-        np.concatenate([np.zeros((count, standing, 3)), states.velocities], axis=1),
+        np.concatenate([np.broadcast_to(locations[:, :3], (count, stationary, 3)), lifted], axis=1),
+        np.concatenate([np.broadcast_to(locations[:, 3], (count, stationary)), states.yaws], axis=1),
+        np.concatenate([np.zeros((count, stationary, 3)), states.velocities], axis=1),
         np.concatenate([still, states.yaw_rates], axis=1),
         np.concatenate([still == 0.0, street.movers.present(which, times[:, None])], axis=1),
     )
@@ -77,21 +77,21 @@ def annotations_of(street: Street, labels: Collection[str], *, start_ns: int) ->
     to an acceleration of 30 m/s², and the shortest arc within 0.1 degrees of the truth. Samples lie on `start_ns` and
     all multiples of their distance.
     """
-    standing = tuple(
+    stationary = tuple(
         _annotation(thing, np.array([start_ns], np.int64), [(*thing.center_world, thing.yaw)], stands=True)
         for thing in street.objects
         if thing.label in labels
     )
-    return standing + tuple(_moving(street, k, start_ns) for k in range(len(street.movers)))
+    return stationary + tuple(_moving(street, k, start_ns) for k in range(len(street.movers)))
 
 
 def _moving(street: Street, k: int, start_ns: int) -> CuboidAnnotation:
     thing = street.movers.things[k]
-    stamps = np.array([start_ns], np.int64) if thing.stands else _samples(thing, start_ns)
-    states = street.movers.states(np.full(len(stamps), k), stamps)
-    heights = np.full(len(stamps), 0.5 * thing.size_lwh[2])
-    places = np.column_stack([states.positions[:, :2], heights, states.yaws])
-    return _annotation(thing, stamps, places, stands=thing.stands)
+    timestamps = np.array([start_ns], np.int64) if thing.stands else _samples(thing, start_ns)
+    states = street.movers.states(np.full(len(timestamps), k), timestamps)
+    heights = np.full(len(timestamps), 0.5 * thing.size_lwh[2])
+    locations = np.column_stack([states.positions[:, :2], heights, states.yaws])
+    return _annotation(thing, timestamps, locations, stands=thing.stands)
 
 
 def _samples(thing: Mover, start_ns: int) -> Int64Array:
@@ -102,13 +102,16 @@ def _samples(thing: Mover, start_ns: int) -> Int64Array:
 
 
 def _annotation(
-    thing: StreetObject | Mover, stamps: Int64Array, places: ArrayLike, *, stands: bool
+    thing: StreetObject | Mover, timestamps: Int64Array, locations: ArrayLike, *, stands: bool
 ) -> CuboidAnnotation:
     """A box from x, y, z and yaw (T, 4)."""
-    x_y_z_yaw = np.asarray(places, np.float64)
-    values = np.zeros((len(stamps), 9))
+    x_y_z_yaw = np.asarray(locations, np.float64)
+    values = np.zeros((len(timestamps), 9))
     values[:, :3], values[:, 3:6] = thing.size_lwh, x_y_z_yaw[:, :3]
     values[:, 8] = np.degrees(x_y_z_yaw[:, 3])
     return CuboidAnnotation(
-        f"{thing.label}-{thing.instance}", CuboidPath(stamps, values), label=thing.label, stationary=stands
+        f"{thing.label}-{thing.instance}",
+        CuboidPath(timestamps, values),
+        label=thing.label,
+        stationary=stands,
     )

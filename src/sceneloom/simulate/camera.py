@@ -9,7 +9,7 @@ from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array, U
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import check_camera, project, unproject
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.cameras import Picture
+from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.types import NO_FIELDS
 from sceneloom.simulate.bounds import check_bounds
 from sceneloom.simulate.casting import Hits, Paint, Rays, cast, instances_of, paint, silhouettes
@@ -22,7 +22,7 @@ _TILE = 16
 _REACH = 900.0
 _LONGEST_READOUT_NS = 100_000_000
 _LINE_ROUNDS = 4
-"""How often the line that sees a point is looked for: each guess is off by what the picture moves while the lines that
+"""How often the line that sees a point is looked for: each guess is off by what the image moves while the lines that
 the guess before was off by are read, so the second is within a line in traffic."""
 _EGO_FROM_AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Axes of a camera that looks along the ego's x: right, down, forward."""
@@ -35,11 +35,11 @@ def camera_mount(
     pitch_deg: float = 0.0,
     roll_deg: float = 0.0,
 ) -> RigidTransform:
-    """Give `ego_from_camera` of a camera that looks ahead, turned left by yaw and down by pitch.
+    """Give `ego_from_camera` of a camera that looks ahead, rotated left by yaw and down by pitch.
 
     Args:
         position: in the ego frame [m].
-        yaw_deg, pitch_deg, roll_deg: turns about the ego's z, y and x axis, roll first.
+        yaw_deg, pitch_deg, roll_deg: rotates about the ego's z, y and x axis, roll first.
     """
     ahead = sensor_mount(position=position, yaw_deg=yaw_deg, pitch_deg=pitch_deg, roll_deg=roll_deg)
     return RigidTransform(ahead.rotation @ _EGO_FROM_AHEAD, ahead.translation)
@@ -47,22 +47,22 @@ def camera_mount(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraSpec:
-    """A camera that takes one picture in each sweep of the lidar.
+    """A camera that takes one image in each sweep of the lidar.
 
     Attributes:
-        camera: the lens.
+        camera: the camera model.
         mount: `ego_from_camera`.
-        offset_ns: time of the picture after the start of the sweep [ns].
+        offset_ns: time of the image after the start of the sweep [ns].
         supersampling: rays per pixel along each axis. 1: a pixel is the colour of the surface at its centre, exactly
             what the truth says; 2 or more: the mean over the pixel, which is prettier at outlines.
         readout_ns: how long a rolling shutter takes from the first row to the last [ns]: row r of H is taken at
-            t + ((r + 0.5)/H - 0.5)·readout_ns, so that the picture's time t is that of its middle. 0: all at once.
-        left_to_right: the shutter rolls over the columns, from the left, in place of the rows from the top.
+            t + ((r + 0.5)/H - 0.5)·readout_ns, so that the image's time t is that of its middle. 0: all at once.
+        left_to_right: the shutter rolls over the columns, from the left, instead of the rows from the top.
         exposure: how the brightness changes; None: it does not.
 
     Raises:
         OptionError: `supersampling` is not 1 to 8, or `readout_ns` not 0 to 0.1 s.
-        CalibrationError: the lens is unknown.
+        CalibrationError: the camera model is unknown.
     """
 
     camera: Camera = field(default=Camera("pinhole", 1242, 375, 720.0, 720.0, 620.5, 187.0))
@@ -91,7 +91,7 @@ class CameraSpec:
         return self.camera.width if self.left_to_right else self.camera.height
 
     def line_offsets_ns(self) -> Int64Array:
-        """When each line is taken, (L,) int64 [ns], after the picture's time.
+        """When each line is taken, (L,) int64 [ns], after the image's time.
 
         Source: "One clock": row r of H at t + ((r + 0.5)/H - 0.5)·roll time, docs/CONVENTIONS.md.
         """
@@ -101,15 +101,15 @@ class CameraSpec:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PictureTruth:
+class ImageTruth:
     """What a camera sees along the rays through the pixels' centres.
 
     With a rolling shutter each line is as seen at the line's own time, from where the camera is then.
 
     Attributes:
-        depths: (H, W) float32 [m], z in the camera frame, 0 for the sky and outside the lens.
-        instances: (H, W) int32, 0 the ground, -1 the sky and outside the lens.
-        colors: (H, W, 3) uint8; equal to the picture where `supersampling` is 1 and nothing changes the exposure.
+        depths: (H, W) float32 [m], z in the camera frame, 0 for the sky and outside the camera model.
+        instances: (H, W) int32, 0 the ground, -1 the sky and outside the camera model.
+        colors: (H, W, 3) uint8; equal to the image where `supersampling` is 1 and nothing changes the exposure.
     """
 
     depths: Float32Array
@@ -124,10 +124,10 @@ class RenderedCamera:
     Attributes:
         spec: the device.
         street, path: what it sees and how it moves.
-        timestamps_ns: (F,) int64 [ns], time of each picture.
+        timestamps_ns: (F,) int64 [ns], time of each image.
         rays: the rays through the pixels' centres; the pose of a ray is its line's.
         between: further sets of rays, for supersampling.
-        exposure: how the pictures' brightness changes; None: it does not.
+        exposure: how the images' brightness changes; None: it does not.
     """
 
     spec: CameraSpec
@@ -149,7 +149,7 @@ class RenderedCamera:
         seed: int = 0,
         number: int = 0,
     ) -> "RenderedCamera":
-        """Set up the rays of a picture, and draw the exposure of camera `number` of the drive."""
+        """Set up the rays of an image, and draw the exposure of camera `number` of the drive."""
         steps = (np.arange(spec.supersampling) + 0.5) / spec.supersampling - 0.5
         between = tuple(_pixel_rays(spec, du, dv) for dv in steps for du in steps if spec.supersampling > 1)
         exposure = (
@@ -160,12 +160,12 @@ class RenderedCamera:
         return cls(spec, street, path, timestamps_ns, _pixel_rays(spec, 0.0, 0.0), between, exposure)
 
     def pose(self, k: int) -> RigidTransform:
-        """Exact `world_from_camera` at the time of picture k."""
+        """Exact `world_from_camera` at the time of image k."""
         ego = self.path.at(self.timestamps_ns[k : k + 1])
         return RigidTransform(ego.rotations[0], ego.positions[0]) @ self.spec.mount
 
     def line_times_ns(self, k: int) -> Int64Array:
-        """When each line of picture k is taken, (L,) int64 [ns]; a single time where all are taken at once."""
+        """When each line of image k is taken, (L,) int64 [ns]; a single time where all are taken at once."""
         times_ns: Int64Array = self.timestamps_ns[k] + self.spec.line_offsets_ns()
         return times_ns
 
@@ -178,7 +178,7 @@ class RenderedCamera:
         return ego.rotations @ mount.rotation, ego.positions + ego.rotations @ mount.translation
 
     def lines_seeing(self, k: int, points_world: Float64Array) -> Int64Array:
-        """Find which line of picture k sees each standing point, (N,) int64; the middle one for points far outside.
+        """Find which line of image k sees each stationary point, (N,) int64; the middle one for points far outside.
 
         Args:
             points_world: (N, 3) float64 [m].
@@ -197,22 +197,24 @@ class RenderedCamera:
         return lines
 
     def gain(self, k: int) -> float:
-        """By what picture k is brighter than the bare colours, in its middle."""
+        """By what image k is brighter than the bare colours, in its middle."""
         return 1.0 if self.exposure is None else self.exposure.gain(int(self.timestamps_ns[k]))
 
-    def picture(self, k: int) -> Picture:
-        """Picture k, rendered when its pixels are asked for."""
+    def image(self, k: int) -> CameraImage:
+        """Image k, rendered when its pixels are asked for."""
         exposure_ns = 0 if self.spec.exposure is None else self.spec.exposure.exposure_ns
         extras = {EXPOSURE_FIELD: exposure_ns / 1e9} if exposure_ns else NO_FIELDS
-        return Picture(int(self.timestamps_ns[k]), self.spec.camera, partial(self.render, k), extras=extras)
+        return CameraImage(
+            int(self.timestamps_ns[k]), self.spec.camera, partial(self.render, k), extras=extras
+        )
 
     def render(self, k: int) -> UInt8Array:
-        """Render picture k, (H, W, 3) uint8, with the camera's exposure."""
+        """Render image k, (H, W, 3) uint8, with the camera's exposure."""
         rgb = self._bare(k)
         return rgb if self.exposure is None else self.exposure.applied(rgb, int(self.timestamps_ns[k]))
 
     def _bare(self, k: int) -> UInt8Array:
-        """Picture k in the colours of what is there."""
+        """Image k in the colours of what is there."""
         shape = (self.spec.camera.height, self.spec.camera.width, 3)
         if not self.between:
             return self._look(k, self.rays)[1].colors.reshape(shape)
@@ -222,17 +224,17 @@ class RenderedCamera:
         count = len(self.between)
         return ((total + count // 2) // count).astype(np.uint8)
 
-    def truth(self, k: int) -> PictureTruth:
-        """Render the truth of picture k."""
+    def truth(self, k: int) -> ImageTruth:
+        """Render the truth of image k."""
         shape = (self.spec.camera.height, self.spec.camera.width)
         hits, look = self._look(k, self.rays)
         depths = np.zeros(self.rays.slot_count, np.float32)
         depths[self.rays.slots] = hits.ranges[self.rays.slots] * self.rays.directions[:, 2]
         instances = instances_of(self.street, hits).reshape(shape)
-        return PictureTruth(depths.reshape(shape), instances, look.colors.reshape(*shape, 3))
+        return ImageTruth(depths.reshape(shape), instances, look.colors.reshape(*shape, 3))
 
     def silhouettes(self, k: int) -> Int64Array:
-        """Count the pixels of picture k that each object would fill if it were alone, by instance number - 1."""
+        """Count the pixels of image k that each object would fill if it were alone, by instance number - 1."""
         rotations, origins = self.line_poses(k)
         times_ns = self.line_times_ns(k)
         return silhouettes(self.street, self.rays, rotations, origins, times_ns, reach=_REACH)
@@ -256,9 +258,9 @@ def _pixel_rays(spec: CameraSpec, du: float, dv: float) -> Rays:
 
 
 def _with_border(camera: Camera) -> tuple[Camera, int]:
-    """The lens of a picture with a border all around, and how wide that is [px].
+    """The camera model of an image with a border all around, and how wide that is [px].
 
-    A point that moves into the picture while it is read lies outside at some lines' times.
+    A point that moves into the image while it is read lies outside at some lines' times.
     """
     border = max(camera.width, camera.height) // 2
     wider = replace(

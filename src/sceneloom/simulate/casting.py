@@ -12,7 +12,7 @@ from sceneloom.simulate import ground
 from sceneloom.simulate.street import Street
 
 SKY_INSTANCE, GROUND_INSTANCE = -1, 0
-"""What instance pictures say where there is no object."""
+"""What instance images state where there is no object."""
 
 _WORKERS = 16
 """Rows that count at the same time."""
@@ -53,8 +53,8 @@ class Rays:
         used = np.flatnonzero(np.isfinite(directions).all(axis=1))
         _, bundle = np.unique(bundle_of_ray[used], return_inverse=True)
         bundle = bundle + (bundle // _BLOCK % _SHARES) * len(directions)
-        turn = np.argsort(bundle, kind="stable")
-        order, edges = used[turn], np.flatnonzero(np.diff(bundle[turn])) + 1
+        rotation = np.argsort(bundle, kind="stable")
+        order, edges = used[rotation], np.flatnonzero(np.diff(bundle[rotation])) + 1
         starts = np.concatenate([[0], edges, [len(order)]]) if len(order) else np.zeros(1)
         poses = np.zeros(len(order)) if pose_of_ray is None else pose_of_ray[order]
         return cls(
@@ -77,7 +77,7 @@ class Moving:
     """What is near a sensor, and where it is at each of its poses if it moves.
 
     Attributes:
-        frame_of_shape: (P,) int32, for each body of the street the column of `frames`, -1 where it stands still or is
+        frame_of_shape: (P,) int32, for each body of the street the column of `frames`, -1 where it is stationary or is
             too far away.
         frames: (M, F, 3, 4) float64 `frame_from_world`.
         spheres: (P, 4) float64 [m], balls that hold the bodies at all of the poses' times.

@@ -14,7 +14,7 @@ _SPARE = np.array([0.4, 0.04])
 """How much longer to either end and wider to either side ground plans are taken [m]."""
 
 _STRETCH = 32
-"""Times of a way that are looked at together."""
+"""Times of a trajectory that are looked at together."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,11 +59,11 @@ def plans_of(shapes: PackedShapes) -> Plans:
 
 
 def overlapping(a: Plans, b: Plans) -> BoolArray:
-    """Say pair by pair (N,) whether rectangles that are both there touch: no side's direction parts them."""
+    """Report pair by pair (N,) whether rectangles that are both there touch: no side's direction parts them."""
     apart = b.centers - a.centers
     touching = a.there & b.there
-    turn = b.yaws - a.yaws
-    cosine, sine = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    rotation = b.yaws - a.yaws
+    cosine, sine = np.abs(np.cos(rotation)), np.abs(np.sin(rotation))
     mixed = np.stack([np.stack([cosine, sine], axis=1), np.stack([sine, cosine], axis=1)], axis=1)
     for own, other in ((a, b), (b, a)):
         along = np.stack([np.cos(own.yaws), np.sin(own.yaws)], axis=1)
@@ -79,22 +79,22 @@ class Clearance:
     """The ground that is taken at each of T times while movers are planned.
 
     Attributes:
-        standing: what never moves.
+        stationary: what never moves.
         moving: the plans of each mover, one per time.
     """
 
-    standing: Plans
+    stationary: Plans
     moving: list[Plans] = field(default_factory=list)
 
     def try_add(self, plans: Plans) -> bool:
-        """Take the ground of a mover at all times unless it would come too near something; say whether."""
+        """Take the ground of a mover at all times unless it would come too near something; report whether."""
         wider = Plans(plans.centers, plans.yaws, plans.half + _SPARE, plans.there)
-        if not plans.there.any() or self._hits_standing(wider) or self._hits_moving(wider):
+        if not plans.there.any() or self._hits_stationary(wider) or self._hits_moving(wider):
             return False
         self.moving.append(plans)
         return True
 
-    def _hits_standing(self, plans: Plans) -> bool:
+    def _hits_stationary(self, plans: Plans) -> bool:
         plans = plans.taken(plans.there)
         return any(
             self._hits_near(plans.taken(slice(start, start + _STRETCH)))
@@ -102,11 +102,11 @@ class Clearance:
         )
 
     def _hits_near(self, plans: Plans) -> bool:
-        """The same for a short stretch of a way, where few things stand."""
-        reach = self.standing.radii[:, None] + float(plans.radii.max())
+        """The same for a short stretch of a trajectory, where few things stand."""
+        reach = self.stationary.radii[:, None] + float(plans.radii.max())
         low, high = plans.centers.min(axis=0) - reach, plans.centers.max(axis=0) + reach
-        near = ((self.standing.centers > low) & (self.standing.centers < high)).all(axis=1)
-        obstacles = self.standing.taken(near & self.standing.there)
+        near = ((self.stationary.centers > low) & (self.stationary.centers < high)).all(axis=1)
+        obstacles = self.stationary.taken(near & self.stationary.there)
         apart = plans.centers[:, None] - obstacles.centers[None]
         reach = plans.radii[:, None] + obstacles.radii[None]
         time, which = np.nonzero((apart * apart).sum(axis=2) < reach * reach)

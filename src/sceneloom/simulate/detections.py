@@ -30,7 +30,7 @@ FALSE_HEIGHTS = (0.2, 1.8)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedDetections(Generic[Boxes]):
-    """What a detector reports of one sweep or picture, and what is known about it.
+    """What a detector reports of one sweep or image, and what is known about it.
 
     Attributes:
         boxes: its report, the surest first.
@@ -65,7 +65,7 @@ class Draft(Generic[Boxes]):
 
     Attributes:
         report: found boxes, duplicates and false ones, in this order, all with score 0.
-        false_rates: expected false boxes by class, 0 where there is no place for them.
+        false_rates: expected false boxes by class, 0 where there is no field for them.
         generator: goes on with the scores.
     """
 

@@ -1,4 +1,4 @@
-"""A detector of objects in pictures, made up: its errors have known sizes, its scores known meanings."""
+"""A detector of objects in images, made up: its errors have known sizes, its scores known meanings."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.detections import Boxes2D, Boxes3D
 from sceneloom.scene.types import Identifier
-from sceneloom.simulate.camera import PictureTruth
+from sceneloom.simulate.camera import ImageTruth
 from sceneloom.simulate.detections import (
     FALSE,
     FALSE_HEIGHTS,
@@ -28,16 +28,19 @@ from sceneloom.simulate.detections import (
 )
 from sceneloom.simulate.detectors import Detector2dSpec
 from sceneloom.simulate.drive import SimulatedDrive
+from sceneloom.simulate.observations import hidden_shares, objects_at
 from sceneloom.simulate.randomness import Stream
-from sceneloom.simulate.sightings import hidden_shares, objects_at
-from sceneloom.simulate.whole_boxes import LineViews, projected_boxes, within_picture
+from sceneloom.simulate.whole_boxes import LineViews, projected_boxes, within_image
 
 _TRIES, _OVERLAP = 12, 0.2
-"""So many places are tried for a false box until it overlaps no object by more than this, intersection over union."""
+"""So many locations are tried for a false box until it overlaps no object by more than this.
+
+Intersection over union.
+"""
 _SMALLEST_PX = 1.0
 
 Pose = tuple[RigidTransform, Camera]
-"""`world_from_camera`, and the lens."""
+"""`world_from_camera`, and the camera model."""
 
 
 def detect_2d(
@@ -47,20 +50,20 @@ def detect_2d(
     *,
     frames: Iterable[int] | None = None,
 ) -> list[SimulatedDetections[Boxes2D]]:
-    """Detect objects in the pictures of a camera, as the sensor got them: planted faults are in the answer.
+    """Detect objects in the images of a camera, as the sensor got them: injected faults are in the answer.
 
     Args:
-        drive: whose pictures.
+        drive: whose images.
         camera_id: by default the first camera.
         spec: the detector.
-        frames: numbers of pictures of the scene, by default all. Errors of a picture do not depend on the others,
-            scores do, since they are calibrated over the pictures that are asked for.
+        frames: numbers of images of the scene, by default all. Errors of an image do not depend on the others,
+            scores do, since they are calibrated over the images that are asked for.
 
     Returns:
-        One report per picture.
+        One report per image.
 
     Raises:
-        OptionError: there is no such camera or picture.
+        OptionError: there is no such camera or image.
     """
     spec = spec or Detector2dSpec()
     if camera_id is None and not drive.scene.cameras:
@@ -68,92 +71,92 @@ def detect_2d(
     camera = drive.scene.cameras[0] if camera_id is None else drive.scene.sensor(camera_id)
     if not isinstance(camera, CameraSensor):
         raise OptionError(f"sensor {camera_id!r} is of type {camera.type}; expected a camera")
-    drafts = [_draft(drive, spec, camera, index) for index in chosen_frames(len(camera.pictures), frames)]
+    drafts = [_draft(drive, spec, camera, index) for index in chosen_frames(len(camera.images), frames)]
     return with_scores(drafts, spec.scores, repeated=spec.repeated)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Look:
-    """What one picture shows.
+    """What one image shows.
 
     Attributes:
-        said_ns: its stamp [ns].
+        stated_ns: its timestamp [ns].
         objects: boxes of the objects in it, in the world.
         instances: (M,) int64, which they are.
-        corners_xyxy: (M, 4) float64 [px], where they are in the picture.
+        corners_xyxy: (M, 4) float64 [px], where they are in the image.
         pixels: (M,) float64, how many show them.
         occlusions: (M,) float64, how much of them is hidden.
         clutter: (C, 3) float64: column, row [px] and depth [m] of pixels that show other things.
-        lens: of the camera.
+        camera_model: of the camera.
     """
 
-    said_ns: int
+    stated_ns: int
     objects: Boxes3D
     instances: Int64Array
     corners_xyxy: Float64Array
     pixels: Float64Array
     occlusions: Float64Array
     clutter: Float64Array
-    lens: Camera
+    camera_model: Camera
 
 
 def _look(drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, index: int) -> _Look:
     truth, number = drive.truth, true_frame(drive, camera.id, index)
     rendered = truth.cameras[str(camera.id)]
     time_ns, pose = int(rendered.timestamps_ns[number]), rendered.pose(number)
-    lens = rendered.spec.camera
+    camera_model = rendered.spec.camera
     objects, instances = objects_at(truth.street, time_ns, spec.classes)
-    picture = rendered.truth(number)
-    shown = np.full_like(picture.instances, -1) if _is_black(drive, camera, index) else picture.instances
+    image = rendered.truth(number)
+    shown = np.full_like(image.instances, -1) if _is_black(drive, camera, index) else image.instances
     seen, extents, pixels = _extents(shown, instances)
     objects, instances = objects.select(seen), instances[seen]
     if spec.amodal:
         extents = projected_boxes(LineViews.of(rendered, number, instances), extents)
     return _Look(
-        int(camera.pictures.timestamps_ns[index]),
+        int(camera.images.timestamps_ns[index]),
         objects,
         instances,
         extents,
         pixels,
         hidden_shares(pixels, rendered.silhouettes(number), instances),
-        _clutter(picture, shown, instances, (pose, lens)),
-        lens,
+        _clutter(image, shown, instances, (pose, camera_model)),
+        camera_model,
     )
 
 
 def _is_black(drive: SimulatedDrive, camera: CameraSensor, index: int) -> bool:
     wrong = drive.faults.sensors.get(camera.id)
-    return wrong is not None and bool(wrong.blind) and not camera.pictures[index].rgb.any()
+    return wrong is not None and bool(wrong.blind) and not camera.images[index].rgb.any()
 
 
 def _extents(shown: AnyArray, instances: Int64Array) -> tuple[Int64Array, Float64Array, Float64Array]:
-    """Which of some instances a picture shows, and the edges (M, 4) and number (M,) of their pixels."""
+    """Which of some instances an image shows, and the edges (M, 4) and number (M,) of their pixels."""
     rows, columns = np.nonzero(np.isin(shown, instances))
     met, which = np.unique(shown[rows, columns], return_inverse=True)
     edges = np.empty((len(met), 4))
     edges[:, :2], edges[:, 2:] = np.inf, -np.inf
-    for axis, places in enumerate((columns, rows)):
-        np.minimum.at(edges[:, axis], which, places)
-        np.maximum.at(edges[:, axis + 2], which, places + 1)
+    for axis, locations in enumerate((columns, rows)):
+        np.minimum.at(edges[:, axis], which, locations)
+        np.maximum.at(edges[:, axis + 2], which, locations + 1)
     seen = np.flatnonzero(np.isin(instances, met))
     own = np.searchsorted(met, instances[seen])
     return seen, edges[own], np.bincount(which, minlength=len(met)).astype(np.float64)[own]
 
 
-def _clutter(picture: PictureTruth, shown: AnyArray, instances: Int64Array, look: Pose) -> Float64Array:
+def _clutter(image: ImageTruth, shown: AnyArray, instances: Int64Array, look: Pose) -> Float64Array:
     """Some of the pixels that show other things than the objects at their height: column, row, depth, (C, 3)."""
-    world_from_camera, lens = look
-    other = (shown > 0) & ~np.isin(shown, instances) & (picture.depths < FALSE_WITHIN)
-    rows, columns = (places[:: max(1, int(other.sum()) // 4000)] for places in np.nonzero(other))
-    depths = picture.depths[rows, columns].astype(np.float64)
-    rays = unproject(lens, np.column_stack([columns, rows]))
+    world_from_camera, camera_model = look
+    other = (shown > 0) & ~np.isin(shown, instances) & (image.depths < FALSE_WITHIN)
+    rows, columns = (locations[:: max(1, int(other.sum()) // 4000)] for locations in np.nonzero(other))
+    depths = image.depths[rows, columns].astype(np.float64)
+    rays = unproject(camera_model, np.column_stack([columns, rows]))
     heights = world_from_camera.apply(rays * (depths / rays[:, 2])[:, None])[:, 2]
     low = (heights > FALSE_HEIGHTS[0]) & (heights < FALSE_HEIGHTS[1])
     return np.column_stack([columns[low], rows[low], depths[low]])
 
 
 def _draft(drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, index: int) -> Draft[Boxes2D]:
-    """Everything about a picture but the scores."""
+    """Everything about an image but the scores."""
     look = _look(drive, spec, camera, index)
     labels = look.objects.labels
     halves = np.array([spec.classes[label].half_evidence for label in labels])
@@ -170,8 +173,8 @@ def _draft(drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, in
         generator, Stream.DETECTIONS_2D, spec.seed, camera.id, whose, columns=4, share=spec.lasting_share
     )
     boxes = Boxes2D(
-        look.said_ns,
-        _with_errors(spec, look.lens, np.concatenate([look.corners_xyxy[rows], false]), normals),
+        look.stated_ns,
+        _with_errors(spec, look.camera_model, np.concatenate([look.corners_xyxy[rows], false]), normals),
         np.zeros(len(whose)),
         (*(labels[k] for k in rows), *false_labels),
         sensor_id=camera.id,
@@ -192,14 +195,14 @@ def _draft(drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, in
 
 
 def _with_errors(
-    spec: Detector2dSpec, lens: Camera, exact: Float64Array, normals: Float64Array
+    spec: Detector2dSpec, camera_model: Camera, exact: Float64Array, normals: Float64Array
 ) -> Float64Array:
-    """Exact boxes (N, 4) with errors out of standard normal numbers: in the picture, and no smaller than a pixel."""
+    """Exact boxes (N, 4) with errors out of standard normal numbers: in the image, and no smaller than a pixel."""
     sizes = exact[:, 2:] - exact[:, :2]
     sigmas = spec.corner_sigma_px + spec.corner_sigma_share * np.tile(sizes, 2)
-    edges = within_picture(exact + sigmas * normals, lens)
+    edges = within_image(exact + sigmas * normals, camera_model)
     low, high = np.minimum(edges[:, :2], edges[:, 2:]), np.maximum(edges[:, :2], edges[:, 2:])
-    low = np.minimum(low, np.array([lens.width, lens.height]) - _SMALLEST_PX)
+    low = np.minimum(low, np.array([camera_model.width, camera_model.height]) - _SMALLEST_PX)
     return np.column_stack([low, np.maximum(high, low + _SMALLEST_PX)])
 
 
@@ -214,10 +217,10 @@ def _false_boxes(
         length, width, height = spec.classes[label].size_lwh
         for _ in range(_TRIES):
             column, row, depth = look.clutter[generator.integers(len(look.clutter))]
-            half = look.lens.fx / depth * generator.uniform(width, max(width, length)) / 2
-            tall = look.lens.fy / depth * height * np.exp(0.1 * generator.standard_normal()) / 2
+            half = look.camera_model.fx / depth * generator.uniform(width, max(width, length)) / 2
+            tall = look.camera_model.fy / depth * height * np.exp(0.1 * generator.standard_normal()) / 2
             edges = np.array([[column - half, row - tall, column + half, row + tall]]) + 0.5
-            boxes[k] = within_picture(edges, look.lens)[0]
+            boxes[k] = within_image(edges, look.camera_model)[0]
             if _overlaps(boxes[k], look.corners_xyxy).max(initial=0.0) < _OVERLAP:
                 break
     return boxes, labels

@@ -27,8 +27,8 @@ from sceneloom.simulate.detections import (
 )
 from sceneloom.simulate.detectors import Detector3dSpec
 from sceneloom.simulate.drive import SimulatedDrive
+from sceneloom.simulate.observations import hidden_shares, objects_at
 from sceneloom.simulate.randomness import Stream
-from sceneloom.simulate.sightings import hidden_shares, objects_at
 
 _CLEAR = 2.5
 """How far from the middle of any object of the classes they are begun [m], beside its half diagonal."""
@@ -43,9 +43,9 @@ def detect_3d(
     frames: Iterable[int] | None = None,
     boxes_frame: PointsFrame = PointsFrame.SENSOR,
 ) -> list[SimulatedDetections[Boxes3D]]:
-    """Detect objects in the sweeps of a lidar, as the sensor got them: planted faults are in the answer.
+    """Detect objects in the sweeps of a lidar, as the sensor got them: injected faults are in the answer.
 
-    Boxes are of the sweep's reference time, in the lidar's frame at that time, by the stamps of the scene. Boxes in
+    Boxes are of the sweep's reference time, in the lidar's frame at that time, by the timestamps of the scene. Boxes in
     the ego's or the world's frame are placed by what the scene states about mounting and poses.
 
     Args:
@@ -83,9 +83,9 @@ class _Look:
     """What one sweep could show.
 
     Attributes:
-        said_ns: its reference time by the scene's stamps [ns].
+        stated_ns: its reference time by the scene's timestamps [ns].
         world_from_ego, world_from_lidar: true poses at its reference time.
-        objects: boxes of the objects with points on them, world frame, stamped with the true time.
+        objects: boxes of the objects with points on them, world frame, timestamped with the true time.
         instances: (M,) int64, which they are.
         points: (M,) float64, how many points are on them.
         occlusions: (M,) float64, how much of them is hidden.
@@ -93,7 +93,7 @@ class _Look:
         points_world: (N, 3) float64 [m], all points.
     """
 
-    said_ns: int
+    stated_ns: int
     world_from_ego: RigidTransform
     world_from_lidar: RigidTransform
     objects: Boxes3D
@@ -245,19 +245,19 @@ def _with_errors(
     sigmas = sigmas * spec.growth(ranges, points)[:, None]
     errors = sigmas * normals
     flips = np.pi * (generator.random(count) < spec.flip_share)
-    turns = _turns(exact.yaws)
+    rotations = _rotations(exact.yaws)
     covariances = None
     if spec.covariances:
-        turn = np.tile(np.eye(7), (count, 1, 1))
-        turn[:, :3, :3] = turns
-        covariances = turn * sigmas[:, None] ** 2 @ turn.transpose(0, 2, 1)
+        rotation = np.tile(np.eye(7), (count, 1, 1))
+        rotation[:, :3, :3] = rotations
+        covariances = rotation * sigmas[:, None] ** 2 @ rotation.transpose(0, 2, 1)
     velocities = None
     if spec.velocity_sigma is not None and exact.velocities is not None:
         level = generator.standard_normal((count, 3)) * [1.0, 1.0, 0.0]
         velocities = exact.velocities + spec.velocity_sigma * level
     return replace(
         exact,
-        centers=exact.centers + np.einsum("nij,nj->ni", turns, errors[:, :3]),
+        centers=exact.centers + np.einsum("nij,nj->ni", rotations, errors[:, :3]),
         sizes_lwh=np.maximum(exact.sizes_lwh / 5, exact.sizes_lwh + errors[:, 3:6]),
         yaws=exact.yaws + errors[:, 6] + flips,
         scores=np.zeros(count),
@@ -266,27 +266,29 @@ def _with_errors(
     )
 
 
-def _turns(yaws: Float64Array) -> Float64Array:
+def _rotations(yaws: Float64Array) -> Float64Array:
     """Rotations about the z axis, (N, 3, 3)."""
-    turns = np.zeros((len(yaws), 3, 3))
-    turns[:, 0, 0] = turns[:, 1, 1] = np.cos(yaws)
-    turns[:, 1, 0] = np.sin(yaws)
-    turns[:, 0, 1] = -turns[:, 1, 0]
-    turns[:, 2, 2] = 1.0
-    return turns
+    rotations = np.zeros((len(yaws), 3, 3))
+    rotations[:, 0, 0] = rotations[:, 1, 1] = np.cos(yaws)
+    rotations[:, 1, 0] = np.sin(yaws)
+    rotations[:, 0, 1] = -rotations[:, 1, 0]
+    rotations[:, 2, 2] = 1.0
+    return rotations
 
 
 def _stated(
     drive: SimulatedDrive, look: _Look, boxes: Boxes3D, lidar: LidarSensor, frame: PointsFrame
 ) -> Boxes3D:
-    """Boxes of the world as a system that trusts the scene has them: by its stamps, mounting and poses."""
+    """Boxes of the world as a system that trusts the scene has them: by its timestamps, mounting and poses."""
     own = boxes.moved(look.world_from_lidar.inverse(), PointsFrame.SENSOR)
-    own = replace(own, timestamp_ns=look.said_ns, sensor_id=lidar.id)
+    own = replace(own, timestamp_ns=look.stated_ns, sensor_id=lidar.id)
     if frame is PointsFrame.SENSOR:
         return own
     if frame is PointsFrame.EGO:
         if lidar.mount is None:
             raise PoseError(f"{drive.scene.source}: the scene does not state how {lidar.id!r} is mounted")
         return own.moved(lidar.mount, frame)
-    pose = sensor_source(drive.scene, lidar, None, reach_ns=_REACH_NS).at(np.array([look.said_ns], np.int64))
+    pose = sensor_source(drive.scene, lidar, None, reach_ns=_REACH_NS).at(
+        np.array([look.stated_ns], np.int64)
+    )
     return own.moved(RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0]), frame)

@@ -19,9 +19,9 @@ class ClassSpec:
     """How a detector does on one class.
 
     Attributes:
-        half_evidence: points on an object in plain view (pixels, for a detector of pictures) with which half of such
+        half_evidence: points on an object in plain view (pixels, for a detector of images) with which half of such
             objects are found.
-        false_rate: expected number of false boxes in a sweep or picture.
+        false_rate: expected number of false boxes in a sweep or image.
         size_lwh: mean size of false boxes [m].
 
     Raises:
@@ -105,7 +105,7 @@ class Detector3dSpec:
         velocity_sigma: deviation of each level component of the velocity [m/s], whatever the range; None for a
             detector that gives none.
         repeated: share of found objects that are reported twice.
-        covariances: whether the boxes tell their true covariances.
+        covariances: whether the boxes report their true covariances.
         scores: how sure it says it is.
         seed: another number makes other errors.
 
@@ -163,16 +163,16 @@ CLASSES_2D: Mapping[str, ClassSpec] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Detector2dSpec:
-    """A detector in pictures.
+    """A detector in images.
 
     Attributes:
         classes: what it looks for.
         misses: what it does not find.
         amodal: its boxes are those of whole objects, hidden parts included: the projected box in space, which is a
-            little larger than the object. Else they hold what is to be seen. Both end where the picture does.
+            little larger than the object. Else they hold what is to be seen. Both end where the image does.
         corner_sigma_px: deviation of each edge of a box [px].
         corner_sigma_share: added to it, a share of the box's width (height).
-        lasting_share: share of the variance of an object's errors that is the same in all pictures.
+        lasting_share: share of the variance of an object's errors that is the same in all images.
         repeated: share of found objects that are reported twice.
         scores: how sure it says it is.
         seed: another number makes other errors.

@@ -1,4 +1,4 @@
-"""A made-up drive: one scene as a reader would give it, and the truth behind it."""
+"""A synthetic drive: one scene as a reader would give it, and the truth behind it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -29,13 +29,13 @@ from sceneloom.simulate.traffic import TrafficSpec, plan_traffic
 from sceneloom.simulate.truth import Truth
 
 TRAJECTORY = "groundTruth"
-"""Name of the trajectory that is exactly the ego's way."""
+"""Name of the trajectory that is exactly the ego trajectory."""
 
 ANNOTATED = frozenset({"car", "bin", "tree", "pole"})
 """Classes of objects that get a box in the scene's annotations; `Truth.objects` knows all."""
 
 _IMU_SHIFT_NS = 1_300_000
-"""Keeps the IMU's stamps from falling on those of other sensors, as two clocks would."""
+"""Keeps the IMU's timestamps from falling on those of other sensors, as two clocks would."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,9 +43,9 @@ class SimulatedDrive:
     """A drive that never happened.
 
     Attributes:
-        scene: what sensors recorded of it; sweeps and pictures are made when asked for.
-        truth: what was really there; planted faults change nothing in it.
-        faults: what was planted in the scene.
+        scene: what sensors recorded of it; sweeps and images are made when asked for.
+        truth: what was really there; injected faults change nothing in it.
+        faults: what was injected in the scene.
         true_frames: for each sensor with faults, (F,) int64: which frame of the truth each of its frames shows.
     """
 
@@ -71,22 +71,22 @@ def simulate_street(
     trajectory_hz: float = 100.0,
     start_ns: int = 1_000_000_000,
 ) -> SimulatedDrive:
-    """Drive through a made-up street.
+    """Drive through a synthetic street.
 
     Args:
         seed: another number is another street, another way and other noise.
-        frames: sweeps of the (first) lidar; each camera takes one picture in each.
+        frames: sweeps of the (first) lidar; each camera takes one image in each.
         lidar: the lidar, a `LidarSpec` or a `SolidStateSpec`; by default 64 beams and 1800 steps at 10 Hz on the roof.
-        lidars: several in its place; the further ones have as many sweeps as begin before the first has ended its
+        lidars: several in its location; the further ones have as many sweeps as begin before the first has ended its
             last. A single lidar's id is "lidar", of several they are "lidar0", "lidar1", …
         cameras: by default one of 1242x375 pixels, looking ahead; ids are "camera0", "camera1", …
         radars: none by default; ids are "radar0", "radar1", …
         imu, gnss: the inertial unit and the satellite receiver.
-        path: how the ego drives: speeds, turns, stops.
+        path: how the ego drives: speeds, rotates, stops.
         traffic: what moves besides the ego; None for nothing.
         faults: what is wrong with the scene; None for nothing.
         trajectory_hz: samples of the trajectory a second; 100 keeps interpolation within 0.1 mm and 0.001 degrees
-            on the default way, and within 1 mm and 0.01 degrees on the fastest one.
+            on the default trajectory, and within 1 mm and 0.01 degrees on the fastest one.
         start_ns: time of the first sweep [ns].
 
     Returns:
@@ -94,7 +94,7 @@ def simulate_street(
 
     Raises:
         OptionError: a number is out of bounds.
-        CalibrationError: a lens cannot be used.
+        CalibrationError: a camera model cannot be used.
     """
     if seed < 0:
         raise OptionError(f"seed {seed}; expected a number that is not negative")
@@ -111,31 +111,31 @@ def simulate_street(
         start_ns=start_ns,
     )
     span_ns = rig.span_ns
-    way = plan_path(
+    trajectory = plan_path(
         generator_for(seed, Stream.PATH),
         start_ns=start_ns,
-        duration=(rig.way_span_ns[1] - start_ns) * 1e-9,
+        duration=(rig.trajectory_span_ns[1] - start_ns) * 1e-9,
         spec=path,
     )
-    street = build_street(generator_for(seed, Stream.STREET), way)
+    street = build_street(generator_for(seed, Stream.STREET), trajectory)
     if traffic is not None:
         generator = generator_for(seed, Stream.TRAFFIC)
-        movers = plan_traffic(generator, traffic, way, street, span_ns=rig.traffic_span_ns)
+        movers = plan_traffic(generator, traffic, trajectory, street, span_ns=rig.traffic_span_ns)
         street = replace(street, movers=movers)
-    inertial = imu_truth(imu, way, _stamps(span_ns, imu.rate_hz) + _IMU_SHIFT_NS, seed=seed)
+    inertial = imu_truth(imu, trajectory, _timestamps(span_ns, imu.rate_hz) + _IMU_SHIFT_NS, seed=seed)
     truth = Truth(
         street,
-        way,
-        rig.place_lidars(street, way, seed=seed),
-        rig.place_cameras(street, way, seed=seed),
-        rig.place_radars(street, way, seed=seed),
+        trajectory,
+        rig.position_lidars(street, trajectory, seed=seed),
+        rig.position_cameras(street, trajectory, seed=seed),
+        rig.position_radars(street, trajectory, seed=seed),
         inertial,
     )
     sensors = (
         imu_sensor(imu, inertial, seed=seed),
-        gnss_sensor(gnss, way, _stamps(span_ns, gnss.rate_hz), seed=seed),
+        gnss_sensor(gnss, trajectory, _timestamps(span_ns, gnss.rate_hz), seed=seed),
     )
-    drive = SimulatedDrive(_scene(seed, truth, sensors, _stamps(span_ns, trajectory_hz)), truth)
+    drive = SimulatedDrive(_scene(seed, truth, sensors, _timestamps(span_ns, trajectory_hz)), truth)
     return drive if faults is None else plant(drive, faults)
 
 
@@ -153,7 +153,10 @@ def plant(drive: SimulatedDrive, faults: Faults) -> SimulatedDrive:
 
 
 def demo_drive(seed: int = 0, *, frames: int = 30) -> SimulatedDrive:
-    """A small drive for a first look: two cameras with different lenses and smooth outlines, a lidar that looks up."""
+    """A small drive for a first look: two cameras with different camera models and smooth outlines.
+
+    A lidar that looks up.
+    """
     ahead = Camera(
         "brown_conrady", 800, 400, 430.0, 430.0, 399.5, 190.0, (-0.12, 0.04, 0.0004, -0.0003, -0.006)
     )
@@ -172,15 +175,15 @@ def demo_drive(seed: int = 0, *, frames: int = 30) -> SimulatedDrive:
     )
 
 
-def _stamps(span_ns: tuple[int, int], rate_hz: float) -> Int64Array:
+def _timestamps(span_ns: tuple[int, int], rate_hz: float) -> Int64Array:
     """Times at a constant rate over a span, (N,) int64 [ns]."""
     count = int((span_ns[1] - span_ns[0]) * 1e-9 * rate_hz) + 2
-    stamps: Int64Array = span_ns[0] + np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
-    return stamps
+    timestamps: Int64Array = span_ns[0] + np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
+    return timestamps
 
 
-def _scene(seed: int, truth: Truth, others: tuple[Any, ...], stamps_ns: Int64Array) -> Scene:
-    ego = truth.path.poses(stamps_ns)
+def _scene(seed: int, truth: Truth, others: tuple[Any, ...], timestamps_ns: Int64Array) -> Scene:
+    ego = truth.path.poses(timestamps_ns)
     sensors = (*scene_sensors(truth.lidars, truth.cameras, truth.radars, ego), *others)
     trajectory = Trajectory(TRAJECTORY, ego.timestamps_ns, ego.positions, ego.quaternions_xyzw)
     return Scene(

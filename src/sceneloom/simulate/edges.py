@@ -1,12 +1,12 @@
-"""Where the outlines are in a picture."""
+"""Where the outlines are in an image."""
 
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array
-from sceneloom.simulate.camera import PictureTruth
+from sceneloom.simulate.camera import ImageTruth
 
 
-def edge_mask(truth: PictureTruth, *, within_px: int = 2) -> BoolArray:
+def edge_mask(truth: ImageTruth, *, within_px: int = 2) -> BoolArray:
     """Mark the pixels near an outline.
 
     An outline lies between two neighbouring pixels that show different objects, or depths that differ by more than

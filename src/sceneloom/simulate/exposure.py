@@ -10,7 +10,7 @@ from sceneloom.simulate.bounds import check_bounds
 from sceneloom.simulate.randomness import Stream, generator_for
 
 EXPOSURE_FIELD = "exposureTimeSeconds"
-"""The recording format's word for how long a picture was exposed [s]."""
+"""The recording format's word for how long an image was exposed [s]."""
 
 _SECOND_WAVE = 0.382
 """The shorter of the two waves of the drift, as a share of `drift_period`: without a common measure with it."""
@@ -18,9 +18,9 @@ _SECOND_WAVE = 0.382
 
 @dataclass(frozen=True, slots=True)
 class ExposureSpec:
-    """How the brightness of a camera's pictures changes. A stop is a factor of two.
+    """How the brightness of a camera's images changes. A stop is a factor of two.
 
-    The gain is one number per picture and multiplies its 8-bit values, which are then cut off at 255. Nothing is
+    The gain is one number per image and multiplies its 8-bit values, which are then cut off at 255. Nothing is
     blurred, however long the exposure.
 
     Attributes:
@@ -29,9 +29,9 @@ class ExposureSpec:
         steps: sudden changes of the light: when, in seconds after the start of the drive, and by how many stops, such
             as (4.0, 1.5) for the way out of a shadow. The automatic takes each back.
         recovery: time in which it takes back 63 % of a step [s]; infinite: never.
-        vignetting: share of the light that the corner farthest from the picture's middle lacks; it falls off with the
+        vignetting: share of the light that the corner farthest from the image's middle lacks; it falls off with the
             square of the distance.
-        exposure_ns: how long each picture is exposed [ns], as its `exposureTimeSeconds` says; 0: not said.
+        exposure_ns: how long each image is exposed [ns], as its `exposureTimeSeconds` says; 0: not stated.
 
     Raises:
         OptionError: a number is out of bounds.
@@ -79,10 +79,12 @@ class Exposure:
         return cls(spec, start_ns, (float(first), float(second)))
 
     def gain(self, timestamp_ns: int) -> float:
-        """The factor of a picture at a time [ns]."""
+        """The factor of a image at a time [ns]."""
         seconds, spec = (timestamp_ns - self.start_ns) * 1e-9, self.spec
-        turns = 2.0 * np.pi * seconds / spec.drift_period
-        waves = 0.7 * np.sin(turns + self.phases[0]) + 0.3 * np.sin(turns / _SECOND_WAVE + self.phases[1])
+        rotations = 2.0 * np.pi * seconds / spec.drift_period
+        waves = 0.7 * np.sin(rotations + self.phases[0]) + 0.3 * np.sin(
+            rotations / _SECOND_WAVE + self.phases[1]
+        )
         stops = spec.drift_stops * waves
         for begin, step in spec.steps:
             if seconds >= begin:
@@ -90,7 +92,7 @@ class Exposure:
         return float(2.0**stops)
 
     def applied(self, rgb: UInt8Array, timestamp_ns: int) -> UInt8Array:
-        """A picture (H, W, 3) as the camera gives it at a time [ns], rounded and cut off at 255."""
+        """An image (H, W, 3) as the camera gives it at a time [ns], rounded and cut off at 255."""
         factor = self.gain(timestamp_ns) * self._falloff(rgb.shape[0], rgb.shape[1])
         exposed: UInt8Array = np.rint(np.minimum(255.0, rgb * factor[..., None])).astype(np.uint8)
         return exposed

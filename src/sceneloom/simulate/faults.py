@@ -1,4 +1,4 @@
-"""What can be planted in a drive so that its scene is wrong while its truth stays right."""
+"""What can be injected in a drive so that its scene is wrong while its truth stays right."""
 
 import math
 from collections.abc import Mapping
@@ -27,15 +27,15 @@ class PointTimes(StrEnum):
     ZERO = "zero"
     """All are 0."""
     FRAME = "frame"
-    """All are the stamp of their frame."""
+    """All are the timestamp of their frame."""
     RELATIVE = "relative"
-    """They count from the stamp of their frame [ns]."""
+    """They count from the timestamp of their frame [ns]."""
     MICROSECONDS = "microseconds"
     """They are the right times in microseconds, handed on as nanoseconds."""
     RELATIVE_MICROSECONDS = "relative_microseconds"
-    """They count from the stamp of their frame in microseconds, handed on as nanoseconds."""
+    """They count from the timestamp of their frame in microseconds, handed on as nanoseconds."""
     STRETCHED = "stretched"
-    """Their distance from the stamp of their frame is 1000 times too long: nanoseconds read as microseconds."""
+    """Their distance from the timestamp of their frame is 1000 times too long: nanoseconds read as microseconds."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,17 +43,17 @@ class SensorFaults:
     """What is wrong with one sensor. Frame numbers count its true frames (samples of an IMU or a GNSS) from 0.
 
     Attributes:
-        rotation_deg: rotation vector [deg] in the sensor's axes by which the stated mounting is turned from the true
+        rotation_deg: rotation vector [deg] in the sensor's axes by which the stated mounting is rotated from the true
             one: `ego_from_stated = ego_from_true @ error`.
         shift: the error's translation [m] in the sensor's axes.
-        time_offset_ns: added to all its stamps [ns].
-        clock_skew_ppm: its clock runs so much too fast, from the first stamp on.
+        time_offset_ns: added to all its timestamps [ns].
+        clock_skew_ppm: its clock runs so much too fast, from the first timestamp on.
         lost_share: share of frames that are lost at random.
         lost_frames: numbers of frames that are lost.
         drop_outs: intervals from which no frame comes.
-        blind: intervals whose frames are there but empty; pictures are black.
+        blind: intervals whose frames are there but empty; images are black.
         stuck: intervals whose frames repeat the content of the first one in them.
-        swapped: pairs of frame numbers that come in each other's place, stamps included.
+        swapped: pairs of frame numbers that come in each other's location, timestamps included.
         point_times: what the times of the points are.
         intensity_scale: factor on the intensities, which stay within 0 to 255.
         focal_scale: factor on the focal lengths that the scene states.
@@ -120,7 +120,7 @@ def _quaternion(rotation_deg: tuple[float, float, float]) -> Float64Array:
     """The unit quaternion, scalar last, of a rotation vector [deg]."""
     vector = np.radians(np.array(rotation_deg, np.float64))
     half = float(np.linalg.norm(vector)) / 2
-    scale = 0.5 * np.sinc(half / np.pi)  # sin(half) / (2 half), also for no turn
+    scale = 0.5 * np.sinc(half / np.pi)  # sin(half) / (2 half), also for no rotation
     return np.array([*(scale * vector), math.cos(half)])
 
 

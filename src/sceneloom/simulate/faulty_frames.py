@@ -1,4 +1,4 @@
-"""The frames of a sensor with planted faults: which come, when they are said to be of, and what is left in them."""
+"""The frames of a sensor with injected faults: which come, when they are stated to be of, and what is left in them."""
 
 import zlib
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from sceneloom.arrays import AnyArray, BoolArray, Int64Array, UInt8Array, read_o
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.cameras import Picture
+from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.clouds import LidarFrame, RadarFrame
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.types import Identifier
@@ -22,18 +22,18 @@ from sceneloom.simulate.randomness import Stream, generator_for
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """A sensor's clock against the true one: offset, and a drift from the sensor's first stamp on."""
+    """A sensor's clock against the true one: offset, and a drift from the sensor's first timestamp on."""
 
     first_ns: int
     offset_ns: int
     skew_ppm: float
 
-    def said(self, timestamps_ns: AnyArray) -> Int64Array:
+    def stated(self, timestamps_ns: AnyArray) -> Int64Array:
         """What the clock says at true times [ns]."""
         times = np.asarray(timestamps_ns, np.int64)
         drift = np.rint((times - self.first_ns) * (self.skew_ppm * 1e-6)).astype(np.int64)
-        said: Int64Array = times + self.offset_ns + drift
-        return said
+        stated: Int64Array = times + self.offset_ns + drift
+        return stated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,20 +43,20 @@ class FramePlan:
     Attributes:
         contents: (F,) int64, number of the true frame that each one shows.
         true_ns: (F,) int64 [ns], when the frame should be of.
-        said_ns: (F,) int64 [ns], the stamp that it gets.
+        stated_ns: (F,) int64 [ns], the timestamp that it gets.
         blind: (F,) bool, nothing is in it.
     """
 
     contents: Int64Array
     true_ns: Int64Array
-    said_ns: Int64Array
+    stated_ns: Int64Array
     blind: BoolArray
 
     @classmethod
     def of(
         cls, wrong: SensorFaults, timestamps_ns: Int64Array, clock: Clock, *, seed: int, sensor_id: Identifier
     ) -> "FramePlan":
-        """Work the faults of a sensor out for its true stamps (N,) int64 [ns].
+        """Work the faults of a sensor out for its true timestamps (N,) int64 [ns].
 
         Raises:
             OptionError: a frame number is beyond the last frame.
@@ -79,7 +79,7 @@ class FramePlan:
         lost |= _within(timestamps_ns, wrong.drop_outs)
         order = order[~lost[order]]
         true_ns = timestamps_ns[order]
-        return cls(contents[order], true_ns, clock.said(true_ns), _within(true_ns, wrong.blind))
+        return cls(contents[order], true_ns, clock.stated(true_ns), _within(true_ns, wrong.blind))
 
 
 def _within(timestamps_ns: Int64Array, intervals: tuple[Interval, ...]) -> BoolArray:
@@ -101,7 +101,7 @@ _POINT_TIMES: Mapping[PointTimes, tuple[int, int, int]] = MappingProxyType(
         PointTimes.STRETCHED: (1000, 1, 1),
     }
 )
-"""Factor on the time within the frame, factor on the frame's stamp, divisor of their sum; others have no times."""
+"""Factor on the time within the frame, factor on the frame's timestamp, divisor of their sum; others have no times."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,21 +116,21 @@ class FaultyClouds:
     def __call__(self, index: int) -> Any:
         """Read one of the frames that come."""
         frame: LidarFrame | RadarFrame = self.frames[int(self.plan.contents[index])]
-        said_ns = int(self.plan.said_ns[index])
+        stated_ns = int(self.plan.stated_ns[index])
         points: Any = _emptied(frame.points) if self.plan.blind[index] else frame.points
         late_ns = int(self.plan.true_ns[index]) - frame.timestamp_ns
-        points = replace(points, timestamps_ns=self._times(points.timestamps_ns, late_ns, said_ns))
+        points = replace(points, timestamps_ns=self._times(points.timestamps_ns, late_ns, stated_ns))
         if self.wrong.intensity_scale != 1.0:
             points = replace(points, intensities=_scaled(points.intensities, self.wrong.intensity_scale))
-        changed: Any = replace(frame, timestamp_ns=said_ns, points=points)
+        changed: Any = replace(frame, timestamp_ns=stated_ns, points=points)
         return changed
 
-    def _times(self, times: Int64Array | None, late_ns: int, said_ns: int) -> Int64Array | None:
+    def _times(self, times: Int64Array | None, late_ns: int, stated_ns: int) -> Int64Array | None:
         if times is None or self.wrong.point_times not in _POINT_TIMES:
             return None
-        within, stamp, divisor = _POINT_TIMES[self.wrong.point_times]
-        said = self.clock.said(times + late_ns) - said_ns
-        return read_only((within * said + stamp * said_ns) // divisor)
+        within, timestamp, divisor = _POINT_TIMES[self.wrong.point_times]
+        stated = self.clock.stated(times + late_ns) - stated_ns
+        return read_only((within * stated + timestamp * stated_ns) // divisor)
 
 
 def _emptied(points: Any) -> Any:
@@ -150,23 +150,23 @@ def _scaled(intensities: UInt8Array | None, factor: float) -> UInt8Array | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FaultyPictures:
-    """Reads the pictures of a camera and plants its faults in them."""
+class FaultyImages:
+    """Reads the images of a camera and plants its faults in them."""
 
-    pictures: LazyFrames[Picture]
+    images: LazyFrames[CameraImage]
     plan: FramePlan
     error: RigidTransform
     focal_scale: float
 
-    def __call__(self, index: int) -> Picture:
-        """Read one of the pictures that come."""
-        picture = self.pictures[int(self.plan.contents[index])]
-        camera = refocused(picture.camera, self.focal_scale)
+    def __call__(self, index: int) -> CameraImage:
+        """Read one of the images that come."""
+        image = self.images[int(self.plan.contents[index])]
+        camera = refocused(image.camera, self.focal_scale)
         changed = replace(
-            picture,
-            timestamp_ns=int(self.plan.said_ns[index]),
+            image,
+            timestamp_ns=int(self.plan.stated_ns[index]),
             camera=camera,
-            mount=None if picture.mount is None else picture.mount @ self.error,
+            mount=None if image.mount is None else image.mount @ self.error,
         )
         if not self.plan.blind[index]:
             return changed
@@ -175,7 +175,7 @@ class FaultyPictures:
 
 @dataclass(frozen=True, slots=True)
 class _Black:
-    """Makes a black picture."""
+    """Makes a black image."""
 
     width: int
     height: int
@@ -185,5 +185,5 @@ class _Black:
 
 
 def refocused(camera: Camera, scale: float) -> Camera:
-    """The same lens with its focal lengths scaled."""
+    """The same camera model with its focal lengths scaled."""
     return camera if scale == 1.0 else replace(camera, fx=camera.fx * scale, fy=camera.fy * scale)

@@ -1,4 +1,4 @@
-"""The ground: coordinates along and across the ego's way, and a map of them for the painter."""
+"""The ground: coordinates along and across the ego trajectory, and a map of them for the painter."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ _FAR = 20.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lane:
-    """The ego's way as a chain of points every 25 cm, which the street follows.
+    """The ego trajectory as a chain of points every 25 cm, which the street follows.
 
     Attributes:
         points: (L, 2) float64 [m], world frame.
@@ -56,14 +56,14 @@ class Lane:
             seconds,
         )
 
-    def place(self, along: float, left: float) -> tuple[float, float, float]:
-        """World x, y [m] and heading [rad] of a spot `along` the way and `left` of it."""
+    def location(self, along: float, left: float) -> tuple[float, float, float]:
+        """World x, y [m] and heading [rad] of a spot `along` the trajectory and `left` of it."""
         x, y = (float(np.interp(along, self.along, self.points[:, axis])) for axis in range(2))
         heading = float(np.interp(along, self.along, self.headings))
         return x - left * np.sin(heading), y + left * np.cos(heading), heading
 
     def offsets(self, points: Float64Array) -> Float64Array:
-        """How far left of the way (M, 2) points lie [m]; negative to the right."""
+        """How far left of the trajectory (M, 2) points lie [m]; negative to the right."""
         apart = points[:, None, :] - self.points[None, ::4, :]
         nearest = np.argmin((apart * apart).sum(axis=2), axis=1)
         dx, dy = apart[np.arange(len(points)), nearest].T
@@ -75,10 +75,10 @@ class Lane:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundMap:
-    """Coordinates of the ground around the way, at the nodes of a square grid.
+    """Coordinates of the ground around the trajectory, at the nodes of a square grid.
 
     Attributes:
-        nodes: (X, Y, 4) float32: along [m], left [m], cosine and sine of the way's heading.
+        nodes: (X, Y, 4) float32: along [m], left [m], cosine and sine of the trajectory's heading.
         corner: (2,) float64 [m], world position of node (0, 0).
         cell: distance of neighbouring nodes [m].
     """

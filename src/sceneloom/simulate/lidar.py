@@ -1,6 +1,6 @@
 """Lidars: every shot leaves from where the sensor is at the shot's own time.
 
-`LidarSpec` turns about its axis; `sceneloom.simulate.solid_state` has those that look one way. All are made here.
+`LidarSpec` rotates about its axis; `sceneloom.simulate.solid_state` has those that look one way. All are made here.
 """
 
 from collections.abc import Callable, Iterator
@@ -40,17 +40,17 @@ DEFAULT_MOUNT = sensor_mount(position=(0.25, 0.02, 1.78), yaw_deg=0.8, pitch_deg
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LidarSpec:
-    """A lidar that turns about its z axis.
+    """A lidar that rotates about its z axis.
 
     Attributes:
         beams: number of lasers; ring 0 is the lowest.
         elevations_deg: elevation of the lowest and of the highest laser, between which the others lie evenly; or that
             of each, rising.
-        steps: shots of each laser in a turn; `beams * steps` shots make a sweep.
-        period_ns: time of a turn [ns].
-        offset_ns: how much later than the drive the first turn starts [ns].
-        clockwise: the way it turns, seen from above.
-        start_azimuth_deg: where a turn begins, counter-clockwise from the sensor's x axis; 180 looks back, so the
+        steps: shots of each laser in a rotation; `beams * steps` shots make a sweep.
+        period_ns: time of a rotation [ns].
+        offset_ns: how much later than the drive the first rotation starts [ns].
+        clockwise: the trajectory it rotates, seen from above.
+        start_azimuth_deg: where a rotation begins, counter-clockwise from the sensor's x axis; 180 looks back, so the
             sensor looks ahead in the middle of a sweep.
         range_sigma: standard deviation of the measured range [m].
         drop_rate: share of returns that are lost at random.
@@ -91,7 +91,7 @@ class LidarSpec:
         yield "start_azimuth_deg", self.start_azimuth_deg, -360.0, 360.0
 
     def plan_shots(self) -> Callable[[int], Shots]:
-        """Give the shots, which are the same in each turn."""
+        """Give the shots, which are the same in each rotation."""
         offsets = np.arange(self.steps, dtype=np.int64) * self.period_ns // self.steps
         column, beam = (grid.ravel() for grid in np.mgrid[: self.steps, : self.beams])
         return repeating(Shots(_rays(self, column, beam), offsets, column, beam.astype(np.uint16)))
@@ -222,8 +222,8 @@ def _rays(spec: LidarSpec, column: Int64Array, beam: Int64Array) -> Rays:
     low, *_, high = spec.elevations_deg
     evenly = np.linspace(low, high, spec.beams)
     elevations = np.radians(spec.elevations_deg if len(spec.elevations_deg) == spec.beams else evenly)
-    turn = (-2.0 if spec.clockwise else 2.0) * np.pi / spec.steps
-    azimuths = np.radians(spec.start_azimuth_deg) + turn * np.arange(spec.steps)
+    rotation = (-2.0 if spec.clockwise else 2.0) * np.pi / spec.steps
+    azimuths = np.radians(spec.start_azimuth_deg) + rotation * np.arange(spec.steps)
     directions = directions_at(azimuths[column], elevations[beam])
     bundle = column // _BUNDLE_COLUMNS * spec.beams + beam // _BUNDLE_BEAMS
     return Rays.bundled(directions, bundle, pose_of_ray=column)

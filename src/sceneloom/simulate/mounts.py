@@ -1,4 +1,4 @@
-"""Where sensors sit on the ego: mountings by place and angles."""
+"""Where sensors sit on the ego: mountings by location and angles."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ def sensor_mount(
 
     Args:
         position: in the ego frame [m].
-        yaw_deg, pitch_deg, roll_deg: turns about the ego's z, y and x axis, roll first; a positive pitch looks down.
+        yaw_deg, pitch_deg, roll_deg: rotates about the ego's z, y and x axis, roll first; a positive pitch looks down.
     """
     roll, pitch, yaw = np.radians([roll_deg, pitch_deg, yaw_deg])
     return RigidTransform(rotation_from_angles(roll, pitch, yaw), np.array(position, np.float64))

@@ -1,6 +1,6 @@
-"""What moves in the street: splines over time for place and heading, and frames that bodies move with.
+"""What moves in the street: splines over time for location and heading, and frames that bodies move with.
 
-A mover's place, heading and gait are one smooth curve over time, so velocity and yaw rate are derivatives and not
+A mover's location, heading and gait are one smooth curve over time, so velocity and yaw rate are derivatives and not
 differences. Everything but a walker's legs is fixed in the mover's own frame: x forward, y left, z up, the origin on
 the ground under the middle of its box. A leg has a frame that swings about the hip's y axis.
 """
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array
-from sceneloom.kernels.part_frames import place_parts
+from sceneloom.kernels.part_frames import put_parts
 from sceneloom.simulate.shapes import PackedShapes, Shape
 from sceneloom.simulate.splines import spline_derivatives, spline_grid
 
@@ -39,7 +39,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingDesign:
-    """Something that can move, before it has a place.
+    """Something that can move, before it has a location.
 
     Attributes:
         label: its class: "car", "cyclist", "pedestrian".
@@ -57,7 +57,7 @@ class Mover:
     """One thing that moves, or could.
 
     Attributes:
-        instance: its number in instance pictures; those of the objects that stand in the street come first.
+        instance: its number in instance images; those of the objects that stand in the street come first.
         label: its class: "car", "cyclist", "pedestrian".
         size_lwh: length, width, height of its box [m].
         first_ns, last_ns: when it is in the street [ns].
@@ -130,7 +130,7 @@ class Movers:
         return np.array([(thing.first_ns, thing.last_ns) for thing in self.things], np.int64).reshape(-1, 2)
 
     def present(self, which: Int64Array, times_ns: Int64Array) -> BoolArray:
-        """Say whether movers are in the street; the shapes of `which` and `times_ns` are broadcast."""
+        """Report whether movers are in the street; the shapes of `which` and `times_ns` are broadcast."""
         spans = self.spans_ns[which]
         there: BoolArray = (times_ns >= spans[..., 0]) & (times_ns <= spans[..., 1])
         return there
@@ -167,7 +167,7 @@ class Movers:
         return np.flatnonzero(close & (spans[:, 0] <= last) & (spans[:, 1] >= first))
 
     def placed(self, which: Int64Array, times_ns: Int64Array) -> "PlacedMovers":
-        """Place the bodies of (K,) movers, given in order, at (M,) times."""
+        """Location the bodies of (K,) movers, given in order, at (M,) times."""
         columns = np.full(len(self), -1, np.int32)
         columns[which] = np.arange(len(which), dtype=np.int32)
         parts = np.flatnonzero(columns[self.mover_of_part] >= 0)
@@ -175,7 +175,7 @@ class Movers:
         states = spline_grid(self.control_points[which], self._along(times_ns)) + self.anchors[which]
         there = self.present(which[None, :], times_ns[:, None])
         frames = np.empty((len(times_ns), len(parts), 3, 4))
-        place_parts(
+        put_parts(
             states, there, mover_of_part, self.hinges[parts], self.swings[parts], self.leads[parts], frames
         )
         part_columns = np.full(len(self.mover_of_part), -1, np.int32)
@@ -216,10 +216,10 @@ class Movers:
         part = self.part_of_shape[shapes]
         states = self.states(self.mover_of_part[part], times_ns)
         apart = points_world - states.positions
-        turning = np.column_stack([-apart[:, 1], apart[:, 0], np.zeros(len(apart))])
-        velocities: Float64Array = states.velocities + states.yaw_rates[:, None] * turning
+        rotating = np.column_stack([-apart[:, 1], apart[:, 0], np.zeros(len(apart))])
+        velocities: Float64Array = states.velocities + states.yaw_rates[:, None] * rotating
         gait = states.gaits + self.leads[part]
-        # Forwards is a turn about -y: x gains as z falls below the hip.
+        # Forwards is a rotation about -y: x gains as z falls below the hip.
         rate = self.swings[part] * np.cos(gait) * states.gait_rates
         cosine, sine = np.cos(states.yaws), np.sin(states.yaws)
         ahead = cosine * apart[:, 0] + sine * apart[:, 1] - self.hinges[part, 0]

@@ -36,7 +36,7 @@ _STEEL: Color = (150, 156, 160)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """An object before it has a place.
+    """An object before it has a location.
 
     Attributes:
         label: the object's class.
@@ -53,7 +53,7 @@ class Design:
     plan_lw: tuple[float, float] | None = None
 
     def center(self, x: float, y: float, yaw: float) -> tuple[float, float, float]:
-        """Middle of its box in the world where it stands at (x, y) [m], turned by `yaw` [rad]."""
+        """Middle of its box in the world where it stands at (x, y) [m], rotated by `yaw` [rad]."""
         return (
             float(x + self.ahead * np.cos(yaw)),
             float(y + self.ahead * np.sin(yaw)),
@@ -64,14 +64,14 @@ class Design:
         """Corners and middles of the sides of its ground plan in the world, (8, 2) [m]."""
         around = np.array([[1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, -1], [1, -1], [1, 0]])
         plan = around * (0.5 * np.array(self.plan_lw or self.size_lwh[:2]))
-        turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-        corners: Float64Array = plan @ turn.T + [x, y]
+        rotation = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        corners: Float64Array = plan @ rotation.T + [x, y]
         return corners
 
     def placed(self, x: float, y: float, yaw: float) -> tuple[Shape, ...]:
-        """Its shapes in the world, standing at (x, y) [m] and turned by `yaw` [rad]."""
-        turn = rotation_from_angles(np.zeros(()), np.zeros(()), np.asarray(yaw))
-        world_from_object = RigidTransform(turn, np.array([x, y, 0.0]))
+        """Its shapes in the world, stationary at (x, y) [m] and rotated by `yaw` [rad]."""
+        rotation = rotation_from_angles(np.zeros(()), np.zeros(()), np.asarray(yaw))
+        world_from_object = RigidTransform(rotation, np.array([x, y, 0.0]))
         return tuple(shape.moved(world_from_object) for shape in self.shapes)
 
 
@@ -85,7 +85,7 @@ def _lying(x: float, y: float, z: float) -> RigidTransform:
     return RigidTransform(quarter, np.array([x, y, z]))
 
 
-def _standing(
+def _stationary(
     kind: ShapeKind, half: tuple[float, float, float], foot: Sequence[float], material: Material
 ) -> Shape:
     """A shape whose lowest point is at `foot`."""
@@ -108,16 +108,16 @@ def design_house(generator: np.random.Generator, *, length: float, depth: float,
     bricks = 0.22 if generator.uniform() < 0.4 else 0.0
     pitch = length / max(2, round(length / generator.uniform(2.2, 3.0)))
     facade = Material(Pattern.FACADE, (wall, _GLASS, _WHITE), (pitch, storey, bricks), 0.7)
-    body = _standing(ShapeKind.BOX, (length / 2, depth / 2, height / 2), (0, 0, 0), facade)
+    body = _stationary(ShapeKind.BOX, (length / 2, depth / 2, height / 2), (0, 0, 0), facade)
     if storeys <= 3 and generator.uniform() < 0.8:
         rise, tile = depth * generator.uniform(0.16, 0.26), _pick(generator, _ROOFS)
         tiles = Material(Pattern.TILES, (tile, _tinted(tile, 0.7), tile), reflectivity=0.45)
         half = (length / 2 + 0.25, depth / 2 + 0.35, rise)
-        top = _standing(ShapeKind.GABLE, half, (0, 0, height), tiles)
+        top = _stationary(ShapeKind.GABLE, half, (0, 0, height), tiles)
     else:
         rise = 0.2
         ledge = Material(Pattern.PLAIN, (_tinted(wall, 0.8),) * 3, reflectivity=0.6)
-        top = _standing(ShapeKind.BOX, (length / 2 + 0.2, depth / 2 + 0.2, rise), (0, 0, height), ledge)
+        top = _stationary(ShapeKind.BOX, (length / 2 + 0.2, depth / 2 + 0.2, rise), (0, 0, height), ledge)
     return Design("building", (body, top), (length + 0.5, depth + 0.7, height + 2 * rise))
 
 
@@ -130,8 +130,8 @@ def design_car(generator: np.random.Generator) -> Design:
     cabin = Material(Pattern.CAR_CABIN, (lacquer, _GLASS, _GLASS), reflectivity=0.5)
     tyre = Material(Pattern.TYRE, (_DARK, (172, 176, 180), (90, 92, 96)), reflectivity=0.25)
     shapes = [
-        _standing(ShapeKind.BOX, (length / 2, width / 2, (waist - 0.22) / 2), (0, 0, 0.22), body),
-        _standing(
+        _stationary(ShapeKind.BOX, (length / 2, width / 2, (waist - 0.22) / 2), (0, 0, 0.22), body),
+        _stationary(
             ShapeKind.BOX,
             (0.28 * length, 0.46 * width, (height - waist) / 2),
             (-0.06 * length, 0, waist),
@@ -158,9 +158,9 @@ def design_tree(generator: np.random.Generator) -> Design:
     leaves = Material(Pattern.FOLIAGE, colors, reflectivity=0.55)
     rise = crown * generator.uniform(0.95, 1.35)
     shapes = (
-        _standing(ShapeKind.CYLINDER, (radius, radius, foot / 2 + 0.4), (0, 0, 0), bark),
-        _standing(ShapeKind.ELLIPSOID, (crown, crown, rise), (0, 0, foot), leaves),
-        _standing(
+        _stationary(ShapeKind.CYLINDER, (radius, radius, foot / 2 + 0.4), (0, 0, 0), bark),
+        _stationary(ShapeKind.ELLIPSOID, (crown, crown, rise), (0, 0, foot), leaves),
+        _stationary(
             ShapeKind.ELLIPSOID,
             (0.7 * crown, 0.7 * crown, 0.6 * rise),
             (0.25 * crown, -0.1, foot + 1.1 * rise),
@@ -176,9 +176,9 @@ def design_lamp(generator: np.random.Generator) -> Design:
     steel = Material(Pattern.BANDS, (_STEEL, _tinted(_STEEL, 0.78), _STEEL), (1.0, 0.0, 0.0), 0.6)
     lamp = Material(Pattern.PLAIN, ((250, 246, 224),) * 3, reflectivity=0.8)
     shapes = (
-        _standing(ShapeKind.CYLINDER, (0.08, 0.08, height / 2), (0, 0, 0), steel),
-        _standing(ShapeKind.BOX, (0.7, 0.04, 0.04), (0.62, 0, height - 0.1), steel),
-        _standing(ShapeKind.BOX, (0.28, 0.11, 0.05), (1.35, 0, height - 0.2), lamp),
+        _stationary(ShapeKind.CYLINDER, (0.08, 0.08, height / 2), (0, 0, 0), steel),
+        _stationary(ShapeKind.BOX, (0.7, 0.04, 0.04), (0.62, 0, height - 0.1), steel),
+        _stationary(ShapeKind.BOX, (0.28, 0.11, 0.05), (1.35, 0, height - 0.2), lamp),
     )
     return Design("pole", shapes, (1.71, 0.22, height), ahead=0.775, plan_lw=(0.16, 0.16))
 
@@ -189,8 +189,8 @@ def design_sign(generator: np.random.Generator) -> Design:
     color = _pick(generator, ((200, 36, 36), (30, 84, 170), (232, 190, 40)))
     face = Material(Pattern.BANDS, (color, _WHITE, color), (0.44, 0.0, 0.0), 1.0)
     shapes = (
-        _standing(ShapeKind.CYLINDER, (0.04, 0.04, 1.2), (0, 0, 0), steel),
-        _standing(ShapeKind.BOX, (0.02, 0.33, 0.33), (0.06, 0, 1.85), face),
+        _stationary(ShapeKind.CYLINDER, (0.04, 0.04, 1.2), (0, 0, 0), steel),
+        _stationary(ShapeKind.BOX, (0.02, 0.33, 0.33), (0.06, 0, 1.85), face),
     )
     return Design("pole", shapes, (0.16, 0.66, 2.51))
 
@@ -201,8 +201,8 @@ def design_bin(generator: np.random.Generator) -> Design:
     body = Material(Pattern.BANDS, (color, _tinted(color, 1.35), color), (0.4, 0.0, 0.0), 0.5)
     lid = Material(Pattern.PLAIN, (_DARK,) * 3, reflectivity=0.3)
     shapes = (
-        _standing(ShapeKind.CYLINDER, (radius, radius, 0.45), (0, 0, 0), body),
-        _standing(ShapeKind.CYLINDER, (radius + 0.02, radius + 0.02, 0.04), (0, 0, 0.9), lid),
+        _stationary(ShapeKind.CYLINDER, (radius, radius, 0.45), (0, 0, 0), body),
+        _stationary(ShapeKind.CYLINDER, (radius + 0.02, radius + 0.02, 0.04), (0, 0, 0.9), lid),
     )
     return Design("bin", shapes, (2 * radius + 0.04, 2 * radius + 0.04, 0.98))
 
@@ -213,5 +213,5 @@ def design_hedge(generator: np.random.Generator, *, length: float) -> Design:
     leaves = Material(Pattern.FOLIAGE, _LEAVES[int(generator.integers(2))], reflectivity=0.55)
     stones = Material(Pattern.BRICK, ((170, 150, 132), (206, 200, 190), _WHITE), reflectivity=0.6)
     material = leaves if generator.uniform() < 0.65 else stones
-    shape = _standing(ShapeKind.BOX, (length / 2, 0.25, height / 2), (0, 0, 0), material)
+    shape = _stationary(ShapeKind.BOX, (length / 2, 0.25, height / 2), (0, 0, 0), material)
     return Design("barrier", (shape,), (length, 0.5, height))

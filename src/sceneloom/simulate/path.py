@@ -1,4 +1,4 @@
-"""The ego's way: a curve that can be differentiated exactly, so that every sensor's truth is a formula."""
+"""The ego trajectory: a curve that can be differentiated exactly, so that every sensor's truth is a formula."""
 
 from dataclasses import dataclass
 
@@ -8,20 +8,20 @@ from numpy.polynomial import polynomial
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rotations import quaternion_from_matrix
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.simulate.splines import BASIS, DEGREE
 from sceneloom.simulate.warp import Stop, TimeWarp
 
 _LEAD = 16.0
 """Seconds by which the curve goes on before and after the drive: the street is built along all of it."""
 _AHEAD = 6.0
-"""Seconds after the drive for which the street still turns."""
+"""Seconds after the drive for which the street still rotates."""
 _KNOT_STEP = 1.0
 _WIDEST_HEADING = np.radians(55.0)
-_GENTLE_TURN = 0.21
-"""Up to this rate [rad/s] knots a second apart follow a turn; faster ones need them closer."""
+_GENTLE_ROTATION = 0.21
+"""Up to this rate [rad/s] knots a second apart follow a rotation; faster ones need them closer."""
 _TIGHTEST = 10.4
-"""No turn is planned with a smaller radius [m]: where the pavement on the left ends."""
+"""No rotation is planned with a smaller radius [m]: where the pavement on the left ends."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,9 +29,9 @@ class PathSpec:
     """How the ego drives.
 
     Attributes:
-        speeds: slowest and fastest [m/s]. Turns are taken at the slowest speed, or faster where that would make
+        speeds: slowest and fastest [m/s]. Rotates are taken at the slowest speed, or faster where that would make
             them tighter than the street is wide.
-        turn_rate: fastest turning [rad/s].
+        yaw_rate: fastest rotating [rad/s].
         stops: when the ego stands truly still, its body included; it neither brakes nor starts in between.
         ramp: time for braking before a stop and for starting after it [s].
 
@@ -40,7 +40,7 @@ class PathSpec:
     """
 
     speeds: tuple[float, float] = (5.0, 10.5)
-    turn_rate: float = 0.21
+    yaw_rate: float = 0.21
     stops: tuple[Stop, ...] = ()
     ramp: float = 4.0
 
@@ -49,7 +49,7 @@ class PathSpec:
         if not 0.5 <= slowest <= fastest <= 60.0:
             raise OptionError(f"path.speeds: {self.speeds}; expected 0.5 to 60 m/s, the slowest first")
         for name, value, low, high in (
-            ("turn_rate", self.turn_rate, 0.01, 1.5),
+            ("yaw_rate", self.yaw_rate, 0.01, 1.5),
             ("ramp", self.ramp, 0.5, 60.0),
         ):
             if not low <= value <= high:
@@ -86,7 +86,7 @@ _NEVER_STOPS = TimeWarp.of((), ramp=1.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EgoPath:
-    """A smooth way through the world: a quintic spline on the ground, with a little heave, roll and pitch.
+    """A smooth trajectory through the world: a quintic spline on the ground, with a little heave, roll and pitch.
 
     The ego looks along its horizontal velocity; roll, pitch and height are sums of sines. Position has four
     continuous derivatives.
@@ -111,8 +111,8 @@ class EgoPath:
     @property
     def reach(self) -> tuple[float, float]:
         """First and last parameter at which the curve is defined: seconds of a drive without stops."""
-        pieces = len(self.control_points) - DEGREE
-        return self.first_knot, self.first_knot + pieces * self.knot_step
+        chunks = len(self.control_points) - DEGREE
+        return self.first_knot, self.first_knot + chunks * self.knot_step
 
     def at(self, timestamps_ns: Int64Array) -> EgoStates:
         """Give the exact motion at (M,) int64 times [ns], which lie within `reach`."""
@@ -148,10 +148,10 @@ class EgoPath:
             _body_rates(roll, pitch, roll_rate, pitch_rate, yaw_rate),
         )
 
-    def poses(self, timestamps_ns: Int64Array) -> PosePath:
+    def poses(self, timestamps_ns: Int64Array) -> Poses:
         """Sample `world_from_ego` at (M,) int64 times [ns]."""
         states = self.at(timestamps_ns)
-        return PosePath(np.asarray(timestamps_ns, np.int64), states.positions, states.quaternions_xyzw)
+        return Poses(np.asarray(timestamps_ns, np.int64), states.positions, states.quaternions_xyzw)
 
     def _plane(self, seconds: Float64Array, order: int) -> Float64Array:
         """The horizontal position or one of its derivatives, (M, 2)."""
@@ -205,14 +205,14 @@ def _body_rates(
 def plan_path(
     generator: np.random.Generator, *, start_ns: int, duration: float, spec: PathSpec | None = None
 ) -> EgoPath:
-    """Lay out a drive of some seconds: straights and turns, faster and slower, never across itself.
+    """Lay out a drive of some seconds: straights and rotates, faster and slower, never across itself.
 
     Stops change nothing of the curve: the ego only comes less far along it.
     """
     spec = spec or PathSpec()
-    step = _KNOT_STEP * min(1.0, _GENTLE_TURN / spec.turn_rate)
+    step = _KNOT_STEP * min(1.0, _GENTLE_ROTATION / spec.yaw_rate)
     knots = np.arange(-_LEAD, duration + _LEAD + step, step)
-    headings = _plan_headings(generator, knots, duration, spec.turn_rate)
+    headings = _plan_headings(generator, knots, duration, spec.yaw_rate)
     speeds = _plan_speeds(generator, knots, headings, spec)
     steps = step * speeds[:, None] * np.column_stack([np.cos(headings), np.sin(headings)])
     points = np.cumsum(steps, axis=0)
@@ -225,31 +225,31 @@ def plan_path(
 def _plan_speeds(
     generator: np.random.Generator, knots: Float64Array, headings: Float64Array, spec: PathSpec
 ) -> Float64Array:
-    """Speed at each knot [m/s]: up and down on the straights, slow in turns."""
+    """Speed at each knot [m/s]: up and down on the straights, slow in rotations."""
     step = float(knots[1] - knots[0])
-    turning = np.abs(np.gradient(headings, step)) / spec.turn_rate
+    rotating = np.abs(np.gradient(headings, step)) / spec.yaw_rate
     if step < _KNOT_STEP:
         width = round(_KNOT_STEP / step)
-        turning = np.convolve(np.pad(turning, width, mode="edge"), np.ones(width) / width, "same")[
+        rotating = np.convolve(np.pad(rotating, width, mode="edge"), np.ones(width) / width, "same")[
             width:-width
         ]
     phase, rate = generator.uniform(0, 2 * np.pi), generator.uniform(0.35, 0.5)
     slowest, fastest = spec.speeds
     wish = 0.5 * (slowest + fastest) + 0.5 * (fastest - slowest) * np.sin(rate * knots + phase)
-    in_turns = max(slowest, _TIGHTEST * spec.turn_rate)
-    speeds: Float64Array = wish + np.minimum(1.0, turning) * (in_turns - wish)
+    in_rotations = max(slowest, _TIGHTEST * spec.yaw_rate)
+    speeds: Float64Array = wish + np.minimum(1.0, rotating) * (in_rotations - wish)
     return speeds
 
 
 def _plan_headings(
-    generator: np.random.Generator, knots: Float64Array, duration: float, turn_rate: float
+    generator: np.random.Generator, knots: Float64Array, duration: float, yaw_rate: float
 ) -> Float64Array:
-    """Heading at each knot [rad]: straight before and after the drive, turns to either side in turn."""
+    """Heading at each knot [rad]: straight before and after the drive, rotates to either side in order."""
     times, angles = [float(knots[0]), generator.uniform(0.3, 1.0)], [0.0, 0.0]
     side = 1.0 if generator.uniform() < 0.5 else -1.0
     while times[-1] < duration + _AHEAD:
         target = side * generator.uniform(0.4, 1.0) * _WIDEST_HEADING
-        times.append(times[-1] + abs(target - angles[-1]) / turn_rate)
+        times.append(times[-1] + abs(target - angles[-1]) / yaw_rate)
         times.append(times[-1] + generator.uniform(1.0, 4.0))
         angles += [target, target]
         side = -side

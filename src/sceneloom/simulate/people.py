@@ -127,15 +127,17 @@ def _designed(label: str, parts: tuple[Part, ...]) -> MovingDesign:
         rotations = np.array([shape.pose.rotation for shape in part.shapes])
         centers = np.array([shape.pose.translation for shape in part.shapes]) - part.hinge
         for angle in np.linspace(-part.swing, part.swing, 9 if part.swing else 1):
-            turn = rotation_from_angles(np.zeros(()), np.array(-angle), np.zeros(()))
-            places = np.abs(centers @ turn.T + part.hinge)
-            for shape, rotation, place in zip(part.shapes, turn @ rotations, places, strict=True):
-                reach = np.maximum(reach, place + _half_extents(shape, rotation))
+            delta_rotation = rotation_from_angles(np.zeros(()), np.array(-angle), np.zeros(()))
+            locations = np.abs(centers @ delta_rotation.T + part.hinge)
+            for shape, rotation, location in zip(
+                part.shapes, delta_rotation @ rotations, locations, strict=True
+            ):
+                reach = np.maximum(reach, location + _half_extents(shape, rotation))
     return MovingDesign(label, parts, (float(2 * reach[0]), float(2 * reach[1]), float(reach[2])))
 
 
 def _half_extents(shape: Shape, rotation: Float64Array) -> Float64Array:
-    """How far a turned shape reaches from its middle along x, y and z [m], (3,)."""
+    """How far a rotated shape reaches from its middle along x, y and z [m], (3,)."""
     arms = np.abs(rotation) * np.array(shape.half)
     if shape.kind is ShapeKind.ELLIPSOID:
         return np.asarray(np.linalg.norm(arms, axis=1), np.float64)

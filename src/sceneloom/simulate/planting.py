@@ -1,4 +1,4 @@
-"""Making a scene wrong on request: the stamps, frames, contents and mountings of its sensors."""
+"""Making a scene wrong on request: the timestamps, frames, contents and mountings of its sensors."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -15,12 +15,12 @@ from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.span import frame_times
 from sceneloom.scene.types import Identifier, SensorType
 from sceneloom.simulate.faults import POSSIBLE_FAULTS, Faults, SensorFaults
-from sceneloom.simulate.faulty_frames import Clock, FaultyClouds, FaultyPictures, FramePlan, refocused
+from sceneloom.simulate.faulty_frames import Clock, FaultyClouds, FaultyImages, FramePlan, refocused
 
 Cloud = TypeVar("Cloud", LidarSensor, RadarSensor)
 
@@ -47,23 +47,23 @@ class _Job:
 
 def _plant_in_cloud(sensor: Cloud, job: _Job) -> tuple[Cloud, Int64Array]:
     plan = job.plan(sensor.frames.timestamps_ns)
-    frames = LazyFrames(plan.said_ns, FaultyClouds(sensor.frames, plan, job.clock, job.wrong))
+    frames = LazyFrames(plan.stated_ns, FaultyClouds(sensor.frames, plan, job.clock, job.wrong))
     return replace(sensor, frames=frames, **_placement(sensor, job.wrong)), plan.contents
 
 
 def _plant_in_camera(sensor: CameraSensor, job: _Job) -> tuple[CameraSensor, Int64Array]:
-    plan, scale = job.plan(sensor.pictures.timestamps_ns), job.wrong.focal_scale
-    pictures = LazyFrames(plan.said_ns, FaultyPictures(sensor.pictures, plan, job.wrong.error, scale))
+    plan, scale = job.plan(sensor.images.timestamps_ns), job.wrong.focal_scale
+    images = LazyFrames(plan.stated_ns, FaultyImages(sensor.images, plan, job.wrong.error, scale))
     camera = refocused(sensor.camera, scale)
     placed = _placement(sensor, job.wrong)
-    return replace(sensor, camera=camera, pictures=pictures, video=None, **placed), plan.contents
+    return replace(sensor, camera=camera, images=images, video=None, **placed), plan.contents
 
 
 def _placement(sensor: LidarSensor | RadarSensor | CameraSensor, wrong: SensorFaults) -> dict[str, Any]:
     """The mounting and the poses that the scene states, where they are wrong."""
     if not wrong.named & {"rotation_deg", "shift"}:
         return {}
-    poses: PosePath | None = sensor.poses
+    poses: Poses | None = sensor.poses
     if poses is not None:
         stated = PoseSource(poses, wrong.error).at(poses.timestamps_ns)
         poses = replace(poses, positions=stated.positions, quaternions_xyzw=stated.quaternions_xyzw)
@@ -74,7 +74,7 @@ def _plant_in_imu(sensor: ImuSensor, job: _Job) -> tuple[ImuSensor, Int64Array]:
     plans = {name: job.plan(samples.timestamps_ns) for name, samples in sensor.streams.items()}
     streams = {
         name: VectorSamples(
-            plans[name].said_ns, _turned(samples.values[plans[name].contents], job.wrong.error)
+            plans[name].stated_ns, _rotated(samples.values[plans[name].contents], job.wrong.error)
         )
         for name, samples in sensor.streams.items()
     }
@@ -82,8 +82,8 @@ def _plant_in_imu(sensor: ImuSensor, job: _Job) -> tuple[ImuSensor, Int64Array]:
     return replace(sensor, streams=streams), contents
 
 
-def _turned(values: Float64Array, error: RigidTransform) -> Float64Array:
-    """What a unit reports that is turned while its frame counts as the ego's; only vectors of space turn."""
+def _rotated(values: Float64Array, error: RigidTransform) -> Float64Array:
+    """What a unit reports that is rotated while its frame counts as the ego's; only vectors of space rotate."""
     return error.rotate(values) if values.shape[1] == 3 else values
 
 
@@ -92,7 +92,7 @@ def _plant_in_gnss(sensor: GnssSensor, job: _Job) -> tuple[GnssSensor, Int64Arra
     rows = plan.contents
     changed = replace(
         sensor,
-        timestamps_ns=plan.said_ns,
+        timestamps_ns=plan.stated_ns,
         positions_lla=sensor.positions_lla[rows],
         accuracies=sensor.accuracies[rows],
         vertical_accuracies=sensor.vertical_accuracies[rows],

@@ -1,7 +1,7 @@
 """A radar: few returns, coarse in angle, each with the radial speed of what it met against the radar itself.
 
 `lengths` of a return is the rate at which its range grows, along `directions`, which point from the radar to the
-target in the radar's frame: positive where the target recedes, and -v for a standing thing straight ahead of a radar
+target in the radar's frame: positive where the target recedes, and -v for a stationary thing straight ahead of a radar
 that drives at v. With the radar's own velocity `v_radar` (lever arm included) in the radar's frame, the speed over
 ground along the same line is `lengths + directions · v_radar`; the sensor does not report it.
 """
@@ -159,7 +159,7 @@ class SimulatedRadar:
         return RigidTransform(ego.rotations[0], ego.positions[0]) @ self.spec.mount
 
     def velocity_world(self, k: int) -> Float64Array:
-        """Velocity of the radar itself at measurement k, (3,) [m/s]: the ego's, and its turning times the lever."""
+        """Velocity of the radar itself at measurement k, (3,) [m/s]: the ego's, and its rotating times the lever."""
         ego = self.path.at(self.timestamps_ns[k : k + 1])
         lever = np.cross(ego.angular_rates[0], self.spec.mount.translation)
         velocity: Float64Array = ego.velocities[0] + ego.rotations[0] @ lever
@@ -171,14 +171,14 @@ class SimulatedRadar:
         measured = self._noisy(truth, generator)
         order = np.argsort(measured[:, 0], kind="stable")
         ranges, directions, speeds = measured[order, 0], measured[order, 1:4], measured[order, 4]
-        stamp = truth.timestamp_ns
+        timestamp = truth.timestamp_ns
         points = RadarPoints(
             read_only(directions * ranges[:, None], np.float32),
             directions=read_only(directions, np.float32),
             lengths=read_only(speeds, np.float32),
-            timestamps_ns=read_only(np.full(len(order), stamp, np.int64)),
+            timestamps_ns=read_only(np.full(len(order), timestamp, np.int64)),
         )
-        return RadarFrame(stamp, points), _taken(truth, order)
+        return RadarFrame(timestamp, points), _taken(truth, order)
 
     def _look(self, k: int, generator: np.random.Generator) -> RadarTruth:
         """Find what gives returns, and how it moves."""

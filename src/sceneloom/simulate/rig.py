@@ -13,7 +13,7 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.types import NO_FIELDS
 from sceneloom.simulate.camera import CameraSpec, RenderedCamera
 from sceneloom.simulate.lidar import ScanningLidar
@@ -79,12 +79,12 @@ class Rig:
 
     @property
     def sweep_starts_ns(self) -> Int64Array:
-        """(F,) int64 [ns], the periods of the drive, by which pictures are taken."""
+        """(F,) int64 [ns], the periods of the drive, by which images are taken."""
         starts: Int64Array = self.start_ns + self.period_ns * np.arange(self.frames, dtype=np.int64)
         return starts
 
     @property
-    def way_span_ns(self) -> tuple[int, int]:
+    def trajectory_span_ns(self) -> tuple[int, int]:
         """First and last time that the first lidar and the cameras need [ns], with a margin.
 
         The street is laid out for this, so that further lidars and radars do not change it.
@@ -96,13 +96,13 @@ class Rig:
     @property
     def traffic_span_ns(self) -> tuple[int, int]:
         """First and last time at which what moves has to be somewhere [ns], whatever further sensors there are."""
-        first, last = self.way_span_ns
+        first, last = self.trajectory_span_ns
         return first, max(last + _LONGEST_PERIOD_NS, self.span_ns[1])
 
     @property
     def span_ns(self) -> tuple[int, int]:
         """First and last time that any sensor needs [ns], with a margin."""
-        first, last = self.way_span_ns
+        first, last = self.trajectory_span_ns
         ends = [self.frame_starts_ns(spec)[-1:] + spec.period_ns for spec in self.lidars.values()]
         ends += [self.frame_starts_ns(spec)[-1:] for spec in self.radars.values()]
         latest = np.concatenate(ends).max(initial=last - _MARGIN_NS)
@@ -120,8 +120,8 @@ class Rig:
         )
         return starts
 
-    def place_lidars(self, street: Street, path: EgoPath, *, seed: int) -> dict[str, ScanningLidar]:
-        """Put the lidars on their way."""
+    def position_lidars(self, street: Street, path: EgoPath, *, seed: int) -> dict[str, ScanningLidar]:
+        """Put the lidars on their trajectory."""
         return {
             name: ScanningLidar.of(
                 spec, street, path, seed=seed, timestamps_ns=self.frame_starts_ns(spec), number=number
@@ -129,8 +129,8 @@ class Rig:
             for number, (name, spec) in enumerate(self.lidars.items())
         }
 
-    def place_cameras(self, street: Street, path: EgoPath, *, seed: int) -> dict[str, RenderedCamera]:
-        """Put the cameras on their way."""
+    def position_cameras(self, street: Street, path: EgoPath, *, seed: int) -> dict[str, RenderedCamera]:
+        """Put the cameras on their trajectory."""
         return {
             name: RenderedCamera.of(
                 spec,
@@ -143,8 +143,8 @@ class Rig:
             for number, (name, spec) in enumerate(self.cameras.items())
         }
 
-    def place_radars(self, street: Street, path: EgoPath, *, seed: int) -> dict[str, SimulatedRadar]:
-        """Put the radars on their way."""
+    def position_radars(self, street: Street, path: EgoPath, *, seed: int) -> dict[str, SimulatedRadar]:
+        """Put the radars on their trajectory."""
         return {
             name: SimulatedRadar(spec, street, path, seed, number, self.frame_starts_ns(spec))
             for number, (name, spec) in enumerate(self.radars.items())
@@ -168,7 +168,7 @@ def scene_sensors(
     lidars: Mapping[str, ScanningLidar],
     cameras: Mapping[str, RenderedCamera],
     radars: Mapping[str, SimulatedRadar],
-    ego: PosePath,
+    ego: Poses,
 ) -> tuple[LidarSensor | CameraSensor | RadarSensor, ...]:
     """Give the sensors as a reader would: frames that are made when asked for, poses along the ego's, mountings."""
     return (
@@ -178,7 +178,7 @@ def scene_sensors(
     )
 
 
-def _lidar_sensor(name: str, lidar: ScanningLidar, ego: PosePath) -> LidarSensor:
+def _lidar_sensor(name: str, lidar: ScanningLidar, ego: Poses) -> LidarSensor:
     return LidarSensor(
         name,
         LazyFrames(lidar.timestamps_ns, lidar.frame),
@@ -188,12 +188,12 @@ def _lidar_sensor(name: str, lidar: ScanningLidar, ego: PosePath) -> LidarSensor
     )
 
 
-def _camera_sensor(name: str, camera: RenderedCamera, ego: PosePath) -> CameraSensor:
+def _camera_sensor(name: str, camera: RenderedCamera, ego: Poses) -> CameraSensor:
     times = camera.timestamps_ns
     return CameraSensor(
         name,
         camera.spec.camera,
-        LazyFrames(times, camera.picture),
+        LazyFrames(times, camera.image),
         poses=_mounted(ego, camera.spec.mount),
         mount=camera.spec.mount,
         fps=1e9 / float(times[1] - times[0]) if len(times) > 1 else None,
@@ -214,7 +214,7 @@ def _shutter_fields(spec: CameraSpec) -> Mapping[str, Any]:
     return {"calibration": entry}
 
 
-def _radar_sensor(name: str, radar: SimulatedRadar, ego: PosePath) -> RadarSensor:
+def _radar_sensor(name: str, radar: SimulatedRadar, ego: Poses) -> RadarSensor:
     return RadarSensor(
         name,
         LazyFrames(radar.timestamps_ns, radar.frame),
@@ -223,7 +223,7 @@ def _radar_sensor(name: str, radar: SimulatedRadar, ego: PosePath) -> RadarSenso
     )
 
 
-def _mounted(ego: PosePath, mount: RigidTransform) -> PosePath:
+def _mounted(ego: Poses, mount: RigidTransform) -> Poses:
     """`world_from_sensor` at the trajectory's own times."""
     poses = PoseSource(ego, mount).at(ego.timestamps_ns)
-    return PosePath(ego.timestamps_ns, poses.positions, poses.quaternions_xyzw)
+    return Poses(ego.timestamps_ns, poses.positions, poses.quaternions_xyzw)

@@ -1,8 +1,8 @@
-"""Scores that mean what they say: of all boxes with the score s, the share s is true.
+"""Scores that mean what they state: of all boxes with the score s, the share s is true.
 
 How it is done. Detector and street together expect, over the frames that are looked at, p_m true boxes of object m
 (its chance to be found) and F false ones. The false ones are dealt out to the objects, f_m to object m, more to those
-that are hard to find: a false box looks like a poor sighting. So among the boxes that look like object m the share
+that are hard to find: a false box looks like a poor observation. So among the boxes that look like object m the share
 
     π_m = p_m / (p_m + f_m)
 
@@ -12,7 +12,7 @@ is true. Let the scores of all these together be spread as g = Beta(κ π_m, κ 
     false ones from  (1 - s) g(s) / (1 - π_m)  = Beta(κ π_m, κ (1 - π_m) + 1).
 
 Bayes then gives P(true | s) = π_m s g / π_m / (s g + (1 - s) g) = s for every object, hence for all boxes together.
-The concentration κ says how little a score tells: towards 0 all are 0 or 1, and far above 1 all are π_m.
+The concentration κ says how little a score reports: towards 0 all are 0 or 1, and far above 1 all are π_m.
 Duplicates count as false: object m bears r p_m more of them, where r boxes are repeated.
 """
 
@@ -32,10 +32,10 @@ _SMALLEST = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScoreSpec:
-    """How a detector tells how sure it is.
+    """How a detector reports how sure it is.
 
     Attributes:
-        concentration: κ above 0; the larger, the less a score tells true from false.
+        concentration: κ above 0; the larger, the less a score reports true from false.
         likeness: above 0; how much the false boxes look like objects that are easy to find: a sure one draws this
             share of them, against 1 + this for one that is never found.
         form: probabilities, or logits: ln(s / (1 - s)).

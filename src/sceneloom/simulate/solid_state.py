@@ -1,4 +1,4 @@
-"""Lidars without a turning head: a small field of view, scanned by a mirror or by two prisms."""
+"""Lidars without a rotating head: a small field of view, scanned by a mirror or by two prisms."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ class Raster:
     """Rows swept by a mirror, several channels side by side, every so many rows in one pass from top to bottom.
 
     The mirror sweeps a row from left to right, the next one back. All channels share it: at one moment each shoots
-    at the same place of its own field. Real mirrors swing like a pendulum; this one moves evenly.
+    at the same location of its own field. Real mirrors swing like a pendulum; this one moves evenly.
 
     Attributes:
         azimuth_deg: from right to left, counter-clockwise from the sensor's x axis.
@@ -56,7 +56,7 @@ class Raster:
 
     def plan_shots(self, period_ns: int) -> Callable[[int], Shots]:
         """Give the shots, which are the same in each frame."""
-        row, column = self._places()
+        row, column = self._locations()
         moments = np.repeat(np.arange(len(row), dtype=np.int64), self.channels)
         rows = row[moments]
         across = column[moments] + self.columns * np.tile(np.arange(self.channels), len(row))
@@ -65,7 +65,7 @@ class Raster:
         offsets = np.arange(len(row), dtype=np.int64) * period_ns // len(row)
         return repeating(Shots(rays, offsets, moments, rows.astype(np.uint16)))
 
-    def _places(self) -> tuple[Int64Array, Int64Array]:
+    def _locations(self) -> tuple[Int64Array, Int64Array]:
         """The row, from the lowest, and the column in its channel, from the left, that each moment looks at."""
         from_top = np.concatenate(
             [np.arange(first, self.rows, self.interleave) for first in range(self.interleave)]
@@ -88,15 +88,15 @@ class Raster:
 
 @dataclass(frozen=True, slots=True)
 class Rosette:
-    """One beam, bent by two prisms that turn at rates without a common measure: the pattern never repeats.
+    """One beam, bent by two prisms that rotation at rates without a common measure: the pattern never repeats.
 
     Each prism bends the beam by a fixed angle towards where its thick side is; the bends add up as vectors. As the
-    prisms turn on from frame to frame, other places are hit in each, and the gaps close over time.
+    prisms switch on from frame to frame, other locations are hit in each, and the gaps close over time.
 
     Attributes:
         fov_deg: angle across the round field of view [deg].
         shots_per_second: constant; a frame has as many as fall into its time.
-        turns_per_minute: of the first and of the second prism; the second counts the other way where negative.
+        rotations_per_minute: of the first and of the second prism; the second counts the other way where negative.
         share: of the first prism in the greatest bend; 0.5 lets the beam pass through the middle.
 
     Raises:
@@ -109,7 +109,7 @@ class Rosette:
 
     fov_deg: float = 38.4
     shots_per_second: float = 100_000.0
-    turns_per_minute: tuple[float, float] = (7294.0, -4664.0)
+    rotations_per_minute: tuple[float, float] = (7294.0, -4664.0)
     share: float = 0.5
 
     def __post_init__(self) -> None:
@@ -118,8 +118,8 @@ class Rosette:
             (
                 ("fov_deg", self.fov_deg, 0.01, 170.0),
                 ("shots_per_second", self.shots_per_second, 1.0, 1e7),
-                ("turns_per_minute[0]", self.turns_per_minute[0], -1e6, 1e6),
-                ("turns_per_minute[1]", self.turns_per_minute[1], -1e6, 1e6),
+                ("rotations_per_minute[0]", self.rotations_per_minute[0], -1e6, 1e6),
+                ("rotations_per_minute[1]", self.rotations_per_minute[1], -1e6, 1e6),
                 ("share", self.share, 0.0, 1.0),
             ),
         )
@@ -141,8 +141,8 @@ class Rosette:
         """Where the beam points so long after the first frame's start, (N, 3)."""
         half = np.radians(self.fov_deg / 2)
         bends = half * np.array([self.share, 1.0 - self.share])
-        turned = 2 * np.pi / 60e9 * np.array(self.turns_per_minute) * elapsed_ns[:, None]
-        left, up = (np.cos(turned) * bends).sum(axis=1), (np.sin(turned) * bends).sum(axis=1)
+        rotated = 2 * np.pi / 60e9 * np.array(self.rotations_per_minute) * elapsed_ns[:, None]
+        left, up = (np.cos(rotated) * bends).sum(axis=1), (np.sin(rotated) * bends).sum(axis=1)
         off_axis = np.hypot(left, up)
         aside = np.sinc(off_axis / np.pi)
         return np.column_stack([np.cos(off_axis), aside * left, aside * up])

@@ -1,4 +1,4 @@
-"""The street: what stands where along the ego's way, laid out by seed."""
+"""The street: what stands where along the ego trajectory, laid out by seed."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -27,7 +27,7 @@ class StreetObject:
     """One thing of the street.
 
     Attributes:
-        instance: its number in instance pictures, from 1; 0 is the ground, -1 the sky.
+        instance: its number in instance images, from 1; 0 is the ground, -1 the sky.
         label: its class: "building", "car", "tree", "pole", "bin", "barrier".
         center_world: middle of its box [m].
         size_lwh: length, width, height of its box [m].
@@ -68,19 +68,19 @@ class Row:
     """Things of one kind along the street.
 
     Attributes:
-        left: how far left of the ego's way their middles are [m]: from, to.
+        left: how far left of the ego trajectory their middles are [m]: from, to.
         every: distance from one to the next [m]: from, to.
-        share: how many of the places are taken.
+        share: how many of the locations are taken.
         design: makes one.
-        turn: added to the street's heading [rad]: from, to.
-        keep: how near the way their ground plan may come [m], to the right and to the left.
+        rotation: added to the street's heading [rad]: from, to.
+        keep: how near the trajectory their ground plan may come [m], to the right and to the left.
     """
 
     left: tuple[float, float]
     every: tuple[float, float]
     share: float
     design: Callable[[np.random.Generator], Design]
-    turn: tuple[float, float] = (-0.03, 0.03)
+    rotation: tuple[float, float] = (-0.03, 0.03)
     keep: tuple[float, float] = (2.0, 5.6)
 
 
@@ -88,15 +88,15 @@ def _hedge(generator: np.random.Generator) -> Design:
     return design_hedge(generator, length=generator.uniform(3.0, 7.0))
 
 
-_TURNED = (np.pi - 0.03, np.pi + 0.03)
+_ROTATED = (np.pi - 0.03, np.pi + 0.03)
 ROWS: tuple[Row, ...] = (
     Row((-3.05, -2.85), (5.6, 9.0), 0.62, design_car),
-    Row((6.5, 6.6), (5.6, 9.0), 0.62, design_car, _TURNED),
+    Row((6.5, 6.6), (5.6, 9.0), 0.62, design_car, _ROTATED),
     Row((-4.7, -4.6), (24.0, 28.0), 1.0, design_lamp, (np.pi / 2,) * 2),
     Row((8.1, 8.2), (24.0, 28.0), 1.0, design_lamp, (-np.pi / 2,) * 2),
     Row((-5.0, -4.8), (9.0, 16.0), 0.75, design_tree, (0.0, 6.3)),
     Row((8.3, 8.6), (9.0, 16.0), 0.75, design_tree, (0.0, 6.3)),
-    Row((-4.7, -4.6), (30.0, 60.0), 1.0, design_sign, _TURNED),
+    Row((-4.7, -4.6), (30.0, 60.0), 1.0, design_sign, _ROTATED),
     Row((8.1, 8.2), (30.0, 60.0), 1.0, design_sign),
     Row((-6.6, -6.3), (8.0, 20.0), 0.8, design_bin, (0.0, 6.3)),
     Row((9.7, 10.0), (8.0, 20.0), 0.8, design_bin, (0.0, 6.3)),
@@ -120,12 +120,12 @@ class _Plots:
     plans: list[Float64Array] = field(default_factory=list)
     placed: list[tuple[Design, float, float, float]] = field(default_factory=list)
 
-    def try_place(
-        self, design: Design, along: float, left: float, turn: float, keep: tuple[float, float]
+    def try_location(
+        self, design: Design, along: float, left: float, rotation: float, keep: tuple[float, float]
     ) -> bool:
-        """Set an object down unless it would come too near the way or stand in another."""
-        x, y, heading = self.lane.place(along, left)
-        plan = design.plan(x, y, heading + turn)
+        """Set an object down unless it would come too near the trajectory or stand in another."""
+        x, y, heading = self.lane.location(along, left)
+        plan = design.plan(x, y, heading + rotation)
         offsets = self.lane.offsets(plan)
         if ((offsets > -keep[0]) & (offsets < keep[1])).any() or np.ptp(np.sign(offsets)) != 0:
             return False
@@ -133,11 +133,11 @@ class _Plots:
         near = np.flatnonzero(apart < np.array(self.radii) + _radius(plan))
         if any(_overlap(plan, self.plans[k]) for k in near):
             return False
-        self.put(design, x, y, heading + turn)
+        self.put(design, x, y, heading + rotation)
         return True
 
     def put(self, design: Design, x: float, y: float, yaw: float) -> None:
-        """Set an object down at a place of the world [m], turned by `yaw` [rad]."""
+        """Set an object down at a location of the world [m], rotated by `yaw` [rad]."""
         plan = design.plan(x, y, yaw)
         self.centers.append((x, y))
         self.radii.append(_radius(plan))
@@ -168,14 +168,14 @@ def build_street(generator: np.random.Generator, path: EgoPath) -> Street:
         _build_houses(generator, plots, side)
         _build_back_row(generator, plots, side)
     for row in ROWS:
-        for along in _places(generator, lane, row.every):
+        for along in _locations(generator, lane, row.every):
             if generator.uniform() < row.share:
-                left, turn = generator.uniform(*row.left), generator.uniform(*row.turn)
-                plots.try_place(row.design(generator), along, left, turn, row.keep)
+                left, rotation = generator.uniform(*row.left), generator.uniform(*row.rotation)
+                plots.try_location(row.design(generator), along, left, rotation, row.keep)
     return _street_of(plots, GroundMap.of(lane))
 
 
-def _places(generator: np.random.Generator, lane: Lane, every: tuple[float, float]) -> Iterator[float]:
+def _locations(generator: np.random.Generator, lane: Lane, every: tuple[float, float]) -> Iterator[float]:
     along = float(lane.along[0]) + generator.uniform(*every)
     while along < lane.along[-1]:
         yield along
@@ -190,18 +190,18 @@ def _build_houses(generator: np.random.Generator, plots: _Plots, side: float) ->
         design = design_house(generator, length=length, depth=depth, storeys=int(generator.integers(2, 5)))
         keep = _HOUSE_KEEP[int(side > 0)] + generator.uniform(*_SETBACK)
         left = side * (keep + design.size_lwh[1] / 2 + 0.3)
-        fits = plots.try_place(design, along + design.size_lwh[0] / 2, left, 0.0, _HOUSE_KEEP)
+        fits = plots.try_location(design, along + design.size_lwh[0] / 2, left, 0.0, _HOUSE_KEEP)
         gap = 0.1 if generator.uniform() < 0.4 else generator.uniform(1.5, 6.0)
         along += design.size_lwh[0] + gap if fits else 2.0
 
 
 def _build_back_row(generator: np.random.Generator, plots: _Plots, side: float) -> None:
     """Taller houses behind, seen through the gaps and above the roofs."""
-    for along in _places(generator, plots.lane, (22.0, 40.0)):
+    for along in _locations(generator, plots.lane, (22.0, 40.0)):
         length, depth = generator.uniform(12.0, 20.0), generator.uniform(10.0, 14.0)
         design = design_house(generator, length=length, depth=depth, storeys=int(generator.integers(4, 8)))
         left = side * (generator.uniform(*_BACK_ROW) + depth)
-        plots.try_place(design, along, left, generator.uniform(-0.2, 0.2), _HOUSE_KEEP)
+        plots.try_location(design, along, left, generator.uniform(-0.2, 0.2), _HOUSE_KEEP)
 
 
 def _close_ends(generator: np.random.Generator, plots: _Plots) -> None:
@@ -209,7 +209,7 @@ def _close_ends(generator: np.random.Generator, plots: _Plots) -> None:
     lane = plots.lane
     for end, ahead in ((-1, 1.0), (0, -1.0)):
         design = design_house(generator, length=44.0, depth=12.0, storeys=5)
-        x, y, heading = lane.place(float(lane.along[end]), 1.75)
+        x, y, heading = lane.location(float(lane.along[end]), 1.75)
         plots.put(
             design,
             x + ahead * 14.0 * np.cos(heading),

@@ -1,4 +1,4 @@
-"""Lines beside the ego's way that others follow, by their own length."""
+"""Lines beside the ego trajectory that others follow, by their own length."""
 
 from dataclasses import dataclass
 
@@ -10,13 +10,13 @@ from sceneloom.simulate.ground import Lane
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """A line at a constant distance beside the way, straight on beyond its ends.
+    """A line at a constant distance beside the trajectory, straight on beyond its ends.
 
     Attributes:
         points: (L, 2) float64 [m], world frame.
-        headings: (L,) float64 [rad], of the way.
+        headings: (L,) float64 [rad], of the trajectory.
         along: (L,) float64 [m], arc length of this line, from 0.
-        widths: (L,) float64, length of this line per length of the way: small on the inside of a bend.
+        widths: (L,) float64, length of this line per length of the trajectory: small on the inside of a bend.
         parameters: (L,) float64, the ego's curve parameters beside the points.
     """
 
@@ -28,7 +28,7 @@ class Track:
 
     @classmethod
     def of(cls, lane: Lane, left: float) -> "Track":
-        """Lay a line `left` of the way [m]."""
+        """Lay a line `left` of the trajectory [m]."""
         normals = np.column_stack([-np.sin(lane.headings), np.cos(lane.headings)])
         points = lane.points + left * normals
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -46,7 +46,7 @@ class Track:
         return along
 
     def at(self, along: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Give points (N, 2) [m] and the way's headings (N,) [rad] at arc lengths (N,)."""
+        """Give points (N, 2) [m] and the trajectory's headings (N,) [rad] at arc lengths (N,)."""
         inside = np.clip(along, 0.0, self.length)
         points = np.column_stack([np.interp(inside, self.along, self.points[:, axis]) for axis in range(2)])
         headings = np.interp(inside, self.along, self.headings)

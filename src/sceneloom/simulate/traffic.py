@@ -29,9 +29,9 @@ _TRIES = 6
 
 OWN_LANE, ONCOMING_LANE = 0.0, 3.5
 EDGES = ((-1.5, 1.0), (5.05, -1.0))
-"""Where cyclists ride: metres left of the way, and whether with the ego or against it."""
+"""Where cyclists ride: metres left of the trajectory, and whether with the ego or against it."""
 PAVEMENTS = (-5.6, 9.1)
-"""Where pedestrians walk between posts, trees and bins: metres left of the way."""
+"""Where pedestrians walk between posts, trees and bins: metres left of the trajectory."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +42,7 @@ class TrafficSpec:
         cars: moving cars on 100 m of each lane.
         cyclists: on 100 m of each edge of the road.
         pedestrians: on 100 m of each pavement. They and the cyclists are fewer where there is no room.
-        standing: share of the pedestrians who stand.
+        stationary: share of the pedestrians who stand.
         crossing: share of the pedestrians who cross the street.
 
     Raises:
@@ -52,7 +52,7 @@ class TrafficSpec:
     cars: float = 2.0
     cyclists: float = 1.0
     pedestrians: float = 4.0
-    standing: float = 0.2
+    stationary: float = 0.2
     crossing: float = 0.3
 
     def __post_init__(self) -> None:
@@ -60,8 +60,8 @@ class TrafficSpec:
             ("cars", self.cars, 0.0, 6.0),
             ("cyclists", self.cyclists, 0.0, 10.0),
             ("pedestrians", self.pedestrians, 0.0, 20.0),
-            ("standing", self.standing, 0.0, 1.0),
-            ("crossing", self.crossing, 0.0, 1.0 - self.standing),
+            ("stationary", self.stationary, 0.0, 1.0),
+            ("crossing", self.crossing, 0.0, 1.0 - self.stationary),
         )
         check_bounds("traffic", bounds)
 
@@ -71,7 +71,7 @@ class _Plan:
     """The street over the time of a drive, while movers are put into it.
 
     Attributes:
-        path, lane: the ego's way.
+        path, lane: the ego trajectory.
         knots: (N,) float64 [s], when control points weigh most.
         looks: (T,) float64 [s], when movers are kept apart.
         clearance: the ground that is taken.
@@ -126,7 +126,7 @@ def plan_traffic(
         street: what stands in it; movers are numbered after it.
         span_ns: first and last time that any sensor needs [ns].
     """
-    first, last = ((stamp - path.start_ns) * 1e-9 for stamp in span_ns)
+    first, last = ((timestamp - path.start_ns) * 1e-9 for timestamp in span_ns)
     count = int(np.ceil((last - first + 2 * _MARGIN) / _KNOT_STEP)) + DEGREE + 1
     knots: Float64Array = first - _MARGIN + _KNOT_STEP * (np.arange(count, dtype=np.float64) - 2.0)
     looks: Float64Array = np.arange(first, last + _LOOK, _LOOK)
@@ -157,9 +157,9 @@ def _ego_plans(path: EgoPath, looks: Float64Array) -> Plans:
 
 def _thing(instance: int, plan: _Plan, k: int, *, span_ns: tuple[int, int]) -> Mover:
     design, there = plan.designs[k], np.flatnonzero(plan.there[k])
-    stamps = plan.path.start_ns + np.rint(plan.looks[there[[0, -1]]] * 1e9).astype(np.int64)
-    first = span_ns[0] if there[0] == 0 else int(stamps[0])
-    last = span_ns[1] if there[-1] == len(plan.looks) - 1 else int(stamps[1])
+    timestamps = plan.path.start_ns + np.rint(plan.looks[there[[0, -1]]] * 1e9).astype(np.int64)
+    first = span_ns[0] if there[0] == 0 else int(timestamps[0])
+    last = span_ns[1] if there[-1] == len(plan.looks) - 1 else int(timestamps[1])
     stands = not np.ptp(plan.curves[k], axis=0).any()
     return Mover(instance, design.label, design.size_lwh, first, last, stands)
 
@@ -192,18 +192,18 @@ def _add_cars(generator: np.random.Generator, spec: TrafficSpec, plan: _Plan) ->
     speed, wave = generator.uniform(6.5, 9.0), _wave(generator, 3.0, (0.35, 0.45))
     driven = speed * plan.knots + wave(plan.knots)
     reach = track.length + float(np.ptp(driven))
-    for place in _gaps(generator, generator.uniform(0.0, spacing), spacing, reach):
+    for location in _gaps(generator, generator.uniform(0.0, spacing), spacing, reach):
         own = _wave(generator, 1.0, (0.4, 0.7))
-        along = place - (driven - driven[0]) + own(plan.knots)
+        along = location - (driven - driven[0]) + own(plan.knots)
         plan.try_add(design_moving_car(generator), *_on_track(track, along, ahead=-1.0))
 
 
 def _gaps(generator: np.random.Generator, first: float, spacing: float, last: float) -> Iterator[float]:
-    """Places from `first` to `last` [m], apart by the spacing on average and by a car and its distance at least."""
-    place = first
-    while place < last:
-        yield place
-        place += max(13.0, spacing * generator.uniform(0.5, 1.5))
+    """Locations from `first` to `last` [m], apart by the spacing on average and by a car and its distance at least."""
+    location = first
+    while location < last:
+        yield location
+        location += max(13.0, spacing * generator.uniform(0.5, 1.5))
 
 
 def _wave(
@@ -241,8 +241,8 @@ def _add_pedestrians(generator: np.random.Generator, spec: TrafficSpec, plan: _P
         length = Track.of(plan.lane, left).length
         for _ in range(generator.poisson(spec.pedestrians / 100.0 * length)):
             kind = generator.uniform()
-            add = _try_stand if kind < spec.standing else _try_walk
-            if spec.standing <= kind < spec.standing + spec.crossing:
+            add = _try_stand if kind < spec.stationary else _try_walk
+            if spec.stationary <= kind < spec.stationary + spec.crossing:
                 add = _try_cross
             design = design_pedestrian(generator, walks=add is not _try_stand)
             any(add(generator, plan, design, left) for _ in range(_TRIES))
@@ -264,8 +264,8 @@ def _try_stand(generator: np.random.Generator, plan: _Plan, design: MovingDesign
     side = np.sign(left - 1.75)
     spot = Track.of(plan.lane, left + generator.uniform(-1.2, 0.5) * side)
     point, heading = spot.at(np.array([generator.uniform(_END, spot.length - _END)]))
-    turned = heading[0] + generator.uniform(-np.pi, np.pi)
-    sample = np.array([*point[0], turned, 0.0])
+    rotated = heading[0] + generator.uniform(-np.pi, np.pi)
+    sample = np.array([*point[0], rotated, 0.0])
     samples = np.tile(sample, (len(plan.knots), 1))
     return plan.try_add(design, samples)
 
@@ -290,7 +290,7 @@ def _try_cross(generator: np.random.Generator, plan: _Plan, design: MovingDesign
 
 
 def _crossing_share(seconds: Float64Array, begin: float, lasts: float) -> Float64Array:
-    """How much of a way is walked, 0 to 1: at a constant speed but for a second at either end."""
+    """How much of a trajectory is walked, 0 to 1: at a constant speed but for a second at either end."""
     ramp = 1.0
     past = np.clip(seconds - begin, 0.0, lasts + ramp)
     slow = np.clip(past, 0.0, ramp), np.clip(past - lasts, 0.0, ramp)

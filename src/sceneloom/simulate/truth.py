@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.simulate.boxes import BoxTruth, boxes_of
-from sceneloom.simulate.camera import PictureTruth, RenderedCamera
+from sceneloom.simulate.camera import ImageTruth, RenderedCamera
 from sceneloom.simulate.casting import Rays, bundles_by_direction, cast
 from sceneloom.simulate.edges import edge_mask
 from sceneloom.simulate.inertial import ImuTruth
@@ -32,9 +32,9 @@ class CleanPoints:
     Attributes:
         positions_world: (N, 3) float64 [m].
         instances: (N,) int32, what was hit; 0 is the ground.
-        colors: (N, 3) uint8, colour of the bare surface there, which a picture shows averaged over a pixel.
+        colors: (N, 3) uint8, colour of the bare surface there, which an image shows averaged over a pixel.
         ranges: (N,) float64 [m], from the lidar at the point's own time.
-        velocities: (N, 3) float64 [m/s], world frame, of what was hit, at the point; zero where it stands still.
+        velocities: (N, 3) float64 [m/s], world frame, of what was hit, at the point; zero where it is stationary.
     """
 
     positions_world: Float64Array
@@ -46,7 +46,7 @@ class CleanPoints:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OcclusionTruth:
-    """What hides objects in a picture; those that no pixel's centre would show are left out.
+    """What hides objects in an image; those that no pixel's centre would show are left out.
 
     Attributes:
         instances: (I,) int64, rising.
@@ -67,11 +67,11 @@ class OcclusionTruth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """What is exactly so in a simulated drive. Pictures are rendered when asked for, nothing is kept.
+    """What is exactly so in a simulated drive. Images are rendered when asked for, nothing is kept.
 
     Attributes:
         street: everything that stands in it and that moves.
-        path: the ego's way as a curve.
+        path: the ego trajectory as a curve.
         lidars: the lidars by id, with their noise apart.
         cameras: the cameras by id.
         radars: the radars by id, with their noise apart.
@@ -104,16 +104,16 @@ class Truth:
         """Boxes and velocities of all that stands and moves, at (T,) times [ns]."""
         return boxes_of(self.street, np.asarray(timestamps_ns, np.int64))
 
-    def world_from_ego(self, timestamps_ns: Int64Array) -> PosePath:
+    def world_from_ego(self, timestamps_ns: Int64Array) -> Poses:
         """Exact ego poses at strictly increasing times [ns]."""
         return self.path.poses(timestamps_ns)
 
     def world_from_camera(self, camera_id: str, k: int) -> RigidTransform:
-        """Exact pose of a camera at the time of its picture k; of a rolling shutter, that of its middle."""
+        """Exact pose of a camera at the time of its image k; of a rolling shutter, that of its middle."""
         return self._camera(camera_id).pose(k)
 
-    def picture(self, camera_id: str, k: int) -> PictureTruth:
-        """Depths, instances and colours of picture k in one go.
+    def image(self, camera_id: str, k: int) -> ImageTruth:
+        """Depths, instances and colours of image k in one go.
 
         Raises:
             OptionError: there is no such camera.
@@ -122,26 +122,26 @@ class Truth:
 
     def depth(self, camera_id: str, k: int) -> Float32Array:
         """Depth z at the pixels' centres, (H, W) float32 [m]; 0 for the sky."""
-        return self.picture(camera_id, k).depths
+        return self.image(camera_id, k).depths
 
     def instances(self, camera_id: str, k: int) -> AnyArray:
         """What the pixels' centres show, (H, W) int32; 0 the ground, -1 the sky."""
-        return self.picture(camera_id, k).instances
+        return self.image(camera_id, k).instances
 
     def colors(self, camera_id: str, k: int) -> UInt8Array:
         """Colour along the ray through each pixel's centre, (H, W, 3) uint8, whatever the exposure was."""
-        return self.picture(camera_id, k).colors
+        return self.image(camera_id, k).colors
 
     def exposure(self, camera_id: str, k: int) -> float:
-        """By what picture k is brighter than the true colours, in its middle; 1.0 where nothing changes it."""
+        """By what image k is brighter than the true colours, in its middle; 1.0 where nothing changes it."""
         return self._camera(camera_id).gain(k)
 
     def edges(self, camera_id: str, k: int, *, within_px: int = 2) -> BoolArray:
         """Which pixels lie near an outline, (H, W) bool; `edge_mask` says what an outline is."""
-        return edge_mask(self.picture(camera_id, k), within_px=within_px)
+        return edge_mask(self.image(camera_id, k), within_px=within_px)
 
     def occlusion(self, camera_id: str, k: int) -> OcclusionTruth:
-        """How much of each object picture k shows, and how much it would show if nothing stood before it."""
+        """How much of each object image k shows, and how much it would show if nothing stood before it."""
         camera = self._camera(camera_id)
         alone = camera.silhouettes(k)
         shown = self.instances(camera_id, k)
@@ -152,9 +152,9 @@ class Truth:
     def visible(
         self, camera_id: str, k: int, points_world: ArrayLike, *, tolerance: float = 0.01
     ) -> BoolArray:
-        """Say for each surface point whether nothing stands between it and the camera, when its line is taken.
+        """Report for each surface point whether nothing stands between it and the camera, when its line is taken.
 
-        Whether it falls into the picture is another question.
+        Whether it falls into the image is another question.
 
         Args:
             points_world: (N, 3) float [m], on surfaces, such as `clean_points_world` gives.

@@ -1,4 +1,4 @@
-"""Time that stands still now and then, so that a car on a smooth curve stops and drives on as smoothly."""
+"""Time that is stationary now and then, so that a car on a smooth curve stops and drives on as smoothly."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Where whole objects would be in a picture, hidden parts included: their boxes in space, projected line by line."""
+"""Where whole objects would be in an image, hidden parts included: their boxes in space, projected line by line."""
 
 from dataclasses import dataclass
 
@@ -14,17 +14,17 @@ from sceneloom.simulate.camera import RenderedCamera
 _NEAR = 0.05
 """Of a box beside the camera, what lies farther ahead than this is projected [m]."""
 _ALONG_EDGES = 25
-"""Points on each edge of a projected box: lenses bend edges."""
+"""Points on each edge of a projected box: camera models bend edges."""
 _LINE_ROUNDS = 4
 """How often the line that sees a point is looked for, each time from where the guess before would see it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LineViews:
-    """Where a camera and the boxes of some objects are when each line of a picture is taken.
+    """Where a camera and the boxes of some objects are when each line of an image is taken.
 
     Attributes:
-        lens: of the camera.
+        camera_model: of the camera.
         left_to_right: whether the lines are columns, not rows.
         rotations, origins: (L, 3, 3) and (L, 3) float64 [m], `world_from_camera` at each line's time.
         centers_world: (L, M, 3) float64 [m].
@@ -32,7 +32,7 @@ class LineViews:
         sizes_lwh: (M, 3) float64 [m].
     """
 
-    lens: Camera
+    camera_model: Camera
     left_to_right: bool
     rotations: Float64Array
     origins: Float64Array
@@ -42,7 +42,7 @@ class LineViews:
 
     @classmethod
     def of(cls, camera: RenderedCamera, k: int, instances: Int64Array) -> "LineViews":
-        """See objects (M,) by their instance numbers in picture k."""
+        """See objects (M,) by their instance numbers in image k."""
         boxes = boxes_of(camera.street, camera.line_times_ns(k))
         rows = np.searchsorted(boxes.instances, instances)
         return cls(
@@ -56,8 +56,8 @@ class LineViews:
 
     def in_camera(self, which: int, lines: Int64Array, points_box: Float64Array) -> Float64Array:
         """Take points (N, 3) that are fixed to a box, from its middle and along its axes, to the lines' cameras."""
-        turned = _about_z(points_box, self.yaws[lines, which])
-        from_camera = turned + self.centers_world[lines, which] - self.origins[lines]
+        rotated = _about_z(points_box, self.yaws[lines, which])
+        from_camera = rotated + self.centers_world[lines, which] - self.origins[lines]
         points: Float64Array = np.einsum("nji,nj->ni", self.rotations[lines], from_camera)
         return points
 
@@ -74,7 +74,7 @@ class LineViews:
 
 
 def projected_boxes(views: LineViews, extents: Float64Array) -> Float64Array:
-    """Edges (M, 4) of the projected boxes, clipped to the picture; of a box out of the lens, what is seen of it.
+    """Edges (M, 4) of the projected boxes, clipped to the image; of a box out of the camera model, what is seen of it.
 
     Args:
         extents: (M, 4) float64 [px], edges of what is seen of each.
@@ -84,12 +84,12 @@ def projected_boxes(views: LineViews, extents: Float64Array) -> Float64Array:
         pixels = _outline(views, which) + 0.5
         if len(pixels):
             boxes[which] = *pixels.min(axis=0), *pixels.max(axis=0)
-    return within_picture(boxes, views.lens)
+    return within_image(boxes, views.camera_model)
 
 
-def within_picture(boxes: Float64Array, lens: Camera) -> Float64Array:
-    """Boxes (M, 4) [px] cut off at the edges of the picture."""
-    size = np.array([lens.width, lens.height] * 2, np.float64)
+def within_image(boxes: Float64Array, camera_model: Camera) -> Float64Array:
+    """Boxes (M, 4) [px] cut off at the edges of the image."""
+    size = np.array([camera_model.width, camera_model.height] * 2, np.float64)
     cut: Float64Array = np.clip(boxes, 0.0, size)
     return cut
 
@@ -104,14 +104,14 @@ def _outline(views: LineViews, which: int) -> Float64Array:
     lines = np.full(len(along), middle)
     on_box = views.on_box(which, lines, along)
     for _ in range(_LINE_ROUNDS if len(views.origins) > 1 else 1):
-        pixels = project_unbounded(views.lens, views.in_camera(which, lines, on_box))
+        pixels = project_unbounded(views.camera_model, views.in_camera(which, lines, on_box))
         finite = np.isfinite(pixels).all(axis=1)
         lines, on_box, pixels = views.lines_at(pixels[finite]), on_box[finite], pixels[finite]
     return pixels
 
 
 def _about_z(points: Float64Array, angles: Float64Array) -> Float64Array:
-    """Points (N, 3) turned about the z axis by (N,) angles [rad]."""
+    """Points (N, 3) rotated about the z axis by (N,) angles [rad]."""
     cosine, sine = np.cos(angles), np.sin(angles)
     x, y, z = points.T
     return np.column_stack([cosine * x - sine * y, sine * x + cosine * y, z])

@@ -1,4 +1,4 @@
-"""Objects followed through time, by what sweeps and pictures show of them at each moment."""
+"""Objects followed through time, by what sweeps and images show of them at each moment."""
 
 from typing import TYPE_CHECKING
 
@@ -7,14 +7,14 @@ from sceneloom.lazy import names_on_first_use
 if TYPE_CHECKING:
     from sceneloom.tracking.drive import track_drive
     from sceneloom.tracking.observation import Observation, View
-    from sceneloom.tracking.settings import PictureBox, TrackerSettings
+    from sceneloom.tracking.settings import ImageBox, TrackerSettings
     from sceneloom.tracking.tracker import Tracker
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
             "Observation": "sceneloom.tracking.observation:Observation",
-            "PictureBox": "sceneloom.tracking.settings:PictureBox",
+            "ImageBox": "sceneloom.tracking.settings:ImageBox",
             "Tracker": "sceneloom.tracking.tracker:Tracker",
             "TrackerSettings": "sceneloom.tracking.settings:TrackerSettings",
             "View": "sceneloom.tracking.observation:View",
@@ -23,8 +23,8 @@ else:
     )
 
 __all__ = [
+    "ImageBox",
     "Observation",
-    "PictureBox",
     "Tracker",
     "TrackerSettings",
     "View",

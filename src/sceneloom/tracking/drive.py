@@ -1,4 +1,4 @@
-"""Objects through a whole drive: what the tracker tells online, or what it could tell knowing what came later."""
+"""Objects through a whole drive: what the tracker reports online, or what it could report knowing what came later."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from sceneloom.scene.tracks import Track, TrackedObjects, Tracks
-from sceneloom.tracking.hindsight import look_back
 from sceneloom.tracking.observation import Observation
 from sceneloom.tracking.settings import TrackerSettings
+from sceneloom.tracking.smoother import look_back
 from sceneloom.tracking.tracker import DEFAULTS, Tracker
 
 _COLUMNS = (
@@ -24,7 +24,7 @@ def track_drive(
     Args:
         observations: moment by moment, in the order of their times.
         settings: what is taken for granted.
-        offline: whether later moments may tell of earlier ones.
+        offline: whether later moments may report earlier ones.
     """
     tracker = Tracker(settings)
     if offline:
@@ -33,7 +33,7 @@ def track_drive(
 
 
 def gathered(moments: list[TrackedObjects]) -> Tracks:
-    """Give objects told moment by moment as one track each; of several tellings of one time the last counts."""
+    """Give objects reported moment by moment as one track each; of several tellings of one time the last counts."""
     latest = list({moment.timestamp_ns: moment for moment in moments}.values())
     latest.sort(key=lambda moment: moment.timestamp_ns)
     rows: dict[int, list[tuple[TrackedObjects, int]]] = {}

@@ -45,12 +45,12 @@ def missed(lines: Outlines, distances: Float64Array, settings: TrackerSettings) 
     """How little it says of each object that neither detector finds it, by what one camera sees: logarithms of 1 - D.
 
     Args:
-        lines: where the picture shows the objects, and how openly.
+        lines: where the image shows the objects, and how openly.
         distances: (N,) float64 [m], from the lidar.
         settings: what the detectors find.
 
     Returns:
-        (N, 2) float64, of pictures and of sweeps.
+        (N, 2) float64, of images and of sweeps.
     """
     corners = lines.corners_xyxy
     tall = corners[:, 3] - corners[:, 1] >= settings.least_height_px

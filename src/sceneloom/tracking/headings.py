@@ -1,6 +1,6 @@
 """Which way round objects head: boxes, their motion and their neighbours vote.
 
-Detectors know the axis of a box better than its front, and the outline in a picture is the same both ways round. Each
+Detectors know the axis of a box better than its front, and the outline in an image is the same both ways round. Each
 box votes for its own heading, each moment of motion for its direction; the sum is remembered. Neighbours of the lane
 whose heading is known are asked anew each time, and count only where the rest is undecided.
 """
@@ -9,8 +9,8 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.tracking import motion
+from sceneloom.tracking.observations import Observations
 from sceneloom.tracking.population import Population
-from sceneloom.tracking.sightings import Sightings
 
 MOST_VOTES = 5.0
 """So many looks at a heading are remembered."""
@@ -19,7 +19,7 @@ MOVING = 1.5
 SURE_HEADING = 1.0
 """A heading with a larger variance than this says nothing [rad²]."""
 OUTVOTED = -1.0
-"""With fewer votes than this a heading is turned round."""
+"""With fewer votes than this a heading is reversed."""
 NEIGHBOURS = 2.0
 """So many votes have the neighbours together."""
 KNOWN = 3.0
@@ -30,8 +30,8 @@ PARALLEL = 0.95
 """Least cosine between the axes of neighbours."""
 
 
-def turn_round(objects: Population, rows: Int64Array, seen: Sightings, columns: Int64Array) -> None:
-    """Let boxes, motion and neighbours vote on headings, in place, and turn those round that are outvoted.
+def rotation_round(objects: Population, rows: Int64Array, seen: Observations, columns: Int64Array) -> None:
+    """Let boxes, motion and neighbours vote on headings, in place, and rotate those round that are outvoted.
 
     Args:
         objects: all of them.
@@ -64,7 +64,7 @@ def _of_neighbours(objects: Population, rows: Int64Array) -> Float64Array:
     cosines, sines = np.cos(headings), np.sin(headings)
     along = cosines * apart[..., 0] + sines * apart[..., 1]
     across = cosines * apart[..., 1] - sines * apart[..., 0]
-    turns = np.cos(objects.means[known, motion.YAW] - headings)
-    of_lane = (np.abs(across) < HALF_LANE) & (np.abs(along) < AHEAD) & (np.abs(turns) > PARALLEL)
-    told: Float64Array = np.clip(np.sum(turns, axis=1, where=of_lane), -1.0, 1.0)
-    return told
+    rotations = np.cos(objects.means[known, motion.YAW] - headings)
+    of_lane = (np.abs(across) < HALF_LANE) & (np.abs(along) < AHEAD) & (np.abs(rotations) > PARALLEL)
+    reported: Float64Array = np.clip(np.sum(rotations, axis=1, where=of_lane), -1.0, 1.0)
+    return reported

@@ -1,9 +1,9 @@
-r"""How objects move between two moments, and what a box tells of their state: a Kalman filter over many objects.
+r"""How objects move between two moments, and what a box reports their state: a Kalman filter over many objects.
 
-A state is x = (middle 3, size 3, heading, velocity 3, turn rate), in the world. Between moments objects keep their
-velocity, which of vehicles turns with them, and their turn rate, which dies down; white noise of the acceleration makes
-that uncertain, so that one long step leaves as much doubt as many short ones. A box z of the middle, size and heading
-is read by Kalman's update,
+A state is x = (middle 3, size 3, heading, velocity 3, yaw rate), in the world. Between moments objects keep their
+velocity, which of vehicles rotates with them, and their yaw rate, which dies down; white noise of the acceleration
+makes that uncertain, so that one long step leaves as much doubt as many short ones. A box z of the middle, size and
+heading is read by Kalman's update,
 
     K = P Hᵀ (H P Hᵀ + w R)⁻¹,   x' = x + K (z - H x),   P' = P - K H P,   w = max(1, (ν + d²) / (ν + 7)),
 
@@ -11,7 +11,7 @@ where d² is the square of Mahalanobis' distance of the box and ν degrees of fr
 less sure. A vehicle moves along its heading: that its velocity across is 0 is one more thing that is read of it.
 
 Source: Kalman 1960; Bar-Shalom, Li and Kirubarajan 2001, "Estimation with Applications to Tracking and Navigation",
-ch. 6.2 for the noise and ch. 11.7 for turning; Lange, Little and Taylor 1989, "Robust Statistical Modeling Using the t
+ch. 6.2 for the noise and ch. 11.7 for rotating; Lange, Little and Taylor 1989, "Robust Statistical Modeling Using the t
 Distribution", for the weight.
 """
 
@@ -22,7 +22,7 @@ from sceneloom.kernels import object_motion
 from sceneloom.tracking.settings import TrackerSettings
 
 SIZE, MEASURED = object_motion.SIZE, object_motion.MEASURED
-YAW, TURN = 6, 10
+YAW, ROTATION = 6, 10
 FREEDOM = 4.0
 """Degrees of freedom of what boxes are off."""
 CLIMB = 0.3
@@ -30,11 +30,11 @@ CLIMB = 0.3
 SIZE_DRIFT = 0.02
 """How much sizes change as objects are seen from other sides [m after a second]."""
 VEHICLE_HEADING_DRIFT, PERSON_HEADING_DRIFT = 0.02, 0.5
-"""How much headings change beside turning [rad after a second]."""
+"""How much headings change beside rotating [rad after a second]."""
 ACROSS = 0.3
 """Acceleration of vehicles across their heading, as a share of that along it."""
-TURN_TIME = 1.0
-"""Time after which a turn has died down [s]."""
+ROTATION_TIME = 1.0
+"""Time after which a rotation has died down [s]."""
 
 
 def wrapped(angles: Float64Array) -> Float64Array:
@@ -62,15 +62,15 @@ def predicted(
         Means and covariances afterwards, and the slopes (N, 11, 11) of the means.
     """
     fast, slow = settings.vehicle_acceleration, settings.person_acceleration
-    turning = settings.turn_acceleration
+    rotating = settings.yaw_acceleration
     deviations = np.array(
         [
-            [slow, slow, CLIMB, SIZE_DRIFT, PERSON_HEADING_DRIFT, turning],
-            [fast, ACROSS * fast, CLIMB, SIZE_DRIFT, VEHICLE_HEADING_DRIFT, turning],
+            [slow, slow, CLIMB, SIZE_DRIFT, PERSON_HEADING_DRIFT, rotating],
+            [fast, ACROSS * fast, CLIMB, SIZE_DRIFT, VEHICLE_HEADING_DRIFT, rotating],
         ]
     )
     moved: tuple[Float64Array, Float64Array, Float64Array] = object_motion.predict(
-        means, covariances, vehicles, seconds, TURN_TIME, deviations**2
+        means, covariances, vehicles, seconds, ROTATION_TIME, deviations**2
     )
     return moved
 

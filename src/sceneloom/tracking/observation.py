@@ -1,4 +1,4 @@
-"""What a tracker is told of one moment: what was found in a sweep and in the pictures, and where the lidar was."""
+"""What a tracker is reported one moment: what was found in a sweep and in the images, and where the lidar was."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -17,8 +17,8 @@ class View:
     """A camera at one moment.
 
     Attributes:
-        camera: its lens.
-        camera_from_lidar: takes the lidar's frame at the time of the sweep into the camera's at that of its picture.
+        camera: its camera model.
+        camera_from_lidar: takes the lidar's frame at the time of the sweep into the camera's at that of its image.
     """
 
     camera: Camera
@@ -31,11 +31,11 @@ class Observation:
 
     Attributes:
         timestamp_ns: of the sweep [ns].
-        world_from_lidar: takes the lidar's frame at that time into a world that stands still, z up.
-        fused: by camera, the objects behind the boxes of the sweep and those of that camera's picture. A box of the
+        world_from_lidar: takes the lidar's frame at that time into a world that is stationary, z up.
+        fused: by camera, the objects behind the boxes of the sweep and those of that camera's image. A box of the
             sweep is in each of them, and known by its number in `rows_3d`. Nothing was looked at where it is empty.
-        views: the cameras by which boxes are put into pictures. A camera of `fused` without one has no pictures: what
-            is said of its sweep counts, and no box in a picture is given.
+        views: the cameras by which boxes are put into images. A camera of `fused` without one has no images: what
+            is stated for its sweep counts, and no box in an image is given.
     """
 
     timestamp_ns: int
@@ -55,10 +55,10 @@ class Observation:
         *,
         fuse: DetectionAlgorithm = fuse_by_projection,
     ) -> Self:
-        """Fuse the boxes of one sweep with those of each camera's picture.
+        """Fuse the boxes of one sweep with those of each camera's image.
 
         Args:
-            pairs: by camera, the same boxes of the sweep with those of its picture; one at least.
+            pairs: by camera, the same boxes of the sweep with those of its image; one at least.
             world_from_lidar: where the lidar was at the time of the sweep.
             fuse: how.
 

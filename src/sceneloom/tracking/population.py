@@ -27,7 +27,7 @@ class Population:
         heading_votes: (N,) float64, how much speaks for their heading and against its opposite.
         votes: (N, K) float64, for each of K words.
         supports: (N,) uint8 of `Support`.
-        differing, differing_variances: by camera, (N, 4) of `picture_boxes`.
+        differing, differing_variances: by camera, (N, 4) of `image_boxes`.
         corners_xyxy: by camera, (N, 4) float64 [px], the detector's boxes of this moment, NaN where there are none.
     """
 

@@ -18,7 +18,7 @@ def smoothed(
 ) -> tuple[Float64Array, Float64Array]:
     """Smooth the states of one object.
 
-    A heading that was turned round on the way is taken as the last one says, all along.
+    A heading that was reversed on the way is taken as the last one says, all along.
 
     Args:
         means, covariances: (K, 11) and (K, 11, 11), with the boxes up to each moment.
@@ -30,10 +30,10 @@ def smoothed(
     for k in range(len(means) - 2, -1, -1):
         gain = np.linalg.solve(predicted_covariances[k + 1], slopes[k + 1] @ covariances[k]).T
         apart = later[k + 1] - predicted_means[k + 1]
-        turns = round(float(apart[motion.YAW]) / np.pi)
-        apart[motion.YAW] -= turns * np.pi
+        rotations = round(float(apart[motion.YAW]) / np.pi)
+        apart[motion.YAW] -= rotations * np.pi
         later[k] = means[k] + gain @ apart
-        later[k, motion.YAW] = motion.wrapped(later[k, motion.YAW] + (turns % 2) * np.pi)
+        later[k, motion.YAW] = motion.wrapped(later[k, motion.YAW] + (rotations % 2) * np.pi)
         spread[k] = covariances[k] + gain @ (spread[k + 1] - predicted_covariances[k + 1]) @ gain.T
         spread[k] = (spread[k] + spread[k].T) / 2.0
     return later, spread

@@ -8,27 +8,27 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
 from sceneloom.detections.assignment import assign_pairs
 from sceneloom.scene.tracks import Support, TrackedObjects
-from sceneloom.tracking import births, existence, motion, picture_boxes
+from sceneloom.tracking import existence, image_boxes, motion, track_initiations
 from sceneloom.tracking.association import candidates
-from sceneloom.tracking.headings import turn_round
+from sceneloom.tracking.headings import rotation_round
+from sceneloom.tracking.image_boxes import has_area
 from sceneloom.tracking.observation import Observation
-from sceneloom.tracking.picture_boxes import has_area
+from sceneloom.tracking.observations import SUREST, Observations, visibility
 from sceneloom.tracking.population import ByCamera, Population, no_boxes
-from sceneloom.tracking.settings import PictureBox, TrackerSettings
-from sceneloom.tracking.sightings import SUREST, Sightings, sight
+from sceneloom.tracking.settings import ImageBox, TrackerSettings
 
 DEFAULTS = TrackerSettings()
 
 
 class Moment(NamedTuple):
-    """What a tracker knows at one moment, of objects that it tells and of others.
+    """What a tracker knows at one moment, of objects that it reports and of others.
 
     Attributes:
         observation: what was seen.
         objects: all that may be there.
         predicted: those of the moment before, before the boxes of this one were read.
         slopes: (N, 11, 11), of their states with respect to those of the moment before.
-        outlined: by camera, (N, 4) float64 [px], outlines of the boxes of `objects` in its picture, zeros where none.
+        outlined: by camera, (N, 4) float64 [px], outlines of the boxes of `objects` in its image, zeros where none.
         words: the labels that the columns of `objects.votes` stand for.
     """
 
@@ -55,13 +55,13 @@ class Tracker:
         self._words: list[str] = []
 
     def step(self, observation: Observation) -> TrackedObjects:
-        """Take the boxes of the next moment, and tell the objects that are there."""
-        return told(self.advance(observation), self.settings)
+        """Take the boxes of the next moment, and report the objects that are there."""
+        return reported(self.advance(observation), self.settings)
 
     def advance(self, observation: Observation) -> Moment:
         """Take the boxes of the next moment, and give all that is known then."""
         seconds = self._elapsed(observation.timestamp_ns)
-        seen = sight(observation)
+        seen = visibility(observation)
         self._learn_words(seen)
         predicted, slopes = _predicted(self._objects, seconds, self.settings)
         foreseen, missed = _foreseen(predicted, observation, self.settings)
@@ -88,7 +88,7 @@ class Tracker:
         self._objects = Population.empty()
         return 0.0
 
-    def _learn_words(self, seen: Sightings) -> None:
+    def _learn_words(self, seen: Observations) -> None:
         self._words += [word for word in dict.fromkeys(seen.labels) if word not in self._words]
         missing = len(self._words) - self._objects.votes.shape[1]
         if missing:
@@ -98,7 +98,7 @@ class Tracker:
         self,
         objects: Population,
         rows: Int64Array,
-        seen: Sightings,
+        seen: Observations,
         columns: Int64Array,
         predicted: Population,
     ) -> None:
@@ -114,9 +114,9 @@ class Tracker:
         for camera_id, corners in seen.corners_xyxy.items():
             objects.corners_xyxy[camera_id] = no_boxes(len(objects))
             objects.corners_xyxy[camera_id][rows] = corners[columns]
-        turn_round(objects, rows, seen, columns)
+        rotation_round(objects, rows, seen, columns)
 
-    def _votes(self, seen: Sightings, rows: Int64Array) -> Float64Array:
+    def _votes(self, seen: Observations, rows: Int64Array) -> Float64Array:
         """How much boxes speak for each of the words, (K, words)."""
         votes = np.zeros((len(rows), len(self._words)))
         numbers = [self._words.index(seen.labels[k]) for k in rows.tolist()]
@@ -124,14 +124,19 @@ class Tracker:
         return votes
 
     def _with_newborn(
-        self, objects: Population, rows: Int64Array, seen: Sightings, columns: Int64Array, timestamp_ns: int
+        self,
+        objects: Population,
+        rows: Int64Array,
+        seen: Observations,
+        columns: Int64Array,
+        timestamp_ns: int,
     ) -> Population:
         free = seen.log_odds > existence.log_odds(self.settings.drop)
         free[columns] = False
-        new = births.unclaimed(seen, free, objects.select(rows))
+        new = track_initiations.unclaimed(seen, free, objects.select(rows))
         if not len(new):
             return objects
-        means, covariances = births.states(seen, new)
+        means, covariances = track_initiations.states(seen, new)
         newborn = Population(
             ids=np.arange(self._next_id, self._next_id + len(new)),
             means=means,
@@ -167,7 +172,7 @@ def _predicted(
     moved.log_odds = existence.aged(objects.log_odds, seconds, settings.lifetime)
     leaving, coming = np.exp(-seconds / settings.hidden_time), np.exp(-seconds / settings.open_time)
     moved.hidden = objects.hidden * leaving + (1.0 - objects.hidden) * (1.0 - coming)
-    drifts = np.where(objects.vehicles, *picture_boxes.DRIFTS)[:, None] ** 2 * seconds
+    drifts = np.where(objects.vehicles, *image_boxes.DRIFTS)[:, None] ** 2 * seconds
     moved.differing_variances = {
         camera_id: variances + drifts for camera_id, variances in moved.differing_variances.items()
     }
@@ -178,15 +183,15 @@ def _predicted(
 def _foreseen(
     objects: Population, observation: Observation, settings: TrackerSettings
 ) -> tuple[ByCamera, Float64Array]:
-    """The boxes that are expected in pictures, and how little it says if an object is not found, (N,) logarithms."""
+    """The boxes that are expected in images, and how little it says if an object is not found, (N,) logarithms."""
     likely = existence.probabilities(objects.log_odds)
     apart = np.linalg.norm(objects.means[:, :3] - observation.world_from_lidar.translation, axis=1)
     foreseen: ByCamera = {}
     missed = np.zeros((len(objects), 2))
     for camera_id, view in observation.views.items():
-        lines = picture_boxes.outlines(objects.means[:, :7], likely, observation.world_from_lidar, view)
+        lines = image_boxes.outlines(objects.means[:, :7], likely, observation.world_from_lidar, view)
         differing = objects.differing.get(camera_id, no_boxes(len(objects)))
-        foreseen[camera_id] = picture_boxes.applied(
+        foreseen[camera_id] = image_boxes.applied(
             differing, lines.corners_xyxy, view.camera.width, view.camera.height
         )
         # every camera looks for itself, the lidar once
@@ -196,24 +201,24 @@ def _foreseen(
     return foreseen, missed.sum(axis=1)
 
 
-def _supports(seen: Sightings, rows: Int64Array) -> UInt8Array:
+def _supports(seen: Observations, rows: Int64Array) -> UInt8Array:
     """What boxes are, as `Support`."""
     shown = np.zeros(len(rows), np.bool_)
     for corners in seen.corners_xyxy.values():
         shown |= has_area(corners[rows])
     supports = np.where(shown, Support.BOTH, Support.SWEEP)
-    return np.where(seen.measured[rows], supports, Support.PICTURE).astype(np.uint8)
+    return np.where(seen.measured[rows], supports, Support.IMAGE).astype(np.uint8)
 
 
 def _compare_with_outlines(objects: Population, observation: Observation) -> ByCamera:
-    """Learn how boxes in pictures differ from the outlines of the objects, and give these."""
+    """Learn how boxes in images differ from the outlines of the objects, and give these."""
     likely = existence.probabilities(objects.log_odds)
     outlined: ByCamera = {}
     for camera_id, view in observation.views.items():
-        lines = picture_boxes.outlines(objects.means[:, :7], likely, observation.world_from_lidar, view)
+        lines = image_boxes.outlines(objects.means[:, :7], likely, observation.world_from_lidar, view)
         outlined[camera_id] = lines.corners_xyxy
         unknown = no_boxes(len(objects))
-        objects.differing[camera_id], objects.differing_variances[camera_id] = picture_boxes.filtered(
+        objects.differing[camera_id], objects.differing_variances[camera_id] = image_boxes.filtered(
             objects.differing.get(camera_id, unknown),
             objects.differing_variances.get(camera_id, unknown),
             objects.corners_xyxy.get(camera_id, unknown),
@@ -222,8 +227,8 @@ def _compare_with_outlines(objects: Population, observation: Observation) -> ByC
     return outlined
 
 
-def told(moment: Moment, settings: TrackerSettings) -> TrackedObjects:
-    """The objects that are likely enough to be told."""
+def reported(moment: Moment, settings: TrackerSettings) -> TrackedObjects:
+    """The objects that are likely enough to be reported."""
     likely = existence.probabilities(moment.objects.log_odds) * (1.0 - moment.objects.hidden)
     rows = np.flatnonzero(likely >= np.minimum(settings.report, 1.0 - SUREST))
     objects = moment.objects.select(rows)
@@ -231,9 +236,9 @@ def told(moment: Moment, settings: TrackerSettings) -> TrackedObjects:
     for camera_id, view in moment.observation.views.items():
         outlined = moment.outlined[camera_id][rows]
         differing = objects.differing[camera_id]
-        if settings.picture_box is PictureBox.PROJECTED:
+        if settings.image_box is ImageBox.PROJECTED:
             differing = np.zeros_like(differing)
-        corners[camera_id] = picture_boxes.applied(differing, outlined, view.camera.width, view.camera.height)
+        corners[camera_id] = image_boxes.applied(differing, outlined, view.camera.width, view.camera.height)
     return TrackedObjects(
         timestamp_ns=moment.observation.timestamp_ns,
         ids=objects.ids,
@@ -242,7 +247,7 @@ def told(moment: Moment, settings: TrackerSettings) -> TrackedObjects:
         sizes_lwh=objects.means[:, 3:6],
         yaws=objects.means[:, motion.YAW],
         velocities=objects.means[:, 7:10],
-        yaw_rates=objects.means[:, motion.TURN],
+        yaw_rates=objects.means[:, motion.ROTATION],
         covariances=objects.covariances[:, :10, :10],
         scores=likely[rows],
         supports=objects.supports,

@@ -11,20 +11,20 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.deskew import points_at
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor, RadarSensor
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.sensor_sources import ego_path
 from sceneloom.scene.span import scene_period_ns, sweep_period_ns
 from sceneloom.scene.types import PointsFrame
 from sceneloom.view.colours import CloudPainter, one_packed, packed
-from sceneloom.view.feeds import Tell
-from sceneloom.view.places import Places
+from sceneloom.view.feeds import Report
+from sceneloom.view.locations import Locations
 from sceneloom.view.poses import pose_at, transform
 from sceneloom.view.sdk import sdk
 from sceneloom.view.settings import ColourBy
 from sceneloom.view.stream import Stream, fits
 
 WORLD, SENSORS, CLOUDS = "world", "sensors", "clouds"
-"""Entities below which things are: all that has a place, frames of sensors, points that are not in such a frame."""
+"""Entities below which things are: all that has a location, frames of sensors, points that are not in such a frame."""
 
 _POINT_SIZE = 1.6
 _RADAR_SIZE, _ARROW_SIZE = 3.0, 1.0
@@ -32,8 +32,8 @@ _LONGEST_SWEEP = 3
 """Times of points spread over more sweep periods than that are not when they were measured."""
 
 _NEARING, _LEAVING = one_packed((255, 122, 69)), one_packed((82, 196, 255))
-_BEYOND = "is not shown: the ego's way does not reach its time, or lies beyond the viewer's float32"
-_AS_MEASURED = "is shown as measured: the ego's way does not reach all of its points' times"
+_BEYOND = "is not shown: the ego trajectory does not reach its time, or lies beyond the viewer's float32"
+_AS_MEASURED = "is shown as measured: the ego trajectory does not reach all of its points' times"
 
 
 def ui_points(size: float) -> Any:
@@ -47,27 +47,27 @@ class LidarView:
 
     Attributes:
         stream: where to.
-        places: of the drive's sensors.
+        locations: of the drive's sensors.
         lidar: whose sweeps they are.
         painter: gives the points their colours.
         as_measured: leave the motion during a sweep in.
-        tell: of what could not be shown.
+        notify: of what could not be shown.
     """
 
     stream: Stream
-    places: Places
+    locations: Locations
     lidar: LidarSensor
     painter: CloudPainter
     as_measured: bool
-    tell: Tell
+    notify: Report
     _sensor_source: PoseSource = field(init=False)
     _source: PoseSource = field(init=False)
 
     def __post_init__(self) -> None:
-        self._sensor_source, problem = self.places.source(self.lidar)
+        self._sensor_source, problem = self.locations.source(self.lidar)
         self._source = self._points_source()
         if problem is not None and self.lidar.points_frame is PointsFrame.SENSOR:
-            self.tell("not-placed", f"sensors[{self.lidar.id!r}]", problem)
+            self.notify("not-placed", f"sensors[{self.lidar.id!r}]", problem)
 
     @property
     def path(self) -> str:
@@ -88,7 +88,7 @@ class LidarView:
         in_sensor = self.lidar.points_frame is PointsFrame.SENSOR
         shown_from_points = shown_from_sensor if in_sensor else pose_at(self._source, time_ns)
         if shown_from_points is None:
-            self.tell("beyond-the-way", f"sensors[{self.lidar.id!r}].frames", _BEYOND)
+            self.notify("beyond-the-trajectory", f"sensors[{self.lidar.id!r}].frames", _BEYOND)
             return time_ns, None
         positions = self._at_one_moment(frame, time_ns)
         above = self._heights(positions, shown_from_points, shown_from_sensor)
@@ -107,25 +107,25 @@ class LidarView:
         """What takes the points as stored to where they are shown."""
         if self.lidar.points_frame is PointsFrame.SENSOR:
             return self._sensor_source
-        reach_ns, path = scene_period_ns(self.places.scene), PosePath.identity()
+        reach_ns, path = scene_period_ns(self.locations.scene), Poses.identity()
         if self.lidar.points_frame is PointsFrame.EGO:
             try:
-                path = ego_path(self.places.scene, self.lidar, self.places.ego)
+                path = ego_path(self.locations.scene, self.lidar, self.locations.ego)
             except PoseError as error:
-                self.tell("not-placed", f"sensors[{self.lidar.id!r}]", str(error))
+                self.notify("not-placed", f"sensors[{self.lidar.id!r}]", str(error))
                 return PoseSource(path, RigidTransform.identity())
-        return self.places.shown(PoseSource(path, RigidTransform.identity(), reach_ns))
+        return self.locations.shown(PoseSource(path, RigidTransform.identity(), reach_ns))
 
     def _at_one_moment(self, frame: LidarFrame, time_ns: int) -> Float32Array:
         source, times = self._source, frame.points.timestamps_ns
-        still = self.as_measured or source.path.endless or times is None or len(times) == 0
+        still = self.as_measured or source.path.static or times is None or len(times) == 0
         longest_ns = _LONGEST_SWEEP * sweep_period_ns(self.lidar)
         if still or times is None or np.ptp(times) == 0 or np.ptp(times) > longest_ns:
             return frame.points.positions
         try:
             moved, _ = points_at(frame, source, time_ns)
         except PoseError:
-            self.tell("as-measured", f"sensors[{self.lidar.id!r}].frames", _AS_MEASURED)
+            self.notify("as-measured", f"sensors[{self.lidar.id!r}].frames", _AS_MEASURED)
             return frame.points.positions
         # `points_at` gives them in the frame of the sensor at that moment, which is that of `source` with its mounting
         return moved.astype(np.float32)
@@ -156,31 +156,31 @@ class _Heights:
 
 def lidar_view(
     stream: Stream,
-    places: Places,
+    locations: Locations,
     lidar: LidarSensor,
     *,
     colour_by: ColourBy | None,
     as_measured: bool,
-    tell: Tell,
+    notify: Report,
 ) -> LidarView:
     """Show the sweeps of a lidar."""
-    return LidarView(stream, places, lidar, CloudPainter(colour_by), as_measured, tell)
+    return LidarView(stream, locations, lidar, CloudPainter(colour_by), as_measured, notify)
 
 
 @dataclass(slots=True, eq=False)
 class RadarView:
-    """Shows the cycles of one radar: points, and an arrow for the way that each makes in a second."""
+    """Shows the cycles of one radar: points, and an arrow for the trajectory that each makes in a second."""
 
     stream: Stream
-    places: Places
+    locations: Locations
     radar: RadarSensor
-    tell: Tell
+    notify: Report
     _source: PoseSource = field(init=False)
 
     def __post_init__(self) -> None:
-        self._source, problem = self.places.source(self.radar)
+        self._source, problem = self.locations.source(self.radar)
         if problem is not None:
-            self.tell("not-placed", f"sensors[{self.radar.id!r}]", problem)
+            self.notify("not-placed", f"sensors[{self.radar.id!r}]", problem)
 
     def log(self, k: int, _: None) -> None:
         """Log cycle `k`."""
@@ -188,21 +188,21 @@ class RadarView:
         time_ns, points = frame.timestamp_ns, frame.points
         pose = pose_at(self._source, time_ns)
         if pose is None:
-            self.tell("beyond-the-way", f"sensors[{self.radar.id!r}].frames", _BEYOND)
+            self.notify("beyond-the-trajectory", f"sensors[{self.radar.id!r}].frames", _BEYOND)
             return
         entity = self.stream.path(WORLD, SENSORS, self.radar.id)
         self.stream.log(time_ns, entity, transform(pose))
         inside = self._into_sensor(pose, time_ns)
         vectors = _velocities(points.directions, points.lengths, len(points))
-        turned = vectors if inside is None else inside.rotate(vectors)
+        rotated = vectors if inside is None else inside.rotate(vectors)
         positions = points.positions if inside is None else inside.apply(points.positions)
-        held = fits(positions) & fits(turned)
+        held = fits(positions) & fits(rotated)
         self.stream.leave_out("radar points", np.count_nonzero(~held))
-        positions, turned = positions[held], turned[held]
-        colours = np.where((turned * positions).sum(axis=1) < 0, _NEARING, _LEAVING).astype(np.uint32)
+        positions, rotated = positions[held], rotated[held]
+        colours = np.where((rotated * positions).sum(axis=1) < 0, _NEARING, _LEAVING).astype(np.uint32)
         shown = rr.Points3D(positions, colors=colours, radii=ui_points(_RADAR_SIZE))
         self.stream.log(time_ns, f"{entity}/points", shown, kind="radar cycles", size=16 * len(points))
-        arrows = rr.Arrows3D(vectors=turned, origins=positions, colors=colours, radii=ui_points(_ARROW_SIZE))
+        arrows = rr.Arrows3D(vectors=rotated, origins=positions, colors=colours, radii=ui_points(_ARROW_SIZE))
         self.stream.log(time_ns, f"{entity}/velocities", arrows)
 
     def _into_sensor(self, shown_from_sensor: RigidTransform, time_ns: int) -> RigidTransform | None:
@@ -210,10 +210,10 @@ class RadarView:
         if self.radar.points_frame is PointsFrame.SENSOR:
             return None
         if self.radar.points_frame is PointsFrame.WORLD:
-            shown_from_points = RigidTransform(np.eye(3), -self.places.origin_world)
+            shown_from_points = RigidTransform(np.eye(3), -self.locations.origin_world)
         else:
-            path = ego_path(self.places.scene, self.radar, self.places.ego)
-            on_ego = self.places.shown(PoseSource(path, RigidTransform.identity()))
+            path = ego_path(self.locations.scene, self.radar, self.locations.ego)
+            on_ego = self.locations.shown(PoseSource(path, RigidTransform.identity()))
             shown_from_points = pose_at(on_ego, time_ns) or RigidTransform.identity()
         return shown_from_sensor.inverse() @ shown_from_points
 
@@ -226,10 +226,10 @@ def _velocities(directions: Float32Array | None, lengths: Float32Array | None, c
     return vectors
 
 
-def show_map(stream: Stream, places: Places, sensor: PointsSensor) -> None:
+def show_map(stream: Stream, locations: Locations, sensor: PointsSensor) -> None:
     """Show a cloud without time."""
     colours = None if sensor.colors is None else packed(sensor.colors)
-    positions = sensor.positions - places.origin_world
+    positions = sensor.positions - locations.origin_world
     held = fits(positions)
     stream.leave_out("points of maps", np.count_nonzero(~held))
     cloud = sdk().Points3D(

@@ -8,8 +8,8 @@ from zlib import crc32
 import numpy as np
 
 from sceneloom.arrays import Float64Array, FloatArray, UInt8Array
-from sceneloom.pictures.annotations.figures import PALETTE
-from sceneloom.pictures.colour_maps import colour_map
+from sceneloom.images.annotations.figures import PALETTE
+from sceneloom.images.colour_maps import colour_map
 from sceneloom.scene.clouds import LidarPoints
 from sceneloom.view.settings import ColourBy
 
@@ -65,15 +65,15 @@ class CloudPainter:
             self.used = self._choose(points)
         if self.used is ColourBy.COLOUR:
             return _own_colours(points)
-        told = _VALUES[self.used](points)
-        values = np.asarray(heights() if told is None else told, np.float64)
+        reported = _VALUES[self.used](points)
+        values = np.asarray(heights() if reported is None else reported, np.float64)
         return self._table[self._steps(values)]
 
     def _choose(self, points: LidarPoints) -> ColourBy:
         wanted = ColourBy.COLOUR if self.wanted is None else self.wanted
-        for way in (wanted, ColourBy.INTENSITY):
-            if _is_there(way, points):
-                return way
+        for trajectory in (wanted, ColourBy.INTENSITY):
+            if _is_there(trajectory, points):
+                return trajectory
         return ColourBy.HEIGHT
 
     def _steps(self, values: Float64Array) -> UInt8Array:
@@ -86,8 +86,8 @@ class CloudPainter:
         return np.asarray(np.clip(shares, 0.0, 1.0) * 255, np.uint8)
 
 
-def _is_there(way: ColourBy, points: LidarPoints) -> bool:
-    return way is ColourBy.HEIGHT or getattr(points, _FIELDS[way]) is not None
+def _is_there(trajectory: ColourBy, points: LidarPoints) -> bool:
+    return trajectory is ColourBy.HEIGHT or getattr(points, _FIELDS[trajectory]) is not None
 
 
 _FIELDS: Mapping[ColourBy, str] = MappingProxyType(
@@ -101,10 +101,10 @@ _FIELDS: Mapping[ColourBy, str] = MappingProxyType(
 
 
 def _times(points: LidarPoints) -> Float64Array | None:
-    stamps = points.timestamps_ns
-    if stamps is None or len(stamps) == 0:
+    timestamps = points.timestamps_ns
+    if timestamps is None or len(timestamps) == 0:
         return np.zeros(len(points))
-    since: Float64Array = (stamps - stamps.min()).astype(np.float64)
+    since: Float64Array = (timestamps - timestamps.min()).astype(np.float64)
     return since
 
 

@@ -19,8 +19,8 @@ from sceneloom.formats.files import check_regular, file_faults, open_file
 from sceneloom.scene.depth import DepthCameraSensor, DepthFrame
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier
-from sceneloom.view.feeds import Feed, Tell
-from sceneloom.view.pictures import PlacedCamera, picture_path
+from sceneloom.view.feeds import Feed, Report
+from sceneloom.view.images import PlacedCamera, image_path
 from sceneloom.view.sdk import sdk
 from sceneloom.view.stream import Stream
 
@@ -29,7 +29,7 @@ _STEPS_PER_METRE = 256
 _LARGEST = 65535
 
 DEPTH = "depth"
-"""The entity of fused depth images, below that of the pictures that they belong to."""
+"""The entity of fused depth images, below that of the images that they belong to."""
 
 
 def depth_image(depths: Float32Array) -> Any:
@@ -50,17 +50,17 @@ class Straightener:
     known: Undistortion | None = None
 
     def straight(self, camera: Camera, depths: Float32Array) -> tuple[Camera, Float32Array]:
-        """Give the lens that is shown, and the depths as it sees them.
+        """Give the camera model that is shown, and the depths as it sees them.
 
         Raises:
-            CalibrationError: no pinhole can stand for the lens.
+            CalibrationError: no pinhole can stand for the camera model.
         """
         if camera.model == "pinhole":
             return camera, depths
         if self.known is None or self.known.source != camera:
             self.known = Undistortion.between(camera, undistorted_camera(camera))
-        places = np.nan_to_num(self.known.places, nan=-1.0)
-        columns, rows = (np.rint(places[..., axis]).astype(np.int64) for axis in (0, 1))
+        locations = np.nan_to_num(self.known.locations, nan=-1.0)
+        columns, rows = (np.rint(locations[..., axis]).astype(np.int64) for axis in (0, 1))
         inside = self.known.seen
         limits = np.clip(rows, 0, camera.height - 1), np.clip(columns, 0, camera.width - 1)
         return self.known.target, np.where(inside, depths[limits], np.float32(0.0))
@@ -78,19 +78,19 @@ class DepthView:
         """Log image `k`."""
         frame: DepthFrame = self.frames[k]
         stream = self.camera.stream
-        lens, depths = self.straightener.straight(frame.camera, frame.depth)
-        self.camera.log(frame.timestamp_ns, lens, frame.mount)
-        path = picture_path(stream, self.camera.sensor.id)
+        camera_model, depths = self.straightener.straight(frame.camera, frame.depth)
+        self.camera.log(frame.timestamp_ns, camera_model, frame.mount)
+        path = image_path(stream, self.camera.sensor.id)
         stream.log(frame.timestamp_ns, path, depth_image(depths), kind="depth images", size=2 * depths.size)
 
 
-def depth_feed(camera: PlacedCamera, sensor: DepthCameraSensor, tell: Tell) -> Feed | None:
-    """Show a depth camera; None where no pinhole can stand for its lens."""
+def depth_feed(camera: PlacedCamera, sensor: DepthCameraSensor, notify: Report) -> Feed | None:
+    """Show a depth camera; None where no pinhole can stand for its camera model."""
     if sensor.camera.model != "pinhole":
         try:
             undistorted_camera(sensor.camera)
         except CalibrationError as error:
-            tell("lens-left", f"sensors[{sensor.id!r}]", f"its depth images are not shown: {error}")
+            notify("camera-model-left", f"sensors[{sensor.id!r}]", f"its depth images are not shown: {error}")
             return None
     return Feed(sensor.frames.timestamps_ns, DepthView(camera, sensor.frames, Straightener()).log)
 
@@ -101,7 +101,7 @@ class _Entry(msgspec.Struct, frozen=True):
     file: str
     sweep_ns: int
     camera: Identifier
-    picture_ns: int
+    image_ns: int
 
 
 def written_depths(folder: Path) -> Iterator[_Entry]:
@@ -123,7 +123,7 @@ def written_depths(folder: Path) -> Iterator[_Entry]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FusedDepthView:
-    """Shows depth images of a folder over the pictures that they belong to.
+    """Shows depth images of a folder over the images that they belong to.
 
     They are in the camera's own, distorted grid; a straightened camera takes them straightened the same way.
     """
@@ -140,9 +140,9 @@ class FusedDepthView:
         undistortion = self.maps.get(entry.camera)
         if undistortion is not None:
             depths = Straightener(undistortion).straight(undistortion.source, depths)[1]
-        path = f"{picture_path(self.stream, entry.camera)}/{DEPTH}"
+        path = f"{image_path(self.stream, entry.camera)}/{DEPTH}"
         self.stream.log(
-            entry.picture_ns, path, depth_image(depths), kind="fused depth images", size=2 * depths.size
+            entry.image_ns, path, depth_image(depths), kind="fused depth images", size=2 * depths.size
         )
 
 
@@ -152,22 +152,24 @@ def fused_depth_feed(stream: Stream, folder: Path, measured: Scene, shown: Scene
     Args:
         stream: where to.
         folder: of the images.
-        measured: the scene with its own lenses, in whose grids the images are.
-        shown: the scene with the lenses that are shown.
+        measured: the scene with its own camera models, in whose grids the images are.
+        shown: the scene with the camera models that are shown.
 
     Raises:
         DataError: the index is missing or faulty.
     """
-    lenses = {camera.id: camera.camera for camera in measured.cameras}
+    camera_models = {camera.id: camera.camera for camera in measured.cameras}
     ends = {camera.id: camera.camera for camera in shown.cameras}
     maps = {
-        camera_id: Undistortion.between(lens, ends[camera_id])
-        if lens != ends[camera_id] and lens.model != "pinhole"
+        camera_id: Undistortion.between(camera_model, ends[camera_id])
+        if camera_model != ends[camera_id] and camera_model.model != "pinhole"
         else None
-        for camera_id, lens in lenses.items()
+        for camera_id, camera_model in camera_models.items()
     }
-    entries = sorted((e for e in written_depths(folder) if e.camera in lenses), key=lambda e: e.picture_ns)
-    times_ns = np.array([entry.picture_ns for entry in entries], np.int64)
+    entries = sorted(
+        (e for e in written_depths(folder) if e.camera in camera_models), key=lambda e: e.image_ns
+    )
+    times_ns = np.array([entry.image_ns for entry in entries], np.int64)
     return Feed(times_ns, FusedDepthView(stream, folder, tuple(entries), maps).log)
 
 

@@ -27,12 +27,12 @@ from sceneloom.view.clouds import LidarView, RadarView, lidar_view, show_map
 from sceneloom.view.depths import depth_feed, fused_depth_feed
 from sceneloom.view.feeds import Feed, play
 from sceneloom.view.found_files import read_detections, read_tracks
+from sceneloom.view.images import CameraView, PlacedCamera, ShownImage, with_straight_camera_models
 from sceneloom.view.layout import Facts
+from sceneloom.view.locations import Locations, find_locations
 from sceneloom.view.motion import show_motion
+from sceneloom.view.notes import Reported, find_mistakes, log_notes
 from sceneloom.view.objects import ObjectsView, by_camera
-from sceneloom.view.pictures import CameraView, PlacedCamera, ShownPicture, with_straight_lenses
-from sceneloom.view.places import Places, find_places
-from sceneloom.view.remarks import Told, find_mistakes, log_remarks
 from sceneloom.view.report import DriveShown
 from sceneloom.view.settings import ViewSettings
 from sceneloom.view.stream import Stream
@@ -47,30 +47,30 @@ class DriveView:
 
     Attributes:
         name: of its root entity.
-        scene: the shown part of it, lenses made straight.
-        measured: the same with its own lenses.
+        scene: the shown part of it, camera models made straight.
+        measured: the same with its own camera models.
         reference_ns: (N,) int64 [ns], by which frames of the drive are counted.
-        places: where its sensors are.
-        bent: cameras whose pictures hang nowhere.
+        locations: where its sensors are.
+        bent: cameras whose images hang nowhere.
         settings: what of it is shown.
-        told: what could not be shown.
+        reported: what could not be shown.
     """
 
     name: str
     scene: Scene
     measured: Scene
     reference_ns: Int64Array
-    places: Places
+    locations: Locations
     bent: frozenset[Key]
     settings: ViewSettings
-    told: Told
+    reported: Reported
 
     @property
     def facts(self) -> Facts:
         """What its layout depends on."""
         kinds = CameraSensor | DepthCameraSensor
         cameras = tuple(sensor.id for sensor in self.scene.sensors if isinstance(sensor, kinds))
-        return Facts.of(self.name, self.scene, self.places, cameras, self.settings)
+        return Facts.of(self.name, self.scene, self.locations, cameras, self.settings)
 
 
 def prepare_drive(
@@ -82,32 +82,32 @@ def prepare_drive(
         scene: as it was read.
         name: of its root entity.
         settings: what of it is shown.
-        progress: told while the ego's way is computed.
+        progress: reported while the ego trajectory is computed.
 
     Raises:
         OptionError: a sensor or trajectory is not there, or no frame lies in the part.
         PoseError: the named trajectory cannot be used.
     """
-    told = Told()
+    reported = Reported()
     scene = scene.corrected()
     reference_ns = _reference_ns(scene)
     chosen = _with_sensors(scene, settings.sensors)
     part = cut_scene(chosen, start=settings.start, stop=settings.stop)
-    straight, bent = with_straight_lenses(part, told)
-    places = find_places(
+    straight, bent = with_straight_camera_models(part, reported)
+    locations = find_locations(
         straight, trajectory=settings.trajectory, heading=settings.heading, progress=progress
     )
-    return DriveView(name, straight, part, reference_ns, places, bent, settings, told)
+    return DriveView(name, straight, part, reference_ns, locations, bent, settings, reported)
 
 
 def _reference_ns(scene: Scene) -> Int64Array:
-    """When the frames begin by which a drive is counted: the sweeps of the first lidar, else the first pictures."""
+    """When the frames begin by which a drive is counted: the sweeps of the first lidar, else the first images."""
     for sensor in scene.lidars:
         if len(sensor.frames):
             return np.sort(sensor.frames.timestamps_ns)
     for camera in scene.cameras:
-        if len(camera.pictures):
-            return np.sort(camera.pictures.timestamps_ns)
+        if len(camera.images):
+            return np.sort(camera.images.timestamps_ns)
     return np.zeros(0, np.int64)
 
 
@@ -115,7 +115,7 @@ def _with_sensors(scene: Scene, chosen: tuple[Identifier, ...] | None) -> Scene:
     if chosen is None:
         return scene
     ids = {str(sensor.id): sensor.id for sensor in scene.sensors}
-    keys = {key_of(scene.sensor(ids.get(str(said), said)).id) for said in chosen}
+    keys = {key_of(scene.sensor(ids.get(str(stated), stated)).id) for stated in chosen}
     return replace(scene, sensors=tuple(sensor for sensor in scene.sensors if key_of(sensor.id) in keys))
 
 
@@ -135,10 +135,10 @@ class _Run:
         feeds = [self._sweeps(lidar, first=lidar is scene.lidars[0]) for lidar in scene.lidars]
         for sensor in scene.sensors:
             if isinstance(sensor, RadarSensor):
-                shown = RadarView(self.stream, self.view.places, sensor, self.view.told)
+                shown = RadarView(self.stream, self.view.locations, sensor, self.view.reported)
                 feeds.append(_thinned(Feed(sensor.frames.timestamps_ns, shown.log), every))
             elif isinstance(sensor, CameraSensor):
-                feeds.append(self._pictures(sensor))
+                feeds.append(self._images(sensor))
             elif isinstance(sensor, DepthCameraSensor):
                 feeds += self._depths(sensor)
         return [*feeds, *self._accompanying()]
@@ -147,11 +147,11 @@ class _Run:
         settings = self.view.settings
         shown = lidar_view(
             self.stream,
-            self.view.places,
+            self.view.locations,
             lidar,
             colour_by=settings.colour_by,
             as_measured=settings.as_measured,
-            tell=self.view.told,
+            notify=self.view.reported,
         )
         self.lidars.append(shown)
 
@@ -164,16 +164,16 @@ class _Run:
 
         return _thinned(Feed(lidar.frames.timestamps_ns, log), settings.every)
 
-    def _pictures(self, sensor: CameraSensor) -> Feed:
-        """Pictures, and at once all that is drawn into them, which is small."""
+    def _images(self, sensor: CameraSensor) -> Feed:
+        """Images, and at once all that is drawn into them, which is small."""
         view, every = self.view, self.view.settings.every
-        times_ns = sensor.pictures.timestamps_ns
-        self.annotations.log_in_pictures(sensor.id, np.unique(times_ns[::every]))
+        times_ns = sensor.images.timestamps_ns
+        self.annotations.log_in_images(sensor.id, np.unique(times_ns[::every]))
         has_pinhole = key_of(sensor.id) not in view.bent
-        shown = CameraView(self._placed(sensor, times_ns, has_pinhole=has_pinhole), sensor.pictures)
+        shown = CameraView(self._placed(sensor, times_ns, has_pinhole=has_pinhole), sensor.images)
         counts_moments = not view.scene.lidars and sensor is view.scene.cameras[0]
 
-        def log(k: int, prepared: ShownPicture | None) -> None:
+        def log(k: int, prepared: ShownImage | None) -> None:
             shown.log(shown.prepare(k) if prepared is None else prepared)
             if counts_moments:
                 self.annotations.note(int(times_ns[k]))
@@ -184,18 +184,20 @@ class _Run:
     def _placed(
         self, sensor: CameraSensor | DepthCameraSensor, times_ns: Int64Array, *, has_pinhole: bool = True
     ) -> PlacedCamera:
-        placed = PlacedCamera(self.stream, self.view.places, sensor, self.view.told, has_pinhole=has_pinhole)
+        placed = PlacedCamera(
+            self.stream, self.view.locations, sensor, self.view.reported, has_pinhole=has_pinhole
+        )
         placed.log_poses(np.unique(times_ns[:: self.view.settings.every]))
         return placed
 
     def _depths(self, sensor: DepthCameraSensor) -> list[Feed]:
-        feed = depth_feed(self._placed(sensor, sensor.frames.timestamps_ns), sensor, self.view.told)
+        feed = depth_feed(self._placed(sensor, sensor.frames.timestamps_ns), sensor, self.view.reported)
         return [] if feed is None else [_thinned(feed, self.view.settings.every)]
 
     def _accompanying(self) -> list[Feed]:
         """What files beside the drive hold."""
         view, settings, feeds = self.view, self.view.settings, []
-        origin = view.places.origin_world
+        origin = view.locations.origin_world
         if settings.detections is not None:
             for camera_id, moments in by_camera(read_detections(settings.detections)).items():
                 shown = ObjectsView(
@@ -242,55 +244,57 @@ def log_drive(view: DriveView, stream: Stream, *, progress: Progress | None = No
         DataError: a frame cannot be read, and the reading is not lenient.
         OptionError: angles of cuboids have a unit or order that is not known.
     """
-    scene, told = view.scene, view.told
-    show_motion(stream, view.places, scene)
+    scene, reported = view.scene, view.reported
+    show_motion(stream, view.locations, scene)
     span_ns = time_span(scene) or (0, 0)
     findings = find_mistakes(view.measured) if view.settings.findings else ()
-    log_remarks(stream, span_ns[0], (*scene.notices, *view.places.notices), findings)
+    log_notes(stream, span_ns[0], (*scene.warnings, *view.locations.warnings), findings)
     run = _Run(
         view,
         stream,
-        annotation_layers(stream, view.places, scene),
+        annotation_layers(stream, view.locations, scene),
         LabelledPoints.of(stream, scene.annotations),
     )
     _log_lasting(run)
     feeds = run.feeds()
     total = sum(map(len, feeds))
     lenient = bool(view.settings.reading.get("lenient"))
-    for done, _ in enumerate(play(feeds, partial(_passed_over, told, lenient)), start=1):
+    for done, _ in enumerate(play(feeds, partial(_passed_over, reported, lenient)), start=1):
         if progress is not None:
             progress(done, total)
     run.annotations.finish()
-    log_remarks(stream, span_ns[0], (*told.notices, *stream.notices), ())
+    log_notes(stream, span_ns[0], (*reported.warnings, *stream.warnings), ())
     return _shown(run, span_ns, findings)
 
 
 def _log_lasting(run: _Run) -> None:
-    """What holds at all times, or is said over time by few values."""
+    """What holds at all times, or is stated over time by few values."""
     view, stream, scene = run.view, run.stream, run.view.scene
     for sensor in scene.sensors:
         if isinstance(sensor, PointsSensor):
-            show_map(stream, view.places, sensor)
+            show_map(stream, view.locations, sensor)
             path = stream.path("world", "clouds", sensor.id)
             with np.errstate(over="ignore"):  # what overflows is left out
-                positions = (sensor.positions - view.places.origin_world).astype(np.float32)
+                positions = (sensor.positions - view.locations.origin_world).astype(np.float32)
             run.labelled.log(sensor.id, None, path, None, positions)
     for kind, things in (("sensors", scene.sensors), ("annotations", scene.annotations)):
         for one in things:
             if isinstance(one, PlainSensor | PlainAnnotation):
-                view.told("not-shown", f"{kind}[{one.id!r}]", f"nothing is known of the type {one.type!r}")
-    show_corrections(stream, view.places, scene.annotations, view.told)
+                view.reported(
+                    "not-shown", f"{kind}[{one.id!r}]", f"nothing is known of the type {one.type!r}"
+                )
+    show_corrections(stream, view.locations, scene.annotations, view.reported)
     show_events(stream, scene.annotations)
     show_attributes(stream, scene)
-    show_graph(stream, scene.annotations, view.told)
+    show_graph(stream, scene.annotations, view.reported)
     list_annotations(stream, scene)
 
 
-def _passed_over(told: Told, lenient: bool, error: Exception) -> bool:  # noqa: FBT001 - bound by `partial`
-    """Whether to go on after a moment that cannot be read, and tell it."""
+def _passed_over(reported: Reported, lenient: bool, error: Exception) -> bool:  # noqa: FBT001 - bound by `partial`
+    """Whether to go on after a moment that cannot be read, and report it."""
     if not (lenient and isinstance(error, DataError)):
         return False
-    told("unreadable", error.place or error.file, error.problem)
+    reported("unreadable", error.location or error.file, error.problem)
     return True
 
 
@@ -300,19 +304,24 @@ def _shown(run: _Run, span_ns: tuple[int, int], findings: tuple[Finding, ...]) -
     wanted = view.settings.colour_by
     for sensor_id, used in colours.items():
         if wanted is not None and used is not None and used is not wanted:
-            view.told(
+            view.reported(
                 "colours-missing", f"sensors[{sensor_id!r}]", f"its points have no {wanted}; they show {used}"
             )
     return DriveShown(
         source=view.scene.source,
         format=view.scene.format,
         root=run.stream.root,
-        origin=tuple(view.places.origin_world.tolist()),
+        origin=tuple(view.locations.origin_world.tolist()),
         seconds=(span_ns[1] - span_ns[0]) / 1e9,
         colours={sensor_id: used.value for sensor_id, used in colours.items() if used is not None},
         logged=dict(sorted(run.stream.counts.items())),
         findings=dict(Counter(str(finding.severity) for finding in findings)),
-        notices=(*view.scene.notices, *view.places.notices, *view.told.notices, *run.stream.notices),
+        warnings=(
+            *view.scene.warnings,
+            *view.locations.warnings,
+            *view.reported.warnings,
+            *run.stream.warnings,
+        ),
     )
 
 

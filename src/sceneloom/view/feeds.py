@@ -9,8 +9,8 @@ from typing import Any
 
 from sceneloom.arrays import Int64Array
 
-Tell = Callable[[str, str, str], None]
-"""Is told of what could not be shown: a code, a place, a message; the same code and place are counted."""
+Report = Callable[[str, str, str], None]
+"""Is reported what could not be shown: a code, a location, a message; the same code and location are counted."""
 
 _MOST_THREADS = 4
 
@@ -22,8 +22,8 @@ class Feed:
     Attributes:
         times_ns: (N,) int64 [ns], ascending.
         log: logs moment `k`, with what was prepared for it.
-        prepare: does the work on moment `k` that may be done before its turn, while other feeds are logged; one moment
-            of a feed at a time, in their order.
+        prepare: does the work on moment `k` that may be done before its rotation, while other feeds are logged; one
+            moment of a feed at a time, in their order.
     """
 
     times_ns: Int64Array
@@ -36,7 +36,7 @@ class Feed:
 
 @dataclass(slots=True)
 class _Ahead:
-    """Prepares the next moment of a feed while others have their turn."""
+    """Prepares the next moment of a feed while others have their rotation."""
 
     feed: Feed
     pool: ThreadPoolExecutor

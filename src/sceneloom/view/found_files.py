@@ -9,7 +9,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import ArrayError, DataError
 from sceneloom.formats.files import file_faults, open_file
-from sceneloom.pictures.objects import objects_of_fused
+from sceneloom.images.objects import objects_of_fused
 from sceneloom.pipeline.detections.files import fused_files, read_fused
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.tracks import Support, TrackedObjects
@@ -17,7 +17,7 @@ from sceneloom.scene.types import Identifier
 
 
 def read_detections(path: Path) -> tuple[TrackedObjects, ...]:
-    """Read what `fuse --type detection` wrote: the objects of each sweep and picture, in the world.
+    """Read what `fuse --type detection` wrote: the objects of each sweep and image, in the world.
 
     Raises:
         DataError: it is no such file, or faulty.
@@ -64,7 +64,7 @@ def read_tracks(path: Path, scene: Scene) -> tuple[TrackedObjects, ...]:
 
     Args:
         path: the file.
-        scene: whose cameras the boxes in pictures are of.
+        scene: whose cameras the boxes in images are of.
 
     Raises:
         DataError: a line is none of these.

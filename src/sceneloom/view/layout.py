@@ -15,10 +15,10 @@ from sceneloom.view.annotations.relations import RELATIONS
 from sceneloom.view.annotations.states import ATTRIBUTES, EVENTS, LIST
 from sceneloom.view.clouds import SENSORS, WORLD
 from sceneloom.view.depths import DEPTH
+from sceneloom.view.images import IMAGE
+from sceneloom.view.locations import Locations
 from sceneloom.view.motion import EARTH, EGO, GNSS, IMU, MAP
-from sceneloom.view.pictures import PICTURE
-from sceneloom.view.places import Places
-from sceneloom.view.remarks import REMARKS
+from sceneloom.view.notes import NOTES
 from sceneloom.view.sdk import blueprint_sdk
 from sceneloom.view.settings import ViewSettings
 from sceneloom.view.stream import TIME, escaped
@@ -26,9 +26,9 @@ from sceneloom.view.stream import TIME, escaped
 _BEHIND, _ABOVE, _AHEAD = 14.0, 7.0, 8.0
 """Where the eye stands behind the ego, and where it looks [m]."""
 _MOVED = 2.0
-"""How far the ego must have come for its way to tell where forward is [m]."""
-_IN_PICTURES = ("annotations", "tracks/boxes", "tracks/history")
-"""What has a place in the world and is shown through the lenses, too."""
+"""How far the ego must have come for its trajectory to notify where forward is [m]."""
+_IN_IMAGES = ("annotations", "tracks/boxes", "tracks/history")
+"""What has a location in the world and is shown through the camera models, too."""
 _BACKGROUND = (16, 18, 22)
 
 
@@ -39,7 +39,7 @@ class Facts:
     Attributes:
         root: the drive's entity.
         title: its name.
-        cameras: those with pictures.
+        cameras: those with images.
         eye, target: (3,) [m], where the eye is, and what it looks at: in the ego's frame if it follows the ego.
         follows: whether the eye moves with the ego.
         curves: of each inertial unit, its id and the names of its streams.
@@ -64,10 +64,15 @@ class Facts:
 
     @classmethod
     def of(
-        cls, name: str, scene: Scene, places: Places, cameras: tuple[Identifier, ...], settings: ViewSettings
+        cls,
+        name: str,
+        scene: Scene,
+        locations: Locations,
+        cameras: tuple[Identifier, ...],
+        settings: ViewSettings,
     ) -> "Facts":
         """Look at what a scene has."""
-        eye, target = _eye(places)
+        eye, target = _eye(locations)
         gnss = any(isinstance(sensor, GnssSensor) and len(sensor.timestamps_ns) for sensor in scene.sensors)
         joined = any(
             one.parent_id is not None or one.type in {"link", "group", "object"} for one in scene.annotations
@@ -78,7 +83,7 @@ class Facts:
             cameras=cameras,
             eye=eye,
             target=target,
-            follows=places.path is not None,
+            follows=locations.path is not None,
             curves=tuple(
                 (one.id, tuple(one.streams))
                 for one in scene.sensors
@@ -86,7 +91,7 @@ class Facts:
             ),
             depths=settings.depth is not None,
             gnss=gnss,
-            plan=gnss or places.path is not None,
+            plan=gnss or locations.path is not None,
             earth=gnss and settings.map_tiles,
             events=any(isinstance(one, EventAnnotation) for one in scene.annotations),
             attributes=any(one.is_timed and one.values for one in scene.attributes),
@@ -95,17 +100,17 @@ class Facts:
         )
 
 
-def _eye(places: Places) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _eye(locations: Locations) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Behind and above the ego, looking where it goes; seen from the ego, whose axes may point anywhere."""
     forward, up = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
-    path = places.path
+    path = locations.path
     if path is not None:
         back = conjugate_quaternion(path.quaternions_xyzw[:1])
         up = rotate_vectors(back, up[None])[0]
         steps = np.linalg.norm(path.positions - path.positions[0], axis=1)
-        way = path.positions[int(np.argmax(steps > _MOVED))] - path.positions[0]
+        trajectory = path.positions[int(np.argmax(steps > _MOVED))] - path.positions[0]
         if steps.max() > _MOVED:
-            forward = rotate_vectors(back, way[None])[0]
+            forward = rotate_vectors(back, trajectory[None])[0]
         forward = forward - (forward @ up) * up
         length = float(np.linalg.norm(forward))
         forward = forward / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
@@ -144,9 +149,9 @@ def _drive(facts: Facts) -> Any:
     left = rrb.Vertical(top, tabs, row_shares=[3, 1])
     if not facts.cameras:
         return _named(left, facts)
-    pictures = [_camera(facts, camera_id) for camera_id in facts.cameras]
-    columns = 1 if len(pictures) <= 3 else 2
-    side = rrb.Grid(*pictures, grid_columns=columns) if len(pictures) > 1 else pictures[0]
+    images = [_camera(facts, camera_id) for camera_id in facts.cameras]
+    columns = 1 if len(images) <= 3 else 2
+    side = rrb.Grid(*images, grid_columns=columns) if len(images) > 1 else images[0]
     return rrb.Horizontal(left, side, column_shares=[3, 2], name=facts.title)
 
 
@@ -170,24 +175,27 @@ def _named(container: Any, facts: Facts) -> Any:
 
 
 def _camera(facts: Facts, camera_id: Identifier) -> Any:
-    """The pictures of a camera with what is drawn into them and what the lens sees of the world; its fused depths."""
+    """The images of a camera with what is drawn into them and what the camera model sees of the world.
+
+    Its fused depths.
+    """
     rrb = blueprint_sdk()
-    path = f"{facts.root}/{WORLD}/{SENSORS}/{escaped(camera_id)}/{PICTURE}"
-    through = [f"+ {facts.root}/{WORLD}/{name}/**" for name in _IN_PICTURES]
-    pictures = rrb.Spatial2DView(
+    path = f"{facts.root}/{WORLD}/{SENSORS}/{escaped(camera_id)}/{IMAGE}"
+    through = [f"+ {facts.root}/{WORLD}/{name}/**" for name in _IN_IMAGES]
+    images = rrb.Spatial2DView(
         origin=path, contents=["+ $origin/**", f"- $origin/{DEPTH}/**", *through], name=str(camera_id)
     )
     if not facts.depths:
-        return pictures
+        return images
     depths = rrb.Spatial2DView(origin=path, contents=[f"+ $origin/{DEPTH}/**"], name=f"{camera_id}: depth")
-    return rrb.Tabs(pictures, depths, active_tab=0, name=str(camera_id))
+    return rrb.Tabs(images, depths, active_tab=0, name=str(camera_id))
 
 
 def _tabs(facts: Facts) -> list[Any]:
     rrb = blueprint_sdk()
     root = facts.root
     views = [
-        rrb.TextLogView(origin=root, contents=[f"+ {root}/{REMARKS}", f"+ {root}/{EVENTS}/**"], name="log")
+        rrb.TextLogView(origin=root, contents=[f"+ {root}/{NOTES}", f"+ {root}/{EVENTS}/**"], name="log")
     ]
     if facts.gnss:
         views.append(rrb.TimeSeriesView(origin=f"{root}/{GNSS}", name="satellite fixes"))

@@ -1,4 +1,4 @@
-"""The ego's way, and what IMU and satellite receivers say, as curves and maps."""
+"""The ego trajectory, and what IMU and satellite receivers state, as curves and maps."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
@@ -7,20 +7,20 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
-from sceneloom.motion.gnss_receivers import usable_fixes, usable_places
-from sceneloom.pictures.canvas import Colour
+from sceneloom.images.canvas import Colour
+from sceneloom.motion.gnss_receivers import usable_fixes, usable_positions
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
 from sceneloom.view.clouds import WORLD
 from sceneloom.view.colours import colour_of_name, one_packed
-from sceneloom.view.places import Places
+from sceneloom.view.locations import Locations
 from sceneloom.view.poses import transform_columns
 from sceneloom.view.sdk import sdk
 from sceneloom.view.stream import Stream, fits
 
-EGO, WAYS, IMU, GNSS, MAP, EARTH = "ego", "ways", "imu", "gnss", "map", "earth"
-"""Entities: the ego's frame, ways through the world, curves of both kinds of sensors, the plan, places on earth."""
+EGO, TRAJECTORIES, IMU, GNSS, MAP, EARTH = "ego", "trajectories", "imu", "gnss", "map", "earth"
+"""Entities: the ego's frame, ways through the world, curves of both kinds of sensors, the plan, locations on earth."""
 
 _AXES = ("x", "y", "z")
 _UNITS: Mapping[str, str] = MappingProxyType(
@@ -33,16 +33,16 @@ _UNITS: Mapping[str, str] = MappingProxyType(
     }
 )
 _AXIS_COLOURS = ((239, 83, 80), (102, 187, 106), (66, 165, 245))
-_WAY, _FIXES = (255, 206, 84), (82, 196, 255)
+_TRAJECTORY, _FIXES = (255, 206, 84), (82, 196, 255)
 _MOST_POSES = 20_000
 _ROWS_AT_ONCE = 8_192
 _MOST_SAMPLES = 200_000
 
 
-def show_motion(stream: Stream, places: Places, scene: Scene) -> None:
-    """Show the ego's way, IMU and GNSS; all of it at once, since it is small."""
+def show_motion(stream: Stream, locations: Locations, scene: Scene) -> None:
+    """Show the ego trajectory, IMU and GNSS; all of it at once, since it is small."""
     stream.static(stream.path(WORLD), sdk().ViewCoordinates.RIGHT_HAND_Z_UP)
-    _show_ego(stream, places)
+    _show_ego(stream, locations)
     imus = [sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor)]
     receivers = [sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)]
     receivers = [sensor for sensor in receivers if len(sensor.timestamps_ns)]
@@ -50,23 +50,23 @@ def show_motion(stream: Stream, places: Places, scene: Scene) -> None:
         _show_imu(stream, imu)
     for receiver in receivers:
         _show_fixes(stream, receiver)
-    origin_lla = _map_origin(places, receivers)
-    _show_plan(stream, places, receivers, origin_lla)
+    origin_lla = _map_origin(locations, receivers)
+    _show_plan(stream, locations, receivers, origin_lla)
 
 
-def _show_ego(stream: Stream, places: Places) -> None:
-    rr, path = sdk(), places.path
-    for name, way in places.scene.trajectories.items():
-        if places.ego is not None and name == places.ego.name and path is not None:
-            continue  # it is the way of the ego, drawn below
-        shifted = way.positions - places.origin_world
+def _show_ego(stream: Stream, locations: Locations) -> None:
+    rr, path = sdk(), locations.path
+    for name, trajectory in locations.scene.trajectories.items():
+        if locations.ego is not None and name == locations.ego.name and path is not None:
+            continue  # it is the ego trajectory, drawn below
+        shifted = trajectory.positions - locations.origin_world
         line = _line(shifted)
         stream.leave_out("poses", np.count_nonzero(~fits(shifted)))
-        stream.static(stream.path(WORLD, WAYS, name), _strips(line, colour_of_name(name), name))
+        stream.static(stream.path(WORLD, TRAJECTORIES, name), _strips(line, colour_of_name(name), name))
     if path is None:
         return
     rows = _thinned(len(path.timestamps_ns), _MOST_POSES)
-    samples = path.moved(places.origin_world).held(path.timestamps_ns[rows])
+    samples = path.moved(locations.origin_world).held(path.timestamps_ns[rows])
     held = fits(samples.positions)
     stream.leave_out("ego poses", np.count_nonzero(~held))
     entity, shown = stream.path(WORLD, EGO), np.flatnonzero(held)
@@ -75,13 +75,13 @@ def _show_ego(stream: Stream, places: Places) -> None:
     )
     stream.static(entity, rr.TransformAxes3D(1.5))
     stream.static(
-        stream.path(WORLD, WAYS, _way_name(places)),
-        _strips(samples.positions[shown], _WAY, _way_name(places)),
+        stream.path(WORLD, TRAJECTORIES, _trajectory_name(locations)),
+        _strips(samples.positions[shown], _TRAJECTORY, _trajectory_name(locations)),
     )
 
 
-def _way_name(places: Places) -> str:
-    return "ego" if places.ego is None else places.ego.name
+def _trajectory_name(locations: Locations) -> str:
+    return "ego" if locations.ego is None else locations.ego.name
 
 
 def _strips(line: Float64Array, colour: Colour, name: str) -> object:
@@ -134,7 +134,7 @@ def _curves(
 
 
 def _show_fixes(stream: Stream, sensor: GnssSensor) -> None:
-    """Log fixes as places on earth, and their heights and accuracies as curves."""
+    """Log fixes as locations on earth, and their heights and accuracies as curves."""
     rr = sdk()
     usable = usable_fixes(sensor)
     times_ns, lla = sensor.timestamps_ns[usable], sensor.positions_lla[usable]
@@ -145,10 +145,10 @@ def _show_fixes(stream: Stream, sensor: GnssSensor) -> None:
         colors=np.full(len(lla), colour, np.uint32),
     )
     stream.columns(times_ns, stream.path(EARTH, sensor.id, "fix"), points, kind="fixes")
-    way = rr.GeoLineStrings(
+    trajectory = rr.GeoLineStrings(
         lat_lon=[lla[:, :2]], colors=np.array([colour], np.uint32), radii=np.array([-1.5], np.float32)
     )
-    stream.static(stream.path(EARTH, sensor.id, "way"), way)
+    stream.static(stream.path(EARTH, sensor.id, "trajectory"), trajectory)
     curves = (
         ("height", lla[:, 2], _AXIS_COLOURS[2]),
         ("accuracy", sensor.accuracies[usable], _AXIS_COLOURS[0]),
@@ -161,33 +161,33 @@ def _show_fixes(stream: Stream, sensor: GnssSensor) -> None:
             _curves(stream, stream.path(GNSS, sensor.id, name), samples, [name], "m", colours=(curve,))
 
 
-def _map_origin(places: Places, receivers: list[GnssSensor]) -> Float64Array | None:
-    """The place on earth that the plan counts from: the world's origin where it is known, else the first fix."""
-    if places.ego is not None and places.ego.enu_origin_lla is not None:
-        return np.array(places.ego.enu_origin_lla)
+def _map_origin(locations: Locations, receivers: list[GnssSensor]) -> Float64Array | None:
+    """The location on earth that the plan counts from: the world's origin where it is known, else the first fix."""
+    if locations.ego is not None and locations.ego.enu_origin_lla is not None:
+        return np.array(locations.ego.enu_origin_lla)
     if not receivers:
         return None
-    _, fixes = usable_places(receivers[0])
+    _, fixes = usable_positions(receivers[0])
     return fixes[0] if len(fixes) else None
 
 
 def _show_plan(
-    stream: Stream, places: Places, receivers: list[GnssSensor], origin_lla: Float64Array | None
+    stream: Stream, locations: Locations, receivers: list[GnssSensor], origin_lla: Float64Array | None
 ) -> None:
-    """Log a plan in metres, north (or the world's y) up: fixes, and the ego's way where both share their axes."""
+    """Log a plan in metres, north (or the world's y) up: fixes, and the ego trajectory where both share their axes."""
     if origin_lla is not None:
         for sensor in receivers:
-            rows, fixes = usable_places(sensor)
+            rows, fixes = usable_positions(sensor)
             enu = enu_from_geodetic(fixes, origin_lla)
             _plan_line(stream, (GNSS, sensor.id), enu, _FIXES)
             _plan_marks(stream, (GNSS, sensor.id), sensor.timestamps_ns[rows], enu, _FIXES)
-    is_enu = places.ego is not None and places.ego.enu_origin_lla is not None
-    if places.path is not None and (is_enu or origin_lla is None):
-        positions = places.path.positions if is_enu else places.path.positions - places.origin_world
-        _plan_line(stream, (EGO,), positions, _WAY)
-        _plan_marks(stream, (EGO,), places.path.timestamps_ns, positions, _WAY)
+    is_enu = locations.ego is not None and locations.ego.enu_origin_lla is not None
+    if locations.path is not None and (is_enu or origin_lla is None):
+        positions = locations.path.positions if is_enu else locations.path.positions - locations.origin_world
+        _plan_line(stream, (EGO,), positions, _TRAJECTORY)
+        _plan_marks(stream, (EGO,), locations.path.timestamps_ns, positions, _TRAJECTORY)
         if is_enu and origin_lla is not None:
-            _show_way_on_earth(stream, places.path, origin_lla)
+            _show_trajectory_on_earth(stream, locations.path, origin_lla)
 
 
 def _plan_line(stream: Stream, names: tuple[str | int, ...], enu: Float64Array, colour: Colour) -> None:
@@ -195,7 +195,7 @@ def _plan_line(stream: Stream, names: tuple[str | int, ...], enu: Float64Array, 
     line = sdk().LineStrips2D(
         [strip], colors=np.array([one_packed(colour)], np.uint32), radii=np.array([-1.0], np.float32)
     )
-    stream.static(stream.path(MAP, *names, "way"), line)
+    stream.static(stream.path(MAP, *names, "trajectory"), line)
 
 
 def _plan_marks(
@@ -211,7 +211,7 @@ def _plan_marks(
         colors=np.full(len(rows), one_packed(colour), np.uint32),
         radii=np.full(len(rows), -5.0, np.float32),
     )
-    stream.columns(times_ns[rows], stream.path(MAP, *names, "place"), marks)
+    stream.columns(times_ns[rows], stream.path(MAP, *names, "location"), marks)
 
 
 def _on_plan(enu: Float64Array) -> Float64Array:
@@ -219,11 +219,11 @@ def _on_plan(enu: Float64Array) -> Float64Array:
     return enu[:, :2] * (1.0, -1.0)
 
 
-def _show_way_on_earth(stream: Stream, path: PosePath, origin_lla: Float64Array) -> None:
+def _show_trajectory_on_earth(stream: Stream, path: Poses, origin_lla: Float64Array) -> None:
     lla = geodetic_from_enu(_line(path.positions), origin_lla)
-    way = sdk().GeoLineStrings(
+    trajectory = sdk().GeoLineStrings(
         lat_lon=[lla[:, :2]],
-        colors=np.array([one_packed(_WAY)], np.uint32),
+        colors=np.array([one_packed(_TRAJECTORY)], np.uint32),
         radii=np.array([-1.5], np.float32),
     )
-    stream.static(stream.path(EARTH, EGO), way)
+    stream.static(stream.path(EARTH, EGO), trajectory)

@@ -1,4 +1,4 @@
-"""Fused detections and tracked objects: boxes, how certain their places are, and where each came from."""
+"""Fused detections and tracked objects: boxes, how certain their locations are, and where each came from."""
 
 from dataclasses import dataclass, field
 
@@ -13,7 +13,7 @@ from sceneloom.view.annotations.cuboids import EDGES
 from sceneloom.view.clouds import WORLD
 from sceneloom.view.colours import colour_of_name, one_packed
 from sceneloom.view.feeds import Feed
-from sceneloom.view.pictures import picture_path
+from sceneloom.view.images import image_path
 from sceneloom.view.sdk import sdk
 from sceneloom.view.stream import Stream
 
@@ -53,7 +53,7 @@ class ObjectsView:
         stream: where to.
         names: of the entity below the world: "tracks", or "detections" and the camera that took part.
         moments: what was found, by time.
-        origin: (3,) float64 [m], what is taken off places.
+        origin: (3,) float64 [m], what is taken off locations.
         has_history: whether an object keeps its number from moment to moment.
         degrees_of_freedom: of the errors' distribution.
     """
@@ -64,7 +64,7 @@ class ObjectsView:
     origin: Float64Array
     has_history: bool
     degrees_of_freedom: float = np.inf
-    _ways: dict[int, list[tuple[int, Float64Array]]] = field(default_factory=dict)
+    _trajectories: dict[int, list[tuple[int, Float64Array]]] = field(default_factory=dict)
 
     @property
     def kind(self) -> str:
@@ -84,31 +84,33 @@ class ObjectsView:
         self._boxes(moment, base, colours)
         self._ellipsoids(moment, base, colours)
         self._velocities(moment, base, colours)
-        self._in_pictures(moment, colours)
+        self._in_images(moment, colours)
         if self.has_history:
             self._history(moment, base, colours)
 
     def _boxes(self, moment: TrackedObjects, base: str, colours: np.ndarray) -> None:
         rr, count = sdk(), len(moment)
         halves = moment.yaws / 2
-        turns = np.column_stack([np.zeros((count, 2)), np.sin(halves), np.cos(halves)])
+        rotations = np.column_stack([np.zeros((count, 2)), np.sin(halves), np.cos(halves)])
         by_sweep = np.isin(moment.supports, (Support.BOTH, Support.SWEEP))
         boxes = rr.Boxes3D(
             centers=moment.centers - self.origin,
             half_sizes=moment.sizes_lwh / 2,
-            quaternions=turns,
+            quaternions=rotations,
             colors=colours,
             radii=np.where(by_sweep, _THICK, _THIN).astype(np.float32),
             labels=self._names(moment),
             fill_mode=EDGES,
         )
-        said = rr.AnyValues(
+        stated = rr.AnyValues(
             id=[str(one) for one in moment.ids.tolist()],
             existence=moment.scores,
             support=[Support(int(one)).name.lower() for one in moment.supports],
         )
-        told = (said,) if count else ()
-        self.stream.log(moment.timestamp_ns, f"{base}/boxes", boxes, *told, kind=self.kind, size=200 * count)
+        reported = (stated,) if count else ()
+        self.stream.log(
+            moment.timestamp_ns, f"{base}/boxes", boxes, *reported, kind=self.kind, size=200 * count
+        )
 
     def _names(self, moment: TrackedObjects) -> list[str]:
         if self.has_history:
@@ -119,12 +121,12 @@ class ObjectsView:
 
     def _ellipsoids(self, moment: TrackedObjects, base: str, colours: np.ndarray) -> None:
         covariances = moment.covariances[:, :3, :3]
-        half_sizes, turns = ellipsoid(covariances, degrees_of_freedom=self.degrees_of_freedom)
+        half_sizes, rotations = ellipsoid(covariances, degrees_of_freedom=self.degrees_of_freedom)
         known = (half_sizes > 0).all(axis=1) & (half_sizes < _LARGEST).all(axis=1)
         shown = sdk().Ellipsoids3D(
             centers=(moment.centers - self.origin)[known],
             half_sizes=half_sizes[known],
-            quaternions=turns[known],
+            quaternions=rotations[known],
             colors=colours[known],
             fill_mode=EDGES,
         )
@@ -142,7 +144,7 @@ class ObjectsView:
         )
         self.stream.log(moment.timestamp_ns, f"{base}/velocities", arrows)
 
-    def _in_pictures(self, moment: TrackedObjects, colours: np.ndarray) -> None:
+    def _in_images(self, moment: TrackedObjects, colours: np.ndarray) -> None:
         names = self._names(moment)
         for camera_id, corners in moment.corners_xyxy.items():
             rows = np.flatnonzero(np.isfinite(corners).all(axis=1))
@@ -152,18 +154,20 @@ class ObjectsView:
                 colors=colours[rows],
                 labels=[names[row] for row in rows.tolist()],
             )
-            self.stream.log(moment.timestamp_ns, f"{picture_path(self.stream, camera_id)}/{self.kind}", boxes)
+            self.stream.log(moment.timestamp_ns, f"{image_path(self.stream, camera_id)}/{self.kind}", boxes)
 
     def _history(self, moment: TrackedObjects, base: str, colours: np.ndarray) -> None:
         for one, center in zip(moment.ids.tolist(), moment.centers - self.origin, strict=True):
-            self._ways.setdefault(one, []).append((moment.timestamp_ns, center))
+            self._trajectories.setdefault(one, []).append((moment.timestamp_ns, center))
         since = moment.timestamp_ns - _HISTORY_NS
-        self._ways = {
-            one: kept for one, way in self._ways.items() if (kept := [p for p in way if p[0] >= since])
+        self._trajectories = {
+            one: kept
+            for one, trajectory in self._trajectories.items()
+            if (kept := [p for p in trajectory if p[0] >= since])
         }
-        rows = [row for row, one in enumerate(moment.ids.tolist()) if len(self._ways[one]) > 1]
+        rows = [row for row, one in enumerate(moment.ids.tolist()) if len(self._trajectories[one]) > 1]
         strips = sdk().LineStrips3D(
-            [[center for _, center in self._ways[int(moment.ids[row])]] for row in rows],
+            [[center for _, center in self._trajectories[int(moment.ids[row])]] for row in rows],
             colors=colours[rows],
             radii=np.full(len(rows), -1.5, np.float32),
         )

@@ -1,7 +1,7 @@
 """The viewer's page as it is served to a browser: with a policy that forbids it to talk to anyone else.
 
 Rerun's own page fetches a font, asks whether there is a newer version, and sends usage data from the browser, whatever
-the settings on this machine say. Browsers enforce a content security policy, so the page is passed on with one.
+the settings on this machine state. Browsers enforce a content security policy, so the page is passed on with one.
 """
 
 import http.client
@@ -39,7 +39,7 @@ def policy(sink_port: int, *, map_tiles: bool) -> str:
     )
 
 
-def _handler(page_port: int, said: str) -> type[BaseHTTPRequestHandler]:
+def _handler(page_port: int, stated: str) -> type[BaseHTTPRequestHandler]:
     class Forwarding(BaseHTTPRequestHandler):
         """Passes requests on to Rerun's own server, and its answers back with the policy."""
 
@@ -61,14 +61,14 @@ def _handler(page_port: int, said: str) -> type[BaseHTTPRequestHandler]:
                 if (value := answer.getheader(name)) is not None:
                     self.send_header(name, value)
             self.send_header("Content-Length", str(len(content)))
-            self.send_header("Content-Security-Policy", said)
+            self.send_header("Content-Security-Policy", stated)
             self.send_header("Referrer-Policy", "no-referrer")
             self.end_headers()
             for start in range(0, len(content), _PIECE):
                 self.wfile.write(content[start : start + _PIECE])
 
         def log_message(self, format: str, *arguments: object) -> None:
-            """Say nothing: the library does not print."""
+            """Report nothing: the library does not print."""
 
     return Forwarding
 

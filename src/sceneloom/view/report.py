@@ -2,7 +2,7 @@
 
 import msgspec
 
-from sceneloom.scene.notices import Notice
+from sceneloom.scene.warnings import DataWarning
 
 
 class DriveShown(msgspec.Struct, frozen=True, kw_only=True):
@@ -12,12 +12,12 @@ class DriveShown(msgspec.Struct, frozen=True, kw_only=True):
         source: what was read.
         format: how it was read.
         root: its entity in the viewer; all of it is below.
-        origin: what is taken off places in its world, since the viewer has 32 bits a number [m].
+        origin: what is taken off locations in its world, since the viewer has 32 bits a number [m].
         seconds: how long the drive, or the part shown of it, lasts.
         colours: what gives the points of each lidar their colours.
         logged: how many rows of which kind.
         findings: how many findings of `validate` are in its log, by severity.
-        notices: what was assumed, changed or left out.
+        warnings: what was assumed, changed or left out.
     """
 
     source: str
@@ -28,7 +28,7 @@ class DriveShown(msgspec.Struct, frozen=True, kw_only=True):
     colours: dict[str, str]
     logged: dict[str, int]
     findings: dict[str, int]
-    notices: tuple[Notice, ...]
+    warnings: tuple[DataWarning, ...]
 
 
 class ViewReport(msgspec.Struct, frozen=True, kw_only=True):

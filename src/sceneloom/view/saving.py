@@ -63,8 +63,8 @@ def opened_drives(
         )
 
 
-def _open(place: str | Path, own: Mapping[str, Any], **reading: Any) -> Scene:
-    return open_scene(place, **{**reading, **own})
+def _open(location: str | Path, own: Mapping[str, Any], **reading: Any) -> Scene:
+    return open_scene(location, **{**reading, **own})
 
 
 def _roots(parts: Sequence[DrivePart]) -> list[str]:
@@ -119,7 +119,7 @@ def save_view(
         output: the file, which ends in `.rrd`.
         settings: what is shown, and how.
         overwrite: whether the file may be replaced.
-        progress: told after each frame.
+        progress: reported after each frame.
 
     Raises:
         MissingExtraError: rerun-sdk is not installed.

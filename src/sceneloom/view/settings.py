@@ -32,10 +32,11 @@ class ViewSettings:
 
     Attributes:
         colour_by: what gives points their colours; None: their own ones, else intensity, else height.
-        start, stop: seconds after the drive's first time stamp; None for its beginning and end.
-        every: show every Nth sweep, picture, … of each sensor.
+        start, stop: seconds after the drive's first timestamp; None for its beginning and end.
+        every: show every Nth sweep, image, … of each sensor.
         sensors: ids of the only sensors to show; None for all.
-        trajectory: name of the ego's way, as of `sceneloom.fuse`; None: the drive's first, or an ego that stands still.
+        trajectory: name of the ego trajectory, as of `sceneloom.fuse`; None: the drive's first, or an ego that is
+            stationary.
         heading: "motion" to derive orientations where a trajectory has positions only.
         as_measured: leave points where the sensor had them, though it moved during the sweep.
         findings: look for mistakes by the rules of `validate` that need no frames.
@@ -67,17 +68,17 @@ class ViewSettings:
 
     @property
     def accompanied(self) -> bool:
-        """Whether files belong to the drive that say of which one it is theirs."""
+        """Whether files belong to the drive that state of which one it is theirs."""
         return any(path is not None for path in (self.detections, self.tracks, self.depth))
 
 
 @dataclass(frozen=True, slots=True)
 class DrivePart:
-    """A drive of which a part is shown, whatever is said of the others.
+    """A drive of which a part is shown, whatever is stated for the others.
 
     Attributes:
         source: path of the drive, or a scene that is open.
-        start, stop: seconds after its first time stamp; None where `ViewSettings` decides.
+        start, stop: seconds after its first timestamp; None where `ViewSettings` decides.
         reading: options of opening it, before those of `ViewSettings`.
     """
 
@@ -87,7 +88,7 @@ class DrivePart:
     reading: Mapping[str, Any] = field(default_factory=dict)
 
     def settings(self, common: ViewSettings) -> ViewSettings:
-        """What of it is shown, where `common` is said of all."""
+        """What of it is shown, where `common` is stated for all."""
         if self.start is None and self.stop is None:
             return common
         return replace(common, start=self.start, stop=self.stop)
@@ -95,9 +96,9 @@ class DrivePart:
     @property
     def name(self) -> str:
         """That of the file without its suffix, and of what part it is."""
-        place = self.source.source if isinstance(self.source, Scene) else str(self.source)
+        location = self.source.source if isinstance(self.source, Scene) else str(self.source)
         words = (value if isinstance(value, str) else name for name, value in self.reading.items())
-        stem = " ".join([Path(place).resolve().stem or "drive", *words])
+        stem = " ".join([Path(location).resolve().stem or "drive", *words])
         if self.start is None and self.stop is None:
             return stem
         return f"{stem} {self.start or 0.0:g}-{'' if self.stop is None else f'{self.stop:g} s'}"

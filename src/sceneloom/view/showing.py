@@ -43,7 +43,7 @@ class Viewer:
 
 
 def has_screen(environment: Mapping[str, str] | None = None) -> bool:
-    """Whether a window can be opened, as far as the environment tells."""
+    """Whether a window can be opened, as far as the environment reports."""
     if platform.system() in {"Darwin", "Windows"}:
         return True
     known = os.environ if environment is None else environment
@@ -66,9 +66,9 @@ def show_view(
         sources: paths of recordings, scenes, …, scenes that are open, or parts of either; each is under a root of its
             own.
         settings: what is shown, and how.
-        web: in a browser in place of a window: until the program is interrupted.
-        ready: told when the viewer runs, before anything is logged.
-        progress: told after each frame.
+        web: in a browser instead of a window: until the program is interrupted.
+        ready: reported when the viewer runs, before anything is logged.
+        progress: reported after each frame.
 
     Raises:
         MissingExtraError: rerun-sdk is not installed.
@@ -80,7 +80,7 @@ def show_view(
     sdk()
     if not web and not has_screen():
         raise OptionError(
-            "there is no screen to open a window on; say `--save FILE.rrd` to keep the view in a file, or `--web` to "
+            "there is no screen to open a window on; state `--save FILE.rrd` to keep the view in a file, or `--web` to "
             "look at it in a browser"
         )
     started = time.perf_counter()
@@ -174,7 +174,7 @@ def _await_port(process: "subprocess.Popen[bytes]", port: int) -> None:
             time.sleep(_POLL)
         else:
             return
-    told = "ended at once" if process.poll() is not None else f"did not listen within {_PATIENCE:.0f} s"
+    reported = "ended at once" if process.poll() is not None else f"did not listen within {_PATIENCE:.0f} s"
     raise OutputError(
-        f"Rerun's viewer {told}; look at `{' '.join(viewer_command('--version'))}`, or say `--save`"
+        f"Rerun's viewer {reported}; look at `{' '.join(viewer_command('--version'))}`, or state `--save`"
     )

@@ -8,24 +8,27 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sceneloom.arrays import AnyArray, BoolArray, Int64Array
-from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.types import Identifier
+from sceneloom.scene.warnings import DataWarning, WarningKind
 from sceneloom.view.sdk import sdk
 
 TIME = "time"
 """The timeline of capture times [ns]."""
 FRAME = "frame"
-"""The timeline of frame numbers: which sweep of the first lidar (or picture of the first camera) was the last one."""
+"""The timeline of frame numbers: which sweep of the first lidar (or image of the first camera) was the last one."""
 
 _SINCE_EPOCH_NS = 100_000_000_000_000_000
-"""Stamps from here on (March 1973) count from 1970; smaller ones are seconds of a clock that began with the drive."""
+"""Timestamps from here on (March 1973) count from 1970.
+
+Smaller ones are seconds of a clock that began with the drive.
+"""
 
 _PENDING_BYTES = 48_000_000
 """So much may wait to be written; then the writer is waited for, which bounds the memory of a long drive."""
 
 
 def is_calendar(first_ns: int | None) -> bool:
-    """Whether a drive's stamps are times of day, by its first one [ns]."""
+    """Whether a drive's timestamps are times of day, by its first one [ns]."""
     return first_ns is not None and first_ns >= _SINCE_EPOCH_NS
 
 
@@ -91,15 +94,15 @@ class Stream:
             return
         rr = sdk()
         # the least number of 64 bits means "no time" there
-        stamps = np.maximum(np.ascontiguousarray(times_ns, np.int64), -(2**63) + 1)
+        timestamps = np.maximum(np.ascontiguousarray(times_ns, np.int64), -(2**63) + 1)
         named = (
-            {"timestamp": stamps.view("datetime64[ns]")}
+            {"timestamp": timestamps.view("datetime64[ns]")}
             if self.calendar
-            else {"duration": stamps.view("timedelta64[ns]")}
+            else {"duration": timestamps.view("timedelta64[ns]")}
         )
-        indexes = [rr.TimeColumn(TIME, **named), rr.TimeColumn(FRAME, sequence=self.frames_at(stamps))]
+        indexes = [rr.TimeColumn(TIME, **named), rr.TimeColumn(FRAME, sequence=self.frames_at(timestamps))]
         self.recording.send_columns(path, indexes, [one for many in columns for one in many], strict=True)
-        self._note(kind, len(stamps), 0)
+        self._note(kind, len(timestamps), 0)
 
     def count(self, kind: str, rows: int) -> None:
         """Count rows that were logged."""
@@ -112,13 +115,13 @@ class Stream:
             self.left_out[kind] = self.left_out.get(kind, 0) + count
 
     @property
-    def notices(self) -> tuple[Notice, ...]:
+    def warnings(self) -> tuple[DataWarning, ...]:
         """What was left out so far."""
         return tuple(
-            Notice(
-                kind=NoticeKind.SKIPPED,
+            DataWarning(
+                kind=WarningKind.SKIPPED,
                 code="beyond-the-viewer",
-                place=kind,
+                location=kind,
                 message="not shown: their numbers are not finite, or beyond the viewer's float32",
                 count=count,
             )
@@ -135,7 +138,7 @@ class Stream:
 
 
 def fits(values: AnyArray) -> BoolArray:
-    """Say of the last axis of (..., D) numbers whether all of them are finite in the viewer's float32."""
+    """Report of the last axis of (..., D) numbers whether all of them are finite in the viewer's float32."""
     largest = np.finfo(np.float32).max
     return np.asarray(((values >= -largest) & (values <= largest)).all(axis=-1), np.bool_)
 

@@ -1,4 +1,4 @@
-"""Who sees what: cuboids in pictures, points in cuboids."""
+"""Who sees what: cuboids in images, points in cuboids."""
 
 from typing import TYPE_CHECKING
 
@@ -6,9 +6,9 @@ from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
     from sceneloom.visibility.counted import with_activations, with_counts, with_labeled_points
+    from sceneloom.visibility.observations import Observations, visibility
     from sceneloom.visibility.points import FrameCounts, Moment, PointCounts, count_points
     from sceneloom.visibility.projected import project_cuboids
-    from sceneloom.visibility.sights import Sights, sight
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
@@ -16,10 +16,10 @@ else:
             "FrameCounts": "sceneloom.visibility.points:FrameCounts",
             "Moment": "sceneloom.visibility.points:Moment",
             "PointCounts": "sceneloom.visibility.points:PointCounts",
-            "Sights": "sceneloom.visibility.sights:Sights",
+            "Observations": "sceneloom.visibility.observations:Observations",
             "count_points": "sceneloom.visibility.points:count_points",
             "project_cuboids": "sceneloom.visibility.projected:project_cuboids",
-            "sight": "sceneloom.visibility.sights:sight",
+            "visibility": "sceneloom.visibility.observations:visibility",
             "with_activations": "sceneloom.visibility.counted:with_activations",
             "with_counts": "sceneloom.visibility.counted:with_counts",
             "with_labeled_points": "sceneloom.visibility.counted:with_labeled_points",
@@ -29,11 +29,11 @@ else:
 __all__ = [
     "FrameCounts",
     "Moment",
+    "Observations",
     "PointCounts",
-    "Sights",
     "count_points",
     "project_cuboids",
-    "sight",
+    "visibility",
     "with_activations",
     "with_counts",
     "with_labeled_points",

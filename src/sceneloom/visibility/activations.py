@@ -23,7 +23,7 @@ def activation_of(
         sensor_id: the sensor.
         timestamps_ns: (F,) int64 [ns], its frames in order.
         seen: (F,) bool, which of them see the cuboid.
-        cuboids: (F, 9) float64, the cuboid at each frame, to be told where each time begins.
+        cuboids: (F, 9) float64, the cuboid at each frame, to be reported where each time begins.
     """
     steps = np.diff(np.concatenate([[False], seen, [False]]).astype(np.int8))
     first, beyond = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)

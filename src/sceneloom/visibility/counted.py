@@ -1,4 +1,4 @@
-"""A scene whose cuboids tell how many points they hold, or which."""
+"""A scene whose cuboids report how many points they hold, or which."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -26,18 +26,20 @@ def with_attributes(
     names: Iterable[str],
     sensor_ids: Iterable[Identifier],
 ) -> CuboidAnnotation:
-    """Give a cuboid new attributes in place of all of these names that it had of these sensors."""
-    told, sensors = set(names), {key_of(sensor_id) for sensor_id in sensor_ids}
+    """Give a cuboid new attributes instead of all of these names that it had of these sensors."""
+    reported, sensors = set(names), {key_of(sensor_id) for sensor_id in sensor_ids}
     kept = [
         path
         for path in annotation.attributes
-        if path.name not in told or path.sensor_id is None or key_of(path.sensor_id) not in sensors
+        if path.name not in reported or path.sensor_id is None or key_of(path.sensor_id) not in sensors
     ]
     return replace(annotation, attributes=(*kept, *attributes))
 
 
 def with_counts(scene: Scene, counts: PointCounts) -> Scene:
-    """Say in an attribute `points` of each cuboid, per lidar, how many points it holds at each frame while it is there.
+    """Report in an attribute `points` of each cuboid, per lidar.
+
+    How many points it holds at each frame while it is there.
 
     Args:
         scene: the scene, or one with the same cuboids.
@@ -51,9 +53,9 @@ def _counted(annotation: Annotation, rows: dict[Key, int], counts: PointCounts) 
     row = rows.get(key_of(annotation.id))
     if not isinstance(annotation, CuboidAnnotation) or row is None:
         return annotation
-    told = [path for lidar in counts.lidars if (path := _attribute(lidar, row)) is not None]
+    reported = [path for lidar in counts.lidars if (path := _attribute(lidar, row)) is not None]
     sensor_ids = [lidar.lidar_id for lidar in counts.lidars]
-    return with_attributes(annotation, told, names=[POINTS], sensor_ids=sensor_ids)
+    return with_attributes(annotation, reported, names=[POINTS], sensor_ids=sensor_ids)
 
 
 def _attribute(lidar: FrameCounts, row: int) -> AttributePath | None:
@@ -65,7 +67,9 @@ def _attribute(lidar: FrameCounts, row: int) -> AttributePath | None:
 
 
 def with_activations(scene: Scene, counts: PointCounts, *, min_points: int = 1) -> Scene:
-    """Tell when each lidar sees each cuboid: while frame after frame has points of it; replaces what was told of them.
+    """Report when each lidar sees each cuboid: while frame after frame has points of it.
+
+    Replaces what was reported them.
 
     Args:
         scene: the scene, or one with the same cuboids.
@@ -78,13 +82,13 @@ def with_activations(scene: Scene, counts: PointCounts, *, min_points: int = 1) 
     for each in scene.annotations:
         row = rows.get(key_of(each.id))
         if isinstance(each, CuboidAnnotation) and row is not None:
-            kept = [told for told in each.activations if key_of(told.sensor_id) not in keys]
+            kept = [reported for reported in each.activations if key_of(reported.sensor_id) not in keys]
             made = [
                 activation_of(lidar.lidar_id, lidar.timestamps_ns, lidar.counts[:, row] >= min_points)
                 for lidar in counts.lidars
             ]
             annotations.append(
-                replace(each, activations=(*kept, *(told for told in made if told is not None)))
+                replace(each, activations=(*kept, *(reported for reported in made if reported is not None)))
             )
         else:
             annotations.append(each)

@@ -1,9 +1,11 @@
-"""Where boxes in space lie in a picture, whatever the lens: their edges as curves, cut at the picture and the lens.
+"""Where boxes in space lie in an image, whatever the camera model: their edges as curves.
 
-A box is convex, and a lens maps directions one to one, so the outline of a box in a picture consists of its edges; what
-is seen of it is bounded by the edges within the picture, by where they cross its border, and by those corners of the
-picture that look at the box. An edge is followed through the directions that it covers, in equal angles: of an edge
-that passes close by, equal lengths would be unequal steps in the picture.
+Cut at the image and the camera model.
+
+A box is convex, and a camera model maps directions one to one, so the outline of a box in an image consists of its
+edges; what is seen of it is bounded by the edges within the image, by where they cross its border, and by those corners
+of the image that look at the box. An edge is followed through the directions that it covers, in equal angles: of an
+edge that passes close by, equal lengths would be unequal steps in the image.
 """
 
 from functools import lru_cache
@@ -42,20 +44,20 @@ class Steps(NamedTuple):
 
 
 FINE = Steps(read_only([0.05, 0.2, np.inf], np.float64), read_only([4, 12, 64], np.int64))
-"""Within 0.1 px for all but what stands right before a bent lens."""
+"""Within 0.1 px for all but what stands right before a bent camera model."""
 COARSE = Steps(
     read_only([0.1, 0.2, 0.4, 0.8, 1.6, np.inf], np.float64), read_only([3, 5, 8, 14, 32, 64], np.int64)
 )
 """Within 1 px, and three times as quick."""
 
 ROUNDS = 24
-"""How often the step in which an edge leaves the lens is halved."""
+"""How often the step in which an edge leaves the camera model is halved."""
 _BORDER_STEPS = 33
 
 
 @lru_cache(maxsize=256)
 def widest_angle(camera: Camera) -> float:
-    """The largest angle off the axis that the picture shows [rad]; π where its border lies beyond the lens."""
+    """The largest angle off the axis that the image shows [rad]; π where its border lies beyond the camera model."""
     along = np.linspace(0.0, 1.0, _BORDER_STEPS)
     u = np.concatenate([along, along, np.zeros_like(along), np.ones_like(along)]) * camera.width - 0.5
     v = np.concatenate([np.zeros_like(along), np.ones_like(along), along, along]) * camera.height - 0.5
@@ -68,21 +70,21 @@ def widest_angle(camera: Camera) -> float:
 def box_extents(
     camera: Camera, corners_camera: Float64Array, *, steps: Steps = FINE
 ) -> tuple[Float64Array, Float64Array]:
-    """Bound what a picture shows of boxes.
+    """Bound what an image shows of boxes.
 
     Args:
-        camera: the lens.
+        camera: the camera model.
         corners_camera: (B, 8, 3) float64 [m], in the order of `geometry.boxes.CORNER_SIGNS`; none at the camera, no
             edge through it.
         steps: how closely edges are followed.
 
     Returns:
         extents: (B, 4) float64 [px], corner convention, left, top, right, bottom; infinities the wrong way round where
-            nothing of a box is in the picture.
-        shares: (B,) float64, which share of its edges, in equal angles, is in the picture; 1 where all of it is.
+            nothing of a box is in the image.
+        shares: (B,) float64, which share of its edges, in equal angles, is in the image; 1 where all of it is.
 
     Raises:
-        CalibrationError: the lens is unknown.
+        CalibrationError: the camera model is unknown.
     """
     corners = np.ascontiguousarray(corners_camera)
     directions, starts = sample_edges(corners, _EDGES, steps.limits, steps.counts)
@@ -91,14 +93,14 @@ def box_extents(
     width, height = float(camera.width), float(camera.height)
     extents, shares, leaving = bound_edges(pixels, starts, len(EDGES), width, height)
     if len(leaving):
-        ends = _lens_limits(camera, directions[leaving[:, 1]], directions[leaving[:, 2]])
+        ends = _camera_model_limits(camera, directions[leaving[:, 1]], directions[leaving[:, 2]])
         extend_bounds(extents, leaving, pixels[leaving[:, 1]], ends, width, height)
-    extend_to_corners(extents, corners, *picture_corner_rays(camera))
+    extend_to_corners(extents, corners, *image_corner_rays(camera))
     return extents, shares
 
 
-def _lens_limits(camera: Camera, known: Float64Array, unknown: Float64Array) -> Float64Array:
-    """Pixels (L, 2), corner convention, where steps leave the lens between directions within and beyond it."""
+def _camera_model_limits(camera: Camera, known: Float64Array, unknown: Float64Array) -> Float64Array:
+    """Pixels (L, 2), corner convention, where steps leave the camera model between directions within and beyond it."""
     middles, pixels = known.copy(), np.zeros((len(known), 2))
     for _ in range(ROUNDS):
         halve_steps(known, unknown, middles, pixels)
@@ -108,7 +110,7 @@ def _lens_limits(camera: Camera, known: Float64Array, unknown: Float64Array) -> 
 
 
 @lru_cache(maxsize=256)
-def picture_corner_rays(camera: Camera) -> tuple[Float64Array, Float64Array]:
-    """Give the corners of the picture (4, 2) [px], corner convention, and the rays (4, 3) that they look along."""
+def image_corner_rays(camera: Camera) -> tuple[Float64Array, Float64Array]:
+    """Give the corners of the image (4, 2) [px], corner convention, and the rays (4, 3) that they look along."""
     corners = np.array([[0.0, 0.0], [camera.width, 0.0], [camera.width, camera.height], [0.0, camera.height]])
     return read_only(corners), read_only(unproject(camera, corners - CENTRE_TO_CORNER))

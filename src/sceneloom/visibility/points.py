@@ -16,7 +16,7 @@ from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.point_times import timed_frame
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.sample_boxes import Boxes, BoxTable
-from sceneloom.scene.sample_places import WORLD, choose_ego, place_of_points
+from sceneloom.scene.sample_positions import WORLD, choose_ego, frame_of_points
 from sceneloom.scene.sample_selection import ALL, Choice, chosen_sensors
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import sweep_period_ns
@@ -37,7 +37,7 @@ class Moment(StrEnum):
     """When boxes and sensor are taken to be where they are."""
 
     FRAME = "frame"
-    """At the frame's stamp: right for sweeps that were deskewed to it."""
+    """At the frame's timestamp: right for sweeps that were deskewed to it."""
     POINTS = "points"
     """At each point's own time: right for sweeps as measured, and for deskewed ones in the world."""
 
@@ -97,12 +97,12 @@ def count_points(
         scene: with cuboids in its world.
         lidars: whose frames: "all", an id, or several.
         moment: when the boxes and the sensor are taken to be where they are.
-        trajectory: name of the ego's way, as for `Scene.samples`.
+        trajectory: name of the ego trajectory, as for `Scene.samples`.
         listed: also list the points.
         margin: how far outside its faces a cuboid still has points [m].
         activations: count cuboids whose activations name a lidar only while they are active for it, by its own
             computed cuboids; False: by their paths alone, as to find activations anew.
-        progress: told after each frame how many are done, and of how many.
+        progress: reported after each frame how many are done, and of how many.
 
     Raises:
         OptionError: there is no such lidar, trajectory or moment, no lidar at all, or the margin is negative.
@@ -122,7 +122,7 @@ def count_points(
     total, done, unplaced = sum(len(lidar.frames) for lidar in chosen), 0, 0
     for lidar in chosen:
         counter = _Counter(
-            table, lidar, points_place(scene, lidar, ego), Moment(moment), margin, listed, activations
+            table, lidar, points_position(scene, lidar, ego), Moment(moment), margin, listed, activations
         )
         rows: list[_Row | None] = []
         for frame in lidar.frames:
@@ -151,16 +151,16 @@ class _Moving:
     centers: Float64Array
     rotations: Float64Array
     halves: Float64Array
-    places: Float64Array
+    locations: Float64Array
 
     @classmethod
-    def of(cls, boxes: Sequence[Boxes], places: Float64Array, margin: float) -> "_Moving":
+    def of(cls, boxes: Sequence[Boxes], locations: Float64Array, margin: float) -> "_Moving":
         sizes = np.stack([each.sizes_lwh for each in boxes])
         return cls(
             np.stack([each.centers_world for each in boxes]),
             np.stack([each.rotations_world for each in boxes]),
             np.where(sizes >= 0.0, sizes / 2.0 + margin, np.nan),
-            places,
+            locations,
         )
 
     @property
@@ -177,16 +177,16 @@ class _Moving:
         counts = np.zeros(self.centers.shape[1], np.int64)
         if len(rows) == 0:
             return counts, (_NO_POINTS,) * len(counts) if listed else ()
-        cloud, places = np.ascontiguousarray(points), self.places
-        centers, turns = self.centers[:, rows].copy(), self.rotations[:, rows].copy()
+        cloud, locations = np.ascontiguousarray(points), self.locations
+        centers, rotations = self.centers[:, rows].copy(), self.rotations[:, rows].copy()
         halves, found = self.halves[:, rows].copy(), np.zeros(len(rows), np.int64)
-        find_points_in_boxes(cloud, places, centers, turns, halves, found, _NOTHING)
+        find_points_in_boxes(cloud, locations, centers, rotations, halves, found, _NOTHING)
         counts[rows] = found
         if not listed:
             return counts, ()
         stops, ids = np.cumsum(found) - found, np.empty(int(found.sum()), np.int64)
         if len(ids):
-            find_points_in_boxes(cloud, places, centers, turns, halves, stops, ids)
+            find_points_in_boxes(cloud, locations, centers, rotations, halves, stops, ids)
         lists = [_NO_POINTS] * len(counts)
         for row, part in zip(
             rows.tolist(), np.split(ids.astype(np.uint32), np.cumsum(found)[:-1]), strict=True
@@ -197,18 +197,18 @@ class _Moving:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Counter:
-    """Counts the points of one lidar's frames; `place` takes its points as stored into the world."""
+    """Counts the points of one lidar's frames; `location` takes its points as stored into the world."""
 
     table: BoxTable
     lidar: LidarSensor
-    place: PoseSource
+    location: PoseSource
     moment: Moment
     margin: float
     listed: bool
     activations: bool
 
     @property
-    def _asking(self) -> Identifier | None:
+    def _query(self) -> Identifier | None:
         """The sensor by whose activations boxes are there; None for none."""
         return self.lidar.id if self.activations else None
 
@@ -216,7 +216,7 @@ class _Counter:
         """The boxes at a time that are active at any time of a frame."""
         times = frame.points.timestamps_ns
         last_ns = frame.timestamp_ns if times is None or not len(times) else int(times.max())
-        return self.table.find(time_ns, sensor_id=self._asking, window_ns=(frame.timestamp_ns, last_ns))
+        return self.table.find(time_ns, sensor_id=self._query, window_ns=(frame.timestamp_ns, last_ns))
 
     def count(self, frame: LidarFrame) -> _Row | None:
         """Count in one frame; None where it is not known where its points are."""
@@ -229,11 +229,11 @@ class _Counter:
     def _at_frame(self, frame: LidarFrame) -> _Row | None:
         """Take the boxes into the frame of the points: there are fewer of them."""
         there, boxes = self._find(frame, frame.timestamp_ns)
-        pose = self.place.at(np.array([frame.timestamp_ns], np.int64))
-        position, turn = pose.positions[0], pose.quaternions_xyzw[0]
+        pose = self.location.at(np.array([frame.timestamp_ns], np.int64))
+        position, rotation = pose.positions[0], pose.quaternions_xyzw[0]
         if not np.isfinite(position).all():
             return None
-        back = conjugate_quaternion(turn)
+        back = conjugate_quaternion(rotation)
         moved = replace(
             boxes,
             centers_world=rotate_vectors(back, boxes.centers_world - position),
@@ -245,7 +245,7 @@ class _Counter:
         """Take each point into the world at its own time, and the boxes to the times of the points."""
         points = frame.points
         times = np.asarray(points.timestamps_ns, np.int64)
-        positions = points_in_world(self.place, points.positions, times)
+        positions = points_in_world(self.location, points.positions, times)
         if positions is None:
             return None
         measured = points.extras.get(_MEASURED, times)
@@ -253,49 +253,51 @@ class _Counter:
         count = min(max(-(-(last - first) // _KNOT_NS) + 1, 2), _MOST_KNOTS)
         knots = np.rint(np.linspace(first, last, count)).astype(np.int64)
         there, _ = self._find(frame, int(np.median(measured)))
-        boxes = [self.table.placed(there, int(knot), sensor_id=self._asking) for knot in knots]
-        places = (measured - first) * ((count - 1) / max(last - first, 1))
-        return self._row(there, _Moving.of(boxes, places, self.margin), positions)
+        boxes = [self.table.placed(there, int(knot), sensor_id=self._query) for knot in knots]
+        locations = (measured - first) * ((count - 1) / max(last - first, 1))
+        return self._row(there, _Moving.of(boxes, locations, self.margin), positions)
 
     def _row(self, there: Int64Array, boxes: _Moving, points: FloatArray) -> _Row:
         return _Row(there, *boxes.count(points, listed=self.listed))
 
 
 def points_in_world(
-    place: PoseSource, positions: Float32Array, timestamps_ns: Int64Array
+    location: PoseSource, positions: Float32Array, timestamps_ns: Int64Array
 ) -> FloatArray | None:
-    """Take points (N, 3) [m] into the world, each at its own time (N,) [ns]; None where the way does not reach so far.
+    """Take points (N, 3) [m] into the world, each at its own time (N,) [ns].
+
+    None where the trajectory does not reach so far.
 
     Args:
-        place: takes the points as stored into the world; those that are there already stay as they are.
+        location: takes the points as stored into the world; those that are there already stay as they are.
     """
-    if place is WORLD or len(positions) == 0:
+    if location is WORLD or len(positions) == 0:
         return positions
-    path, reach_ns = place.path, place.reach_ns
+    path, reach_ns = location.path, location.reach_ns
     first, last = int(timestamps_ns.min()), int(timestamps_ns.max())
-    if not path.endless and (first < path.start_ns - reach_ns or last > path.stop_ns + reach_ns):
+    if not path.static and (first < path.start_ns - reach_ns or last > path.stop_ns + reach_ns):
         return None
     world = np.empty(positions.shape)
     transform_by_path(
-        np.ascontiguousarray(positions), timestamps_ns, np.ascontiguousarray(place.mount.matrix[:3]),
+        np.ascontiguousarray(positions), timestamps_ns, np.ascontiguousarray(location.mount.matrix[:3]),
         path.timestamps_ns, path.positions, path.quaternions_xyzw, world,
     )  # fmt: skip
     return world
 
 
-def points_place(scene: Scene, lidar: LidarSensor, ego: EgoMotion | None) -> PoseSource:
+def points_position(scene: Scene, lidar: LidarSensor, ego: EgoMotion | None) -> PoseSource:
     """Give what takes a lidar's points as stored into the world.
 
     Raises:
         PoseError: it is not known.
     """
-    place = place_of_points(scene, lidar, ego)
-    if place.source is None:
+    location = frame_of_points(scene, lidar, ego)
+    if location.source is None:
         raise PoseError(
             f"{scene.source}: it is not known where the points of lidar {lidar.id!r} are in the world; it needs poses "
             "of its own, or a mounting on the ego and a trajectory with orientations"
         )
-    return place.source
+    return location.source
 
 
 def _gathered(lidar: LidarSensor, count: int, rows: Sequence[_Row | None], *, listed: bool) -> FrameCounts:

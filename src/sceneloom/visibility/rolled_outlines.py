@@ -1,4 +1,4 @@
-"""Where boxes lie in a picture whose lines were taken one after the other: each point by the time of its line.
+"""Where boxes lie in an image whose lines were taken one after the other: each point by the time of its line.
 
 The edges are followed as `outlines` does, but as points, not directions, since the camera goes on while lines are
 taken, and so may the box: each corner goes straight and evenly meanwhile.
@@ -12,8 +12,8 @@ from sceneloom.arrays import Float64Array, Int64Array, check_array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.boxes import EDGES
 from sceneloom.kernels.box_outlines import bound_edges, extend_bounds, extend_to_corners, sample_edges
-from sceneloom.visibility.outlines import CENTRE_TO_CORNER, FINE, ROUNDS, Steps, picture_corner_rays
-from sceneloom.visibility.rolling_shutter import ShutterWay, pixels_by_lines
+from sceneloom.visibility.outlines import CENTRE_TO_CORNER, FINE, ROUNDS, Steps, image_corner_rays
+from sceneloom.visibility.rolling_shutter import ShutterDirection, pixels_by_lines
 
 _EDGES: Int64Array = read_only(EDGES, np.int64)
 _NOTHING = 1e-12
@@ -21,14 +21,14 @@ _NOTHING = 1e-12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rolling:
-    """What happened while the lines of a picture were taken.
+    """What happened while the lines of an image were taken.
 
     Attributes:
-        way: of the camera.
+        trajectory: of the camera.
         drifts_world: (B, 8, 3) float64 [m], how far the corners of the boxes went from the first line to the last.
     """
 
-    way: ShutterWay
+    trajectory: ShutterDirection
     drifts_world: Float64Array
 
     def __post_init__(self) -> None:
@@ -39,35 +39,35 @@ def rolled_extents(
     camera: Camera,
     corners_camera: Float64Array,
     drifts: Float64Array,
-    way: ShutterWay,
+    trajectory: ShutterDirection,
     *,
     steps: Steps = FINE,
 ) -> tuple[Float64Array, Float64Array]:
-    """Bound what a picture of a rolling shutter shows of boxes.
+    """Bound what an image of a rolling shutter shows of boxes.
 
     Args:
-        camera: the lens.
-        corners_camera: (B, 8, 3) float64 [m], as of `box_extents`, in the frame of the camera at the picture's time.
+        camera: the camera model.
+        corners_camera: (B, 8, 3) float64 [m], as of `box_extents`, in the frame of the camera at the image's time.
         drifts: (B, 8, 3) float64 [m], how far they go in that frame from the first line to the last.
-        way: of the camera, line by line.
+        trajectory: of the camera, line by line.
         steps: how closely edges are followed.
 
     Returns:
         extents, shares: as `box_extents`.
 
     Raises:
-        CalibrationError: the lens is unknown.
+        CalibrationError: the camera model is unknown.
     """
     corners = np.ascontiguousarray(corners_camera)
     directions, starts = sample_edges(corners, _EDGES, steps.limits, steps.counts)
     edges = _Edges.of(corners, drifts, directions, starts)
-    pixels = edges.pixels(edges.shares, camera, way)
+    pixels = edges.pixels(edges.shares, camera, trajectory)
     width, height = float(camera.width), float(camera.height)
     extents, shares, leaving = bound_edges(pixels, starts, len(_EDGES), width, height)
     if len(leaving):
-        ends = _lens_limits(edges, leaving, camera, way)
+        ends = _camera_model_limits(edges, leaving, camera, trajectory)
         extend_bounds(extents, leaving, pixels[leaving[:, 1]], ends, width, height)
-    _extend_to_corners(extents, corners, drifts, camera, way)
+    _extend_to_corners(extents, corners, drifts, camera, trajectory)
     return extents, shares
 
 
@@ -90,24 +90,24 @@ class _Edges:
         counts = np.diff(starts)
         boxes = np.repeat(np.arange(len(corners)), counts)
         samples = counts[boxes] // len(_EDGES)
-        places = np.arange(len(directions)) - starts[boxes]
-        joined = _EDGES[places // np.maximum(samples, 1)]
+        locations = np.arange(len(directions)) - starts[boxes]
+        joined = _EDGES[locations // np.maximum(samples, 1)]
         ends, moves = corners[boxes[:, None], joined], drifts[boxes[:, None], joined]
-        return cls(ends, moves, _shares(ends, directions, places % samples / np.maximum(samples - 1, 1)))
+        return cls(ends, moves, _shares(ends, directions, locations % samples / np.maximum(samples - 1, 1)))
 
     def some(self, rows: Int64Array) -> "_Edges":
         return _Edges(self.ends[rows], self.drifts[rows], self.shares[rows])
 
-    def pixels(self, shares: Float64Array, camera: Camera, way: ShutterWay) -> Float64Array:
+    def pixels(self, shares: Float64Array, camera: Camera, trajectory: ShutterDirection) -> Float64Array:
         """Where points so far along their edges lie, (P, 2) [px], corner convention."""
         first, second = 1.0 - shares[:, None], shares[:, None]
         points = first * self.ends[:, 0] + second * self.ends[:, 1]
         drifts = first * self.drifts[:, 0] + second * self.drifts[:, 1]
-        return pixels_by_lines(points, drifts, camera, way) + CENTRE_TO_CORNER
+        return pixels_by_lines(points, drifts, camera, trajectory) + CENTRE_TO_CORNER
 
 
 def _shares(ends: Float64Array, directions: Float64Array, even: Float64Array) -> Float64Array:
-    """Tell how far along edges directions meet them, (P,); evenly spread where an edge points at the camera."""
+    """Report how far along edges directions meet them, (P,); evenly spread where an edge points at the camera."""
     first, along = ends[:, 0], ends[:, 1] - ends[:, 0]
     normals = np.cross(first, ends[:, 1])
     above = (np.cross(first, directions) * normals).sum(axis=1)
@@ -118,25 +118,31 @@ def _shares(ends: Float64Array, directions: Float64Array, even: Float64Array) ->
     return shares
 
 
-def _lens_limits(edges: _Edges, leaving: Int64Array, camera: Camera, way: ShutterWay) -> Float64Array:
-    """Pixels (L, 2), corner convention, where steps leave the lens between points within and beyond it."""
+def _camera_model_limits(
+    edges: _Edges, leaving: Int64Array, camera: Camera, trajectory: ShutterDirection
+) -> Float64Array:
+    """Pixels (L, 2), corner convention, where steps leave the camera model between points within and beyond it."""
     steps = edges.some(leaving[:, 1])
     known, unknown = steps.shares.copy(), edges.shares[leaving[:, 2]].copy()
     for _ in range(ROUNDS):
         middle = 0.5 * (known + unknown)
-        within = np.isfinite(steps.pixels(middle, camera, way)[:, 0])
+        within = np.isfinite(steps.pixels(middle, camera, trajectory)[:, 0])
         known, unknown = np.where(within, middle, known), np.where(within, unknown, middle)
-    return steps.pixels(known, camera, way)
+    return steps.pixels(known, camera, trajectory)
 
 
 def _extend_to_corners(
-    extents: Float64Array, corners: Float64Array, drifts: Float64Array, camera: Camera, way: ShutterWay
+    extents: Float64Array,
+    corners: Float64Array,
+    drifts: Float64Array,
+    camera: Camera,
+    trajectory: ShutterDirection,
 ) -> None:
-    """Let bounds hold those corners of the picture that look at a box: two at the first line, two at the last."""
-    places, rays = picture_corner_rays(camera)
-    at_end = places[:, way.axis] > 0
+    """Let bounds hold those corners of the image that look at a box: two at the first line, two at the last."""
+    locations, rays = image_corner_rays(camera)
+    at_end = locations[:, trajectory.axis] > 0
     for chosen, line, share in ((~at_end, 0, -0.5), (at_end, -1, 0.5)):
-        pose = way.lines_from_middle[line]
+        pose = trajectory.lines_from_middle[line]
         there = (corners + share * drifts) @ pose[:, :3].T + pose[:, 3]
         some = np.flatnonzero(chosen)
-        extend_to_corners(extents, np.ascontiguousarray(there), places[some], rays[some])
+        extend_to_corners(extents, np.ascontiguousarray(there), locations[some], rays[some])

@@ -1,14 +1,14 @@
-"""Points in a picture whose lines were taken one after the other, by a camera that moved meanwhile.
+"""Points in an image whose lines were taken one after the other, by a camera that moved meanwhile.
 
-A point is seen by the line in which it lies at that line's own time, so line and place must be found together. With
+A point is seen by the line in which it lies at that line's own time, so line and location must be found together. With
 s the line for whose time the point is projected, and v(s) the line in which it then lies, f(s) = v(s) - s has to
-vanish. From line to line a picture moves by less than a line: dv/ds < 1, so that f falls everywhere, and its zero is
+vanish. From line to line an image moves by less than a line: dv/ds < 1, so that f falls everywhere, and its zero is
 the only one. The first step is s := v(s), then come secants; mostly three projections bring f under 0.01 px, and the
-point is off by that much times dv/ds. One that is beyond an edge even at the time of that edge is not in the picture.
-Where the picture moves with the shutter as fast as that, f may have no zero, or several: such points are looked for
+point is off by that much times dv/ds. One that is beyond an edge even at the time of that edge is not in the image.
+Where the image moves with the shutter as fast as that, f may have no zero, or several: such points are looked for
 twelve times at most, then left out and counted.
 
-The camera's pose is taken at 65 times evenly spread over the picture, relative to the picture's own time, and linear
+The camera's pose is taken at 65 times evenly spread over the image, relative to the image's own time, and linear
 between them: at 500 degrees a second and 33 ms that is within 0.01 mrad.
 
 Source: Geyer, Meingast and Sastry 2005, "Geometric Models of Rolling-Shutter Cameras".
@@ -23,7 +23,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import domain_angle, project_unbounded
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import matrix_from_quaternion
-from sceneloom.kernels.rolling_lines import keep_in_reach, place_at_lines, search_lines
+from sceneloom.kernels.rolling_lines import keep_in_reach, position_at_lines, search_lines
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.shutter import Shutter
 
@@ -35,13 +35,13 @@ _STILL = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ShutterWay:
-    """Where a camera was while it took the lines of a picture.
+class ShutterDirection:
+    """Where a camera was while it took the lines of an image.
 
     Attributes:
-        over_columns: the lines are columns, from the left, in place of rows from the top.
-        lines_from_middle: (K, 3, 4) float64, the camera at K times evenly spread from the picture's first edge to its
-            last, from the camera at the picture's time [m].
+        over_columns: the lines are columns, from the left, instead of rows from the top.
+        lines_from_middle: (K, 3, 4) float64, the camera at K times evenly spread from the image's first edge to its
+            last, from the camera at the image's time [m].
     """
 
     over_columns: bool
@@ -51,12 +51,12 @@ class ShutterWay:
         check_array("shutter.lines_from_middle", self.lines_from_middle, (None, 3, 4), np.float64)
 
     @classmethod
-    def of(cls, shutter: Shutter, timestamp_ns: int, source: PoseSource) -> "ShutterWay | None":
-        """Give the way of a camera during one picture.
+    def of(cls, shutter: Shutter, timestamp_ns: int, source: PoseSource) -> "ShutterDirection | None":
+        """Give the trajectory of a camera during one image.
 
         Args:
             shutter: of the camera.
-            timestamp_ns: the picture's time [ns].
+            timestamp_ns: the image's time [ns].
             source: `world_from_camera`.
 
         Returns:
@@ -75,8 +75,8 @@ class ShutterWay:
         return None if np.abs(moved - np.eye(4)[:3]).max() < _STILL else cls(shutter.over_columns, moved)
 
     @classmethod
-    def at_rest(cls, shutter: Shutter) -> "ShutterWay":
-        """Give the way of a camera that stands: what moves by itself still depends on the line that sees it."""
+    def at_rest(cls, shutter: Shutter) -> "ShutterDirection":
+        """Give the trajectory of a camera that stands: what moves by itself still depends on the line that sees it."""
         return cls(shutter.over_columns, np.tile(np.eye(4)[:3], (2, 1, 1)))
 
     @property
@@ -85,11 +85,11 @@ class ShutterWay:
         return 0 if self.over_columns else 1
 
     def line_count(self, camera: Camera) -> int:
-        """How many lines a picture has."""
+        """How many lines an image has."""
         return camera.width if self.over_columns else camera.height
 
     def poses_at(self, lines: FloatArray, camera: Camera) -> Float64Array:
-        """Give the camera at the time of lines, from where it was at the picture's time.
+        """Give the camera at the time of lines, from where it was at the image's time.
 
         Args:
             lines: (N,) rows or columns [px], also between two; those beyond the edges count as at them.
@@ -106,26 +106,26 @@ class ShutterWay:
         return poses
 
     @property
-    def turn(self) -> float:
-        """How far the camera turns at most from its pose at the picture's time [rad]."""
+    def rotation(self) -> float:
+        """How far the camera rotates at most from its pose at the image's time [rad]."""
         traces = np.trace(self.lines_from_middle[:, :, :3], axis1=1, axis2=2)
         return float(np.arccos(np.clip((traces.min() - 1.0) / 2.0, -1.0, 1.0)))
 
     @property
-    def way(self) -> float:
-        """How far the camera moves at most from its place at the picture's time [m]."""
+    def trajectory(self) -> float:
+        """How far the camera moves at most from its location at the image's time [m]."""
         return float(np.linalg.norm(self.lines_from_middle[:, :, 3], axis=1).max())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RolledPoints:
-    """The points of a cloud in a picture of a rolling shutter.
+    """The points of a cloud in an image of a rolling shutter.
 
     Attributes:
-        point_ids: (M,) int64, which points fall into the picture, ascending.
+        point_ids: (M,) int64, which points fall into the image, ascending.
         pixels: (M, 2) float32 [px].
         points_camera: (M, 3) float64 [m], each in the frame of the camera at the time of the line that sees it.
-        unsettled: how many more points may be in the picture, since they were within a picture's size of it when no
+        unsettled: how many more points may be in the image, since they were within an image's size of it when no
             line had been found for them.
     """
 
@@ -136,14 +136,14 @@ class RolledPoints:
 
 
 def project_by_lines(
-    points_world: Float64Array, camera: Camera, world_from_camera: RigidTransform, shutter: ShutterWay
+    points_world: Float64Array, camera: Camera, world_from_camera: RigidTransform, shutter: ShutterDirection
 ) -> RolledPoints:
-    """Project points into a picture, each at the time of the line that sees it.
+    """Project points into an image, each at the time of the line that sees it.
 
     Args:
-        points_world: (N, 3) float64 [m], contiguous; points that are not finite are in no picture.
-        camera: the lens, of any model.
-        world_from_camera: where the camera was at the picture's time.
+        points_world: (N, 3) float64 [m], contiguous; points that are not finite are in no image.
+        camera: the camera model, of any model.
+        world_from_camera: where the camera was at the image's time.
         shutter: where it was from there, line by line.
 
     Raises:
@@ -152,7 +152,13 @@ def project_by_lines(
     ids, in_middle = np.empty(len(points_world), np.int64), np.empty((len(points_world), 3))
     camera_from_world = world_from_camera.inverse_matrix
     count = keep_in_reach(
-        points_world, camera_from_world, domain_angle(camera), shutter.turn, shutter.way, ids, in_middle
+        points_world,
+        camera_from_world,
+        domain_angle(camera),
+        shutter.rotation,
+        shutter.trajectory,
+        ids,
+        in_middle,
     )
     parts = [
         _project_part(in_middle[start : min(start + _CHUNK, count)], camera, shutter)
@@ -171,14 +177,14 @@ def project_by_lines(
 
 
 def pixels_by_lines(
-    points_middle: Float64Array, drifts: Float64Array, camera: Camera, shutter: ShutterWay
+    points_middle: Float64Array, drifts: Float64Array, camera: Camera, shutter: ShutterDirection
 ) -> Float64Array:
-    """Project points that may move, each at the time of the line that sees it, also beyond the picture's edges.
+    """Project points that may move, each at the time of the line that sees it, also beyond the image's edges.
 
     Args:
-        points_middle: (N, 3) float64 [m], at the picture's time, in the frame of the camera at that time.
+        points_middle: (N, 3) float64 [m], at the image's time, in the frame of the camera at that time.
         drifts: (N, 3) float64 [m], how far they go in that frame from the first line to the last, evenly.
-        camera: the lens, of any model.
+        camera: the camera model, of any model.
         shutter: where the camera was, line by line.
 
     Returns:
@@ -192,14 +198,14 @@ def pixels_by_lines(
     line_count = shutter.line_count(camera)
     there = np.empty((len(beyond), 3))
     moved = _drifted(points_middle, drifts, found.lines, line_count)
-    place_at_lines(moved, beyond, found.lines, shutter.lines_from_middle, line_count, there)
+    position_at_lines(moved, beyond, found.lines, shutter.lines_from_middle, line_count, there)
     found.pixels[beyond] = project_unbounded(camera, there)
     return found.pixels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Found:
-    """What the search for lines gives: pixels (N, 2) [px] and places (N, 3) [m], NaN where no line sees a point.
+    """What the search for lines gives: pixels (N, 2) [px] and locations (N, 3) [m], NaN where no line sees a point.
 
     `lines` (N,) are those that were looked at last, and `unsettled` the points for which the search was given up.
     """
@@ -211,7 +217,7 @@ class _Found:
 
 
 def _search(
-    in_middle: Float64Array, camera: Camera, shutter: ShutterWay, drifts: Float64Array | None = None
+    in_middle: Float64Array, camera: Camera, shutter: ShutterDirection, drifts: Float64Array | None = None
 ) -> _Found:
     """Find the line that sees each point."""
     size = len(in_middle)
@@ -223,7 +229,7 @@ def _search(
         there, settled = np.empty((len(active), 3)), np.empty(len(active), np.int64)
         looked_at = active.copy()
         moved = in_middle if drifts is None else _drifted(in_middle, drifts, lines, line_count)
-        place_at_lines(moved, active, lines, shutter.lines_from_middle, line_count, there)
+        position_at_lines(moved, active, lines, shutter.lines_from_middle, line_count, there)
         found = project_unbounded(camera, there)
         remaining = search_lines(
             found, shutter.axis, attempt, line_count, _TOLERANCE_PX, active, lines, before, off, settled
@@ -243,13 +249,13 @@ def _drifted(
     return moved
 
 
-def _project_part(in_middle: Float64Array, camera: Camera, shutter: ShutterWay) -> RolledPoints:
+def _project_part(in_middle: Float64Array, camera: Camera, shutter: ShutterDirection) -> RolledPoints:
     """Project a few points, so few that the processor's cache holds them."""
     found = _search(in_middle, camera, shutter)
     pixels = found.pixels.astype(np.float32)
-    rows = np.flatnonzero(_in_picture(pixels, camera))
+    rows = np.flatnonzero(_in_image(pixels, camera))
     there = np.empty((len(found.unsettled), 3))
-    place_at_lines(
+    position_at_lines(
         in_middle,
         found.unsettled,
         found.lines,
@@ -257,11 +263,11 @@ def _project_part(in_middle: Float64Array, camera: Camera, shutter: ShutterWay) 
         shutter.line_count(camera),
         there,
     )
-    near = _in_picture(project_unbounded(camera, there), camera, border=max(camera.width, camera.height))
+    near = _in_image(project_unbounded(camera, there), camera, border=max(camera.width, camera.height))
     return RolledPoints(rows, pixels[rows], found.placed[rows], int(near.sum()))
 
 
-def _in_picture(pixels: FloatArray, camera: Camera, *, border: int = 0) -> BoolArray:
+def _in_image(pixels: FloatArray, camera: Camera, *, border: int = 0) -> BoolArray:
     u, v = pixels.T
     inside: BoolArray = (u >= -0.5 - border) & (u < camera.width - 0.5 + border)
     inside &= (v >= -0.5 - border) & (v < camera.height - 0.5 + border)

@@ -39,7 +39,7 @@ raillabel.save(scene, Path(sys.argv[1]))
 sys.stdout.write(
     json.dumps(
         {
-            "size_and_place": [0.6, 0.7, 1.8, 11.0, 0.0, 4.0],
+            "size_and_position": [0.6, 0.7, 1.8, 11.0, 0.0, 4.0],
             "timestamps_ns": [1_632_321_743_100_000_072],
             "fx_cy": [500.0, 241.0],
         }

@@ -27,11 +27,11 @@ lidar_to_world = [
 names = [entry["name"] for entry in content["openlabel"]["objects"].values()]
 last = list(content["openlabel"]["objects"])[-1]
 data = label.get_frame(0)["objects"][last]["object_data"]
-told = {
+reported = {
     "errors": errors,
     "corners": corners,
     "lidar_to_world": lidar_to_world,
     "objects": names,
     "loaded": {kind: len(data[kind]) for kind in sorted(data)},
 }
-sys.stdout.write(json.dumps(told))
+sys.stdout.write(json.dumps(reported))

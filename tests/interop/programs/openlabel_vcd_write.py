@@ -53,7 +53,7 @@ v.add_stream_properties(
 )
 car = v.add_object("car1", "Car")
 rng = np.random.default_rng(3)
-told = {"euler": [], "world": []}
+reported = {"euler": [], "world": []}
 for k in range(3):
     ego = pose(0.2 * k, [5.0 * k, 1.0 * k, 0.0])
     v.add_transform(
@@ -76,11 +76,11 @@ for k in range(3):
     v.add_object_data(
         car, types.poly2d("mask", (0, 0, 10, 0, 10, 10), types.Poly2DType.MODE_POLY2D_ABSOLUTE, True), k
     )
-    told["euler"].append(c9)
+    reported["euler"].append(c9)
 walker = v.add_object("walker", "Pedestrian", frame_value=[(0, 2)])
 q = [0.0, 0.0, math.sin(0.35), math.cos(0.35)]
 v.add_object_data(walker, types.cuboid("shape", [3.0, -4.0, 0.9, *q, 0.6, 0.7, 1.8], "odom"), (0, 2))
-v.add_object_data(walker, types.text("pose", "standing"))
+v.add_object_data(walker, types.text("pose", "stationary"))
 v.add_object_data(walker, types.vec("colour", [1, 2, 3]))
 act = v.add_action("crossing", "Crossing", frame_value=(1, 2))
 ev = v.add_event("starts", "Start", frame_value=(1, 1))
@@ -96,6 +96,6 @@ v.save(sys.argv[1])
 scene = scl.Scene(v)
 for k in range(3):
     t, _ = scene.get_transform("lidar", "odom", frame_num=k)
-    local = utils.generate_cuboid_points_ref_4x8(told["euler"][k])
-    told["world"].append((t @ local)[:3].T.tolist())
-sys.stdout.write(json.dumps({"corners_odom": told["world"]}))
+    local = utils.generate_cuboid_points_ref_4x8(reported["euler"][k])
+    reported["world"].append((t @ local)[:3].T.tolist())
+sys.stdout.write(json.dumps({"corners_odom": reported["world"]}))

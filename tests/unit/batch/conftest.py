@@ -12,85 +12,85 @@ import os, signal
 from pathlib import Path
 
 
-def copy(place, output, options):
-    Path(output).write_text(Path(place).read_text() + options.get("more", ""))
-    return {"size": len(Path(place).read_text())}
+def copy(location, output, options):
+    Path(output).write_text(Path(location).read_text() + options.get("more", ""))
+    return {"size": len(Path(location).read_text())}
 
 
-def refuse(place, output, options):
+def refuse(location, output, options):
     from sceneloom.errors import DataError
 
-    if "bad" in place:
-        raise DataError(place, "line 1", "7; expected 8")
-    return copy(place, output, options)
+    if "bad" in location:
+        raise DataError(location, "line 1", "7; expected 8")
+    return copy(location, output, options)
 
 
-def shake(place, output, options):
+def shake(location, output, options):
     """Fails as a network does until it has been tried often enough."""
-    tries = Path(place + ".tries")
+    tries = Path(location + ".tries")
     count = int(tries.read_text()) + 1 if tries.exists() else 1
     tries.write_text(str(count))
     if count < options["needed"]:
         raise ConnectionResetError("cut")
-    return copy(place, output, options)
+    return copy(location, output, options)
 
 
-def die(place, output, options):
+def die(location, output, options):
     """Half an output, then the worker is killed; the second time it lives."""
     Path(output).write_text("half")
-    if not Path(place + ".died").exists():
-        Path(place + ".died").touch()
+    if not Path(location + ".died").exists():
+        Path(location + ".died").touch()
         os.kill(os.getpid(), signal.SIGKILL)
-    return copy(place, output, options)
+    return copy(location, output, options)
 
 
-def crash(place, output, options):
+def crash(location, output, options):
     return 1 / 0
 
 
-def forget(place, output, options):
+def forget(location, output, options):
     return None
 
 
-def read(place, output, options):
+def read(location, output, options):
     """What is in the files beside the drive."""
     Path(output).write_text("".join(path.read_text() for path in (*options["boxes"], options["rig"])))
 
 
-def folder(place, output, options):
+def folder(location, output, options):
     Path(output).mkdir()
-    (Path(output) / "a.txt").write_text(Path(place).read_text())
+    (Path(output) / "a.txt").write_text(Path(location).read_text())
 
 
-def fetch(place, output, options):
-    """What is behind a URL; tells its address with all secrets, and complains with them where it is asked to."""
+def fetch(location, output, options):
+    """What is behind a URL; reports its address with all secrets, and complains with them where it is asked to."""
     from urllib.request import urlopen
 
-    if "bad" in place:
-        raise OSError(f"{place} is bad")
-    if "odd" in place:
-        raise RuntimeError(place)
-    Path(output).write_bytes(urlopen(place).read())
-    return {"source": place, "inner": [{"told": f"read {place}"}]}
+    if "bad" in location:
+        raise OSError(f"{location} is bad")
+    if "odd" in location:
+        raise RuntimeError(location)
+    Path(output).write_bytes(urlopen(location).read())
+    return {"source": location, "inner": [{"reported": f"read {location}"}]}
 
 
-def pair(place, output, options):
+def pair(location, output, options):
     """An output with another one beside it."""
     Path(output).with_suffix(".loss").write_text("none")
-    return copy(place, output, options)
+    return copy(location, output, options)
 
 
-def more(place, output, options):
+def more(location, output, options):
     """A folder and a file beside the output; then it may fail."""
     for name, inner in (("depth", "0.png"), ("loss", "")):
         if name in options:
             made = Path(options[name], inner) if inner else Path(options[name])
             made.parent.mkdir(exist_ok=True)
-            made.write_text(Path(place).read_text())
-    return refuse(place, output, {})
+            made.write_text(Path(location).read_text())
+    return refuse(location, output, {})
 
 
-def environment(place, output, options):
+def environment(location, output, options):
     Path(output).write_text(os.environ.get("OMP_NUM_THREADS", "") + os.environ.get("NUMBA_NUM_THREADS", ""))
 '''
 
@@ -127,13 +127,13 @@ def drives(tmp_path):
     """Makes drives: files with their name in them."""
 
     def make(*names):
-        places = []
+        locations = []
         for name in names:
-            place = tmp_path / "in" / name
-            place.parent.mkdir(parents=True, exist_ok=True)
-            place.write_text(name)
-            places.append(str(place))
-        return places
+            location = tmp_path / "in" / name
+            location.parent.mkdir(parents=True, exist_ok=True)
+            location.write_text(name)
+            locations.append(str(location))
+        return locations
 
     return make
 
@@ -145,8 +145,8 @@ def job(tmp_path, monkeypatch):
     (tmp_path / "modules" / "verbs_for_batches.py").write_text(VERBS)
     monkeypatch.syspath_prepend(str(tmp_path / "modules"))
 
-    def make(name, places, **settings):
-        inputs = tuple(Input(place=place) for place in places)
+    def make(name, locations, **settings):
+        inputs = tuple(Input(location=location) for location in locations)
         return Job(
             verb=name, call=f"verbs_for_batches:{name}", inputs=inputs, **{"suffix": ".txt", **settings}
         )
@@ -156,7 +156,7 @@ def job(tmp_path, monkeypatch):
 
 @pytest.fixture(autouse=True)
 def same_environment():
-    """Workers say to libraries how many threads they may have; those of the next tests are not meant."""
+    """Workers state to libraries how many threads they may have; those of the next tests are not meant."""
     before = dict(os.environ)
     yield
     for name in os.environ.keys() - before.keys():

@@ -42,9 +42,9 @@ def test_drives_go_to_the_workers_of_a_running_scheduler(tmp_path, drives, job, 
 @pytest.fixture
 def task(tmp_path, drives, job):
     (tmp_path / "drafts").mkdir()
-    (place,) = drives("a.sfs")
+    (location,) = drives("a.sfs")
     draft = tmp_path / "drafts" / "1-1" / "a.txt"
-    return Task(number=1, attempt=1, call=job("copy", []).call, place=place, draft=draft, options={})
+    return Task(number=1, attempt=1, call=job("copy", []).call, location=location, draft=draft, options={})
 
 
 def done(task, version=__version__):
@@ -61,7 +61,7 @@ def test_a_try_that_another_worker_has_begun_is_lost_and_not_done_again(task):
     assert task.draft.read_text() == "as the first left it"
 
 
-def test_what_a_worker_came_to_that_went_before_anybody_heard_is_told_by_the_next_one(task):
+def test_what_a_worker_came_to_that_went_before_anybody_heard_is_known_by_the_next_one(task):
     first = done(task)
     assert done(task) == first
     assert first["error"] == ""
@@ -112,9 +112,9 @@ def test_workers_elsewhere_find_files_that_are_named_from_the_folder_of_the_run(
         "more": None,
     }
     client = Submitting()
-    DaskCluster(client).submit(replace(task, place="in/a.sfs", options=files, files={"own": (Path("b"),)}))
+    DaskCluster(client).submit(replace(task, location="in/a.sfs", options=files, files={"own": (Path("b"),)}))
     (sent,) = client.sent
-    assert (sent.place, sent.files) == (str(tmp_path / "in" / "a.sfs"), {"own": (tmp_path / "b",)})
+    assert (sent.location, sent.files) == (str(tmp_path / "in" / "a.sfs"), {"own": (tmp_path / "b",)})
     assert sent.options == {
         "boxes": (tmp_path / "a.jsonl", Path("/b.jsonl")),
         "rig": tmp_path / "in" / "rig.toml",

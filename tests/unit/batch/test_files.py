@@ -35,26 +35,26 @@ def test_placeholders_give_each_drive_its_own(made):
     made("mon/cut.sfs", "tue/cut.sfs", "mon_cut.txt", "tue_cut.txt", "mon/times", "tue/times")
     made("far.txt", "other.txt", "mon/cut.sfs.txt")
     drives = [
-        Input(place="mon/cut.sfs", options={"start": 1.0}), Input(place="mon/cut.sfs", options={"start": 5.0}),
-        Input(place="tue/cut.sfs", files={"boxes": (Path("other.txt"),)}), Input(place="s3://bucket/far.sfs"),
+        Input(location="mon/cut.sfs", options={"start": 1.0}), Input(location="mon/cut.sfs", options={"start": 5.0}),
+        Input(location="tue/cut.sfs", files={"boxes": (Path("other.txt"),)}), Input(location="s3://bucket/far.sfs"),
     ]  # fmt: skip
     given, alike = give_files(drives, {"boxes": (Path("{name}.txt"),), "detectors": "simulated"}, OPTIONS)
     # parts of a drive have the files of the drive, and what a list says goes before
     names = ["mon_cut.txt", "mon_cut.txt", "other.txt", "far.txt"]
     assert [one.files["boxes"] for one in given] == [(Path(name),) for name in names]
     assert alike == {}
-    said = {"from_times": Path("{folder}/times"), "boxes": (Path("{drive}.txt"), Path("far.txt"))}
-    (given,), _ = give_files(drives[:1], said, OPTIONS)
+    stated = {"from_times": Path("{folder}/times"), "boxes": (Path("{drive}.txt"), Path("far.txt"))}
+    (given,), _ = give_files(drives[:1], stated, OPTIONS)
     assert given.files == {
         "from_times": Path("mon/times"),
         "boxes": (Path("mon/cut.sfs.txt"), Path("far.txt")),
     }
     with pytest.raises(OptionError, match=r"s3://bucket/far.sfs is behind a URL.*expected \{name\} only"):
-        give_files(drives[3:], said, OPTIONS)
+        give_files(drives[3:], stated, OPTIONS)
 
 
 @pytest.mark.parametrize(
-    ("said", "told"),
+    ("stated", "reported"),
     [
         ({"boxes": (Path("{name}.txt"),)}, "b.txt: no such file or folder, for --boxes of b.sfs; so it is with 1 more"),
         ({"boxes": (Path("{nmae}.txt"),)}, "for --boxes; drives may differ by {name}, {drive}, {folder}"),
@@ -62,11 +62,11 @@ def test_placeholders_give_each_drive_its_own(made):
         ({"detectors": "mine"}, "for --detectors; expected a file, or one of simulated"),
     ],
 )  # fmt: skip
-def test_files_that_are_not_there_are_told_before_anything_begins(made, said, told):
+def test_files_that_are_not_there_are_reported_before_anything_begins(made, stated, reported):
     made("a.sfs", "b.sfs", "c.sfs", "a.txt")
     with pytest.raises(DataError) as caught:
-        give_files(find_inputs(["?.sfs"]), said, OPTIONS)
-    assert told in str(caught.value)
+        give_files(find_inputs(["?.sfs"]), stated, OPTIONS)
+    assert reported in str(caught.value)
 
 
 def test_lines_of_a_list_name_files_beside_it(made):
@@ -103,7 +103,7 @@ def test_files_for_other_verbs_are_left_out_by_name(made):
 
 
 @pytest.mark.parametrize(
-    ("said", "told"),
+    ("stated", "reported"),
     [
         ('"boxes": 3', "line 1: boxes: 3; expected the path of a file, or a list of such"),
         ('"boxes": []', "boxes: []; expected the path"),
@@ -115,33 +115,33 @@ def test_files_for_other_verbs_are_left_out_by_name(made):
         ('"boxe": "b.txt"', "'boxe'; expected path, start, stop, boxes, from_times, detectors and reading"),
     ],
 )
-def test_faulty_files_of_a_line_are_named(made, said, told):
+def test_faulty_files_of_a_line_are_named(made, stated, reported):
     made("lists/b.txt")
-    Path("lists/all.jsonl").write_text(f'{{"path": "a.sfs", {said}}}')
+    Path("lists/all.jsonl").write_text(f'{{"path": "a.sfs", {stated}}}')
     with pytest.raises(DataError) as caught:
         find_inputs([], [Path("lists/all.jsonl")], files=OPTIONS)
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
 
 
 def test_a_changed_file_lets_its_drives_be_done_anew(made, tmp_path, drives, job, inline):
     made("a.boxes", "b.boxes", "rig")
-    places = drives("a.sfs", "b.sfs")
+    locations = drives("a.sfs", "b.sfs")
     inputs = tuple(
-        Input(place=place, files={"boxes": (Path(f"{name}.boxes"),)})
-        for place, name in zip(places, "ab", strict=True)
+        Input(location=location, files={"boxes": (Path(f"{name}.boxes"),)})
+        for location, name in zip(locations, "ab", strict=True)
     )
     work = job("read", (), files={"rig": Path("rig")})
 
     def again(inputs=inputs):
         executor = inline()
         run(replace(work, inputs=inputs), tmp_path / "out", executor=executor, resume=True)
-        return sorted({Path(task.place).stem for task in executor.tasks})
+        return sorted({Path(task.location).stem for task in executor.tasks})
 
     assert [again(), again()] == [["a", "b"], []]
     Path("b.boxes").write_text("changed")
     assert [again(), again()] == [["b"], []]
     os.utime("rig", ns=(1, 1))
     assert [again(), again()] == [["a", "b"], []]
-    other = Input(place=places[0], files={"boxes": (Path("b.boxes"),)})
+    other = Input(location=locations[0], files={"boxes": (Path("b.boxes"),)})
     assert again((other, inputs[1])) == ["a"]
     assert (tmp_path / "out" / "a.txt").read_text() == "changed"

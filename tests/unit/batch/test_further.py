@@ -17,12 +17,12 @@ def contents(folder):
 def wanted(tmp_path):
     """A folder and a file, as of `--depth` and `--loss`."""
     return (
-        Further(option="depth", place=str(tmp_path / "depth"), is_folder=True),
-        Further(option="loss", place=str(tmp_path / "losses" / "loss.json"), is_folder=False),
+        Further(option="depth", location=str(tmp_path / "depth"), is_folder=True),
+        Further(option="loss", location=str(tmp_path / "losses" / "loss.json"), is_folder=False),
     )
 
 
-def test_each_drive_has_its_own_in_the_place_of_all(tmp_path, drives, job, inline, wanted):
+def test_each_drive_has_its_own_in_the_position_of_all(tmp_path, drives, job, inline, wanted):
     work = job("more", drives("a.sfs", "b.sfs"), further=wanted)
     assert run(work, tmp_path / "out", executor=inline()).done == 2
     assert contents(tmp_path / "depth") == {"a/0.png": "a.sfs", "b/0.png": "b.sfs"}
@@ -33,16 +33,16 @@ def test_each_drive_has_its_own_in_the_place_of_all(tmp_path, drives, job, inlin
 def test_a_try_that_fails_leaves_none_and_what_is_gone_is_made_again(
     tmp_path, drives, job, inline, wanted, monkeypatch
 ):
-    places = drives("a.sfs", "bad.sfs")
-    first = run(job("more", places, further=wanted), tmp_path / "out", executor=inline())
+    locations = drives("a.sfs", "bad.sfs")
+    first = run(job("more", locations, further=wanted), tmp_path / "out", executor=inline())
     assert (first.done, first.failed) == (1, 1)
     assert list(contents(tmp_path / "depth")) == ["a/0.png"]
-    same = run(job("more", places[:1], further=wanted), tmp_path / "out", executor=inline(), resume=True)
+    same = run(job("more", locations[:1], further=wanted), tmp_path / "out", executor=inline(), resume=True)
     assert same.skipped == 1
     (tmp_path / "losses" / "a.loss.json").unlink()
     # the folder that is there gives way in one step
     (tmp_path / "depth" / "a" / "stale.png").write_text("of an earlier run")
-    again = run(job("more", places[:1], further=wanted), tmp_path / "out", executor=inline(), resume=True)
+    again = run(job("more", locations[:1], further=wanted), tmp_path / "out", executor=inline(), resume=True)
     assert (again.skipped, again.done) == (0, 1)
     assert list(contents(tmp_path / "depth")) == ["a/0.png"]
     assert list(contents(tmp_path / "losses")) == ["a.loss.json"]
@@ -67,7 +67,7 @@ def test_they_go_into_a_store_with_the_outputs(tmp_path, drives, job, inline):
     for name in ("out", "depth/a"):
         (tmp_path / "store" / name).mkdir(parents=True)
     store = f"local://{tmp_path}/store"
-    further = (Further(option="depth", place=f"{store}/depth/", is_folder=True),)
+    further = (Further(option="depth", location=f"{store}/depth/", is_folder=True),)
     work = job("more", drives("a.sfs"), further=further)
     with pytest.raises(OutputError, match="depth/a: exists already"):
         run(work, f"{store}/out", record=tmp_path / "none", executor=inline())
@@ -89,23 +89,23 @@ def test_they_go_into_a_store_with_the_outputs(tmp_path, drives, job, inline):
     assert contents(tmp_path / "store" / "depth") == {"a/0.png": "a.sfs", "a/_SUCCESS": ""}
 
 
-def test_places_that_cannot_be_are_refused_before_anything_is_done(tmp_path, drives, job, inline, wanted):
-    places = drives("a.sfs")
+def test_locations_that_cannot_be_are_refused_before_anything_is_done(tmp_path, drives, job, inline, wanted):
+    locations = drives("a.sfs")
 
     def refused(*further, error=OptionError, match):
         with pytest.raises(error, match=match):
-            run(job("more", places, further=further), tmp_path / "out", executor=inline())
+            run(job("more", locations, further=further), tmp_path / "out", executor=inline())
         assert not list((tmp_path / "out").glob("*.txt"))
 
     (tmp_path / "file").touch()
-    twin = Further(option="pictures", place=wanted[0].place, is_folder=True)
+    twin = Further(option="images", location=wanted[0].location, is_folder=True)
     refused(*wanted, twin, match="two outputs of one drive would go there")
     refused(
-        Further(option="depth", place=str(tmp_path / "file"), is_folder=True),
+        Further(option="depth", location=str(tmp_path / "file"), is_folder=True),
         error=OutputError, match="file: is a file",
     )  # fmt: skip
     refused(
-        Further(option="depth", place="local:///depth", is_folder=True),
+        Further(option="depth", location="local:///depth", is_folder=True),
         match="is in a store, and outputs go on disk",
     )
     (tmp_path / "depth" / "a").mkdir(parents=True)

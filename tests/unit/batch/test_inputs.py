@@ -24,7 +24,7 @@ def test_patterns_and_lists_give_each_drive_once(tmp_path):
         [str(tmp_path / "?.sfs"), str(tmp_path / "a.sfs"), str(tmp_path / "odd[1].sfs")],
         [tmp_path / "more.jsonl"],
     )
-    names = [(drive.place.removeprefix(f"{tmp_path}/"), dict(drive.options)) for drive in found]
+    names = [(drive.location.removeprefix(f"{tmp_path}/"), dict(drive.options)) for drive in found]
     assert names == [
         ("a.sfs", {}), ("b.sfs", {}), ("odd[1].sfs", {}), ("b.sfs", {"start": 1.5, "stop": 3}),
         ("s3://bucket/c.sfs", {}),
@@ -32,7 +32,7 @@ def test_patterns_and_lists_give_each_drive_once(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "reported"),
     [
         ('{"path": 3}', "line 1: path 3; expected"),
         ('{"start": 3}', "line 1: path None"),
@@ -49,17 +49,17 @@ def test_patterns_and_lists_give_each_drive_once(tmp_path):
         pytest.param('{"path": ' + "[" * 100_000, "expected a path or an object", id="deep"),
     ],
 )
-def test_faulty_lines_of_a_list_are_named(tmp_path, line, told):
+def test_faulty_lines_of_a_list_are_named(tmp_path, line, reported):
     (tmp_path / "list.jsonl").write_text(line)
     with pytest.raises(DataError) as caught:
         find_inputs([], [tmp_path / "list.jsonl"])
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
 
 
 def test_marks_of_windows_and_rare_ends_of_lines_are_no_part_of_the_format(tmp_path):
     (tmp_path / "list.jsonl").write_bytes('\ufeffa.sfs\r\n{"path": "b\u2028c.sfs"}\r\n'.encode())
     found = find_inputs([], [tmp_path / "list.jsonl"])
-    assert [Path(drive.place).name for drive in found] == ["a.sfs", "b\u2028c.sfs"]
+    assert [Path(drive.location).name for drive in found] == ["a.sfs", "b\u2028c.sfs"]
 
 
 def test_nothing_to_do_is_refused(tmp_path):
@@ -72,10 +72,10 @@ def test_nothing_to_do_is_refused(tmp_path):
         find_inputs([], [tmp_path / "list"])
 
 
-def test_names_say_which_drive_it_was():
+def test_names_state_which_drive_it_was():
     drives = [
-        Input(place="monday/cut.sfs"), Input(place="tuesday/cut.sfs"), Input(place="drive_1/"),
-        Input(place="s3://bucket/far%20away.sfs"), Input(place="x.sfs", options={"start": 1.5}),
+        Input(location="monday/cut.sfs"), Input(location="tuesday/cut.sfs"), Input(location="drive_1/"),
+        Input(location="s3://bucket/far%20away.sfs"), Input(location="x.sfs", options={"start": 1.5}),
     ]  # fmt: skip
     assert output_names(drives, ".html") == (
         "monday_cut.html", "tuesday_cut.html", "drive_1.html", "far away.html", "x_start1.5.html",
@@ -89,9 +89,9 @@ def test_names_say_which_drive_it_was():
     )
 )
 def test_outputs_never_share_a_name(parts):
-    places = dict.fromkeys("/" + "/".join(part) for part in parts)
-    names = output_names([Input(place=place) for place in places], ".sfs")
-    assert len({name.casefold() for name in names}) == len(places)
+    locations = dict.fromkeys("/" + "/".join(part) for part in parts)
+    names = output_names([Input(location=location) for location in locations], ".sfs")
+    assert len({name.casefold() for name in names}) == len(locations)
     assert all("/" not in name and name.endswith(".sfs") for name in names)
 
 

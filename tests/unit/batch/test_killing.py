@@ -62,14 +62,14 @@ def contents(folder):
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [ProcessPool, DaskCluster.local], ids=["pool", "dask"])
 def test_outputs_under_kills_are_those_of_a_quiet_run(tmp_path, make):
-    places = [tmp_path / f"{k:03d}.sfs" for k in range(40)]
-    sceneloom.write(simulate_street(frames=20, lidar=LidarSpec(steps=600)).scene, places[0])
-    for place in places[1:]:
-        place.hardlink_to(places[0])
-    values = verb_named("fuse").make_context("fuse", [str(places[0]), "-o", "made.sfs"]).params
+    locations = [tmp_path / f"{k:03d}.sfs" for k in range(40)]
+    sceneloom.write(simulate_street(frames=20, lidar=LidarSpec(steps=600)).scene, locations[0])
+    for location in locations[1:]:
+        location.hardlink_to(locations[0])
+    values = verb_named("fuse").make_context("fuse", [str(locations[0]), "-o", "made.sfs"]).params
     left_out = {"path", "output", "as_json", "quiet", "verbose", "overwrite"}
     options = {"verb": "fuse", **{name: value for name, value in values.items() if name not in left_out}}
-    inputs = tuple(Input(place=str(place)) for place in places)
+    inputs = tuple(Input(location=str(location)) for location in locations)
     job = Job(verb="fuse", call=CALL, inputs=inputs, options=options, suffix=".sfs", retries=50)
     run(job, tmp_path / "quiet", workers=2)
 
@@ -80,7 +80,7 @@ def test_outputs_under_kills_are_those_of_a_quiet_run(tmp_path, make):
     try:
         summary = run(
             job, tmp_path / "out", executor=executor,
-            told=lambda _, outcome: made.update([outcome.number] if not outcome.error else []),
+            reported=lambda _, outcome: made.update([outcome.number] if not outcome.error else []),
         )  # fmt: skip
     finally:
         ending.set()

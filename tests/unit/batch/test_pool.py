@@ -45,7 +45,7 @@ def test_a_fault_of_a_worker_that_is_no_outcome_is_one_of_its_task(tmp_path, dri
 
 
 def print_nothing(task):
-    raise RuntimeError(task.place)
+    raise RuntimeError(task.location)
 
 
 def test_what_workers_have_in_their_environment_is_that_of_the_run(tmp_path, drives, job, monkeypatch):

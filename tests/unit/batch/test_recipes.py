@@ -55,7 +55,7 @@ def pod(command, environment):
 
 
 class Pods:
-    """What the manifests of Kubernetes start, with places of this machine."""
+    """What the manifests of Kubernetes start, with locations of this machine."""
 
     def __init__(self, fleet):
         with socket.socket() as found:
@@ -70,18 +70,18 @@ class Pods:
         }
 
     def command(self, name, *more):
-        told = [
+        reported = [
             word.replace("sceneloom-scheduler:8786", f"127.0.0.1:{self.port}").replace(
                 "/fleet", str(self.fleet)
             )
             for word in self.specs[name]["command"]
         ]
-        return [str(Path(sys.executable).with_name(told[0])), *told[1:], *more]
+        return [str(Path(sys.executable).with_name(reported[0])), *reported[1:], *more]
 
     def environment(self, name):
-        told = {one["name"]: one["value"] for one in self.specs[name].get("env", [])}
-        told.pop("NUMBA_CACHE_DIR", None)  # kernels are compiled already
-        return {**os.environ, **told}
+        reported = {one["name"]: one["value"] for one in self.specs[name].get("env", [])}
+        reported.pop("NUMBA_CACHE_DIR", None)  # kernels are compiled already
+        return {**os.environ, **reported}
 
 
 def test_pods_that_die_are_started_anew_and_all_drives_are_done(fleet):
@@ -126,7 +126,7 @@ def test_the_script_for_slurm_runs_a_batch_on_its_tasks(fleet, tmp_path):
     path = os.pathsep.join([str(tools), str(Path(sys.executable).parent), os.environ["PATH"]])
     script = shutil.copy(RECIPES / "slurm.sh", tmp_path)
     command = ["bash", script, "fuse", str(fleet / "drives" / "*"), "-o", str(fleet / "fused")]
-    told = {**os.environ, "PATH": path, "SLURM_JOB_ID": str(os.getpid()), "NUMBA_CACHE_DIR": ""}
-    done = subprocess.run(command, env=told, stderr=subprocess.PIPE, text=True, timeout=300, check=False)
+    reported = {**os.environ, "PATH": path, "SLURM_JOB_ID": str(os.getpid()), "NUMBA_CACHE_DIR": ""}
+    done = subprocess.run(command, env=reported, stderr=subprocess.PIPE, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     assert len(list((fleet / "fused").glob("*.sfs"))) == 24

@@ -29,11 +29,11 @@ def test_every_drive_has_its_output_and_its_row(tmp_path, drives, job, inline):
     assert {row.state for row in rows(out).values()} == {State.DONE}
     with Record.opened(out) as record:
         assert record.report(1) == {"size": 5}
-        assert record.told()["verb"] == "copy"
+        assert record.reported()["verb"] == "copy"
     assert not (out / FOLDER / "drafts").exists()
 
 
-def test_a_drive_that_fails_stops_no_other_and_is_told_with_its_error(tmp_path, drives, job, inline):
+def test_a_drive_that_fails_stops_no_other_and_is_reported_with_its_error(tmp_path, drives, job, inline):
     summary = run(job("refuse", drives("a.sfs", "bad.sfs", "c.sfs")), tmp_path / "out", executor=inline())
     assert (summary.done, summary.failed) == (2, 1)
     assert outputs(tmp_path / "out") == {"a.txt": "a.sfs", "c.txt": "c.sfs"}
@@ -43,12 +43,13 @@ def test_a_drive_that_fails_stops_no_other_and_is_told_with_its_error(tmp_path, 
 
 
 @pytest.mark.parametrize(
-    ("name", "kind", "told"), [("crash", "ZeroDivisionError", "Traceback"), ("forget", "Missing", "without")]
+    ("name", "kind", "reported"),
+    [("crash", "ZeroDivisionError", "Traceback"), ("forget", "Missing", "without")],
 )
-def test_faults_of_a_verb_are_failures_of_the_drive(tmp_path, drives, job, inline, name, kind, told):
+def test_faults_of_a_verb_are_failures_of_the_drive(tmp_path, drives, job, inline, name, kind, reported):
     assert run(job(name, drives("a.sfs")), tmp_path / "out", executor=inline()).failed == 1
     row = rows(tmp_path / "out")["a.sfs"]
-    assert (row.kind, told in row.error) == (kind, True)
+    assert (row.kind, reported in row.error) == (kind, True)
 
 
 def test_what_may_pass_is_tried_again_and_only_so_often(tmp_path, drives, job, inline, monkeypatch):
@@ -60,38 +61,40 @@ def test_what_may_pass_is_tried_again_and_only_so_often(tmp_path, drives, job, i
 
 
 def test_a_run_is_taken_up_where_it_was_left(tmp_path, drives, job, inline):
-    out, places = tmp_path / "out", drives("a.sfs", "bad.sfs", "c.sfs")
-    run(job("refuse", places), out, executor=inline())
+    out, locations = tmp_path / "out", drives("a.sfs", "bad.sfs", "c.sfs")
+    run(job("refuse", locations), out, executor=inline())
     with pytest.raises(OutputError, match="--resume"):
-        run(job("refuse", places), out, executor=inline())
-    Path(places[2]).write_text("changed")
-    os.utime(places[2], ns=(1, 1))
+        run(job("refuse", locations), out, executor=inline())
+    Path(locations[2]).write_text("changed")
+    os.utime(locations[2], ns=(1, 1))
     (out / "a.txt").unlink()
     more = drives("d.sfs")
     executor = inline()
-    again = run(job("refuse", [*places, *more]), out, executor=executor, resume=True)
+    again = run(job("refuse", [*locations, *more]), out, executor=executor, resume=True)
     # the output of a is gone, bad failed, c changed, d is new
-    assert [Path(task.place).name for task in executor.tasks] == ["a.sfs", "bad.sfs", "c.sfs", "d.sfs"]
+    assert [Path(task.location).name for task in executor.tasks] == ["a.sfs", "bad.sfs", "c.sfs", "d.sfs"]
     assert (again.total, again.skipped, again.done, again.failed) == (4, 0, 3, 1)
     executor = inline()
-    last = run(job("refuse", [*places, *more]), out, executor=executor, resume=True)
-    assert [Path(task.place).name for task in executor.tasks] == ["bad.sfs"]
+    last = run(job("refuse", [*locations, *more]), out, executor=executor, resume=True)
+    assert [Path(task.location).name for task in executor.tasks] == ["bad.sfs"]
     assert last.skipped == 3
     assert outputs(out)["c.txt"] == "changed"
 
 
 def test_other_options_make_everything_anew(tmp_path, drives, job, inline):
-    places = drives("a.sfs")
-    run(job("copy", places), tmp_path / "out", executor=inline())
-    again = run(job("copy", places, options={"more": "!"}), tmp_path / "out", executor=inline(), resume=True)
+    locations = drives("a.sfs")
+    run(job("copy", locations), tmp_path / "out", executor=inline())
+    again = run(
+        job("copy", locations, options={"more": "!"}), tmp_path / "out", executor=inline(), resume=True
+    )
     assert (again.skipped, outputs(tmp_path / "out")) == (0, {"a.txt": "a.sfs!"})
 
 
 def test_outputs_that_are_folders_replace_those_that_were_there(tmp_path, drives, job, inline):
-    places = drives("a.sfs")
-    run(job("folder", places, suffix=""), tmp_path / "out", executor=inline())
-    Path(places[0]).write_text("new")
-    run(job("folder", places, suffix=""), tmp_path / "out", executor=inline(), resume=True)
+    locations = drives("a.sfs")
+    run(job("folder", locations, suffix=""), tmp_path / "out", executor=inline())
+    Path(locations[0]).write_text("new")
+    run(job("folder", locations, suffix=""), tmp_path / "out", executor=inline(), resume=True)
     assert (tmp_path / "out" / "a" / "a.txt").read_text() == "new"
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [FOLDER, "a"]
 
@@ -121,7 +124,7 @@ def test_a_damaged_record_is_an_error_that_names_it(tmp_path, drives, job, inlin
 
 
 @pytest.mark.parametrize(
-    ("damage", "told"),
+    ("damage", "reported"),
     [
         ("UPDATE drives SET state = 'odd'", "drives: 1: Invalid enum value 'odd'"),
         ("UPDATE drives SET part = '{'", "drives: 1: is no JSON"),
@@ -130,7 +133,7 @@ def test_a_damaged_record_is_an_error_that_names_it(tmp_path, drives, job, inlin
         ("DROP TABLE drives", "no such table"),
     ],
 )
-def test_a_damaged_row_of_a_record_is_named(tmp_path, damage, told):
+def test_a_damaged_row_of_a_record_is_named(tmp_path, damage, reported):
     with Record.held(tmp_path) as record:
         record.add([("a.sfs", {}, "a.txt")])
     with closing(sqlite3.connect(tmp_path / FOLDER / "record.sqlite")) as database:
@@ -138,7 +141,7 @@ def test_a_damaged_row_of_a_record_is_named(tmp_path, damage, told):
         database.commit()
     with pytest.raises(DataError) as caught, Record.opened(tmp_path) as record:
         record.rows()
-    assert f"record.sqlite: {told}" in str(caught.value)
+    assert f"record.sqlite: {reported}" in str(caught.value)
 
 
 def test_a_lock_that_cannot_be_opened_is_an_error_of_the_output(tmp_path):
@@ -148,13 +151,13 @@ def test_a_lock_that_cannot_be_opened_is_an_error_of_the_output(tmp_path):
 
 
 def test_what_stops_a_run_leaves_no_half_output_and_no_lock(tmp_path, drives, job, inline):
-    places = drives("a.sfs", "b.sfs")
+    locations = drives("a.sfs", "b.sfs")
 
     def stopped(_summary, _outcome):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run(job("copy", places), tmp_path / "out", executor=inline(), told=stopped)
+        run(job("copy", locations), tmp_path / "out", executor=inline(), reported=stopped)
     assert not (tmp_path / "out" / FOLDER / "drafts").exists()
-    again = run(job("copy", places), tmp_path / "out", executor=inline(), resume=True)
+    again = run(job("copy", locations), tmp_path / "out", executor=inline(), resume=True)
     assert (again.done, again.skipped) == (2, 1)

@@ -39,31 +39,31 @@ def signed(web, name, secret):
     return f"{web[1]}/{name}?{QUERY.format(secret, secret, secret)}"
 
 
-def test_no_secret_is_kept_or_told_anywhere(tmp_path, job, inline, web):
+def test_no_secret_is_kept_or_reported_anywhere(tmp_path, job, inline, web):
     (web[0] / "a.sfs").write_text("one")
-    told, metrics = [], MetricsFile(tmp_path / "run.prom")
-    places = [signed(web, name, "hush") for name in ("a.sfs", "bad.sfs", "odd.sfs", "gone.sfs")]
+    reported, metrics = [], MetricsFile(tmp_path / "run.prom")
+    locations = [signed(web, name, "hush") for name in ("a.sfs", "bad.sfs", "odd.sfs", "gone.sfs")]
 
-    def tell(summary, outcome):
-        told.append(repr((summary, outcome)))
-        metrics.told(summary, outcome)
+    def notify(summary, outcome):
+        reported.append(repr((summary, outcome)))
+        metrics.reported(summary, outcome)
 
     summary = run(
-        job("fetch", places, options={"truth": places[0]}, retries=0),
+        job("fetch", locations, options={"truth": locations[0]}, retries=0),
         tmp_path / "out",
         executor=inline(),
-        told=tell,
+        reported=notify,
     )
     assert (summary.done, summary.failed) == (1, 3)
     assert (tmp_path / "out" / "a.txt").read_text() == "one"
     write_page(read_figures(tmp_path / "out"), tmp_path / "run.html")
     with Record.opened(tmp_path / "out") as record:
-        told += [repr((row, record.report(row.number))) for row in record.rows()]
+        reported += [repr((row, record.report(row.number))) for row in record.rows()]
         assert "X-Amz-Signature=***" in record.rows()[0].input
-        assert record.report(1)["inner"][0]["told"].startswith("read http")
-    told += [path.read_bytes().decode("latin-1") for path in tmp_path.rglob("*") if path.is_file()]
-    assert len(told) > 8
-    assert not any("hush" in text for text in told)
+        assert record.report(1)["inner"][0]["reported"].startswith("read http")
+    reported += [path.read_bytes().decode("latin-1") for path in tmp_path.rglob("*") if path.is_file()]
+    assert len(reported) > 8
+    assert not any("hush" in text for text in reported)
 
 
 def test_drives_are_known_again_when_they_are_signed_anew_and_looked_at_without_reading(
@@ -79,15 +79,15 @@ def test_drives_are_known_again_when_they_are_signed_anew_and_looked_at_without_
     again = [signed(web, name, "second") for name in ("a.sfs", "b.sfs")]
     summary = run(job("fetch", again), out, executor=executor, resume=True)
     assert (summary.skipped, summary.done) == (1, 2)
-    assert [task.place for task in executor.tasks] == again[1:]
+    assert [task.location for task in executor.tasks] == again[1:]
     assert {command for command, path in web[2] if path.startswith("/a.sfs")} == {"HEAD"}
     assert (out / "b.txt").read_text() == "other content"
 
 
-def test_drives_that_only_secrets_tell_apart_are_refused(tmp_path, job, inline, web):
-    places = [signed(web, "a.sfs", secret) for secret in ("one", "two")]
+def test_drives_that_only_secrets_distinguish_are_refused(tmp_path, job, inline, web):
+    locations = [signed(web, "a.sfs", secret) for secret in ("one", "two")]
     with pytest.raises(OptionError, match="differ in secrets only") as caught:
-        run(job("fetch", places), tmp_path / "out", executor=inline())
+        run(job("fetch", locations), tmp_path / "out", executor=inline())
     assert "one" not in str(caught.value).replace("done", "")
 
 

@@ -47,20 +47,20 @@ def puts(monkeypatch):
 
 
 def test_outputs_are_sent_once_and_the_record_stays_on_disk(tmp_path, drives, job, inline, store, puts):
-    places = drives("a.sfs", "bad.sfs", "c.sfs")
-    first = run(job("refuse", places), store, record=tmp_path / "record", executor=inline())
+    locations = drives("a.sfs", "bad.sfs", "c.sfs")
+    first = run(job("refuse", locations), store, record=tmp_path / "record", executor=inline())
     assert (first.done, first.failed, first.output, first.record) == (2, 1, store, str(tmp_path / "record"))
     assert objects(store) == {"a.txt": "a.sfs", "c.txt": "c.sfs"}
     with pytest.raises(OutputError, match="--resume"):
-        run(job("refuse", places), store, record=tmp_path / "record", executor=inline())
-    Path(places[2]).write_text("changed")
-    os.utime(places[2], ns=(1, 1))
-    again = run(job("refuse", places), store, record=tmp_path / "record", executor=inline(), resume=True)
+        run(job("refuse", locations), store, record=tmp_path / "record", executor=inline())
+    Path(locations[2]).write_text("changed")
+    os.utime(locations[2], ns=(1, 1))
+    again = run(job("refuse", locations), store, record=tmp_path / "record", executor=inline(), resume=True)
     assert (again.skipped, again.done, again.failed) == (1, 2, 1)
     assert puts == ["a.txt", "c.txt", "c.txt"]
     assert objects(store)["c.txt"] == "changed"
     Path(store.removeprefix("local://"), "a.txt").unlink()
-    run(job("refuse", places[:1]), store, record=tmp_path / "record", executor=inline(), resume=True)
+    run(job("refuse", locations[:1]), store, record=tmp_path / "record", executor=inline(), resume=True)
     assert puts[3:] == ["a.txt"]
 
 
@@ -139,7 +139,7 @@ def test_a_killed_worker_leaves_nothing_in_the_store_and_no_draft(
     assert not list((tmp_path / "drafts").glob("sceneloom-*"))
 
 
-def test_records_have_a_folder_of_their_own_for_each_place(monkeypatch, tmp_path):
+def test_records_have_a_folder_of_their_own_for_each_location(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     found = record_folder("s3://fused/run1/")
     assert found.parent == tmp_path / "sceneloom" / "runs"

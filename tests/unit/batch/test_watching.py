@@ -18,8 +18,8 @@ SECOND = 10**9
 def folder(tmp_path):
     """A run of 9 drives, one each second for 2 s of its own, of which two failed alike; a tenth is waiting."""
     with Record.held(tmp_path / "out") as record:
-        record.tell("verb", "fuse")
-        record.tell("sceneloom", "1.2.3")
+        record.notify("verb", "fuse")
+        record.notify("sceneloom", "1.2.3")
         record.add([(f"in/{k}.sfs", {}, f"{k}.sfs") for k in range(1, 11)])
         for k in range(1, 10):
             record.begin(k, 1 + (k == 3))
@@ -75,9 +75,9 @@ def test_the_page_shows_them_and_asks_for_nothing(folder, tmp_path):
     assert (reader.open, reader.asked) == ([], [])
     assert not re.search(r"url\(|@import|<script", text)
     shown = " ".join(reader.texts)
-    for told in ("fuse over 10 drives", "7 done, 2 failed", "10 tries", "54.0 drives a minute",
+    for reported in ("fuse over 10 drives", "7 done, 2 failed", "10 tries", "54.0 drives a minute",
                  "DataError: in/4.sfs: line 4: <7>; expected 8", "host:1"):  # fmt: skip
-        assert told in shown
+        assert reported in shown
     assert "<td>in/5.sfs</td><td>3.0</td>" in text
     with pytest.raises(OutputError, match="exists already"):
         write_page(read_figures(folder), tmp_path / "run.html")
@@ -120,7 +120,7 @@ def test_the_file_of_metrics_ends_with_what_the_run_ended_with(tmp_path, drives,
         job("refuse", drives("a.sfs", "bad.sfs", "c.sfs")),
         tmp_path / "out",
         executor=inline(),
-        told=file.told,
+        reported=file.reported,
     )
     text = (tmp_path / "batch.prom").read_text()
     assert 'state="done"} 2' in text

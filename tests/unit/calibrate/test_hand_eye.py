@@ -15,7 +15,7 @@ from sceneloom.geometry.rotations import (
     quaternion_from_rotation_vector,
     rotate_vectors,
 )
-from sceneloom.scene import PosePath
+from sceneloom.scene import Poses
 from sceneloom.simulate import Faults, LidarSpec, PathSpec, SensorFaults, plant, simulate_street
 
 COUNT = 200
@@ -25,42 +25,42 @@ MOUNT = RigidTransform.from_quaternion(
 )
 
 
-def tumbling_body() -> PosePath:
-    """A body that turns about all its axes."""
+def tumbling_body() -> Poses:
+    """A body that rotates about all its axes."""
     seconds = np.arange(COUNT) * 0.1
-    turns = np.stack([0.4 * np.sin(0.9 * seconds), 0.3 * np.sin(1.3 * seconds), 0.2 * seconds], axis=1)
-    places = np.stack([4.0 * seconds, np.sin(seconds), 0.3 * np.cos(seconds)], axis=1)
-    return PosePath(TIMES_NS, places, quaternion_from_rotation_vector(turns))
+    rotations = np.stack([0.4 * np.sin(0.9 * seconds), 0.3 * np.sin(1.3 * seconds), 0.2 * seconds], axis=1)
+    locations = np.stack([4.0 * seconds, np.sin(seconds), 0.3 * np.cos(seconds)], axis=1)
+    return Poses(TIMES_NS, locations, quaternion_from_rotation_vector(rotations))
 
 
-def planar_car() -> PosePath:
-    """A car on a perfect plane, which turns about its z axis alone and moves along its x axis."""
+def planar_car() -> Poses:
+    """A car on a perfect plane, which rotates about its z axis alone and moves along its x axis."""
     seconds = np.arange(COUNT) * 0.1
     yaws = 0.8 * np.sin(0.5 * seconds)
     steps = 0.8 * np.stack([np.cos(yaws), np.sin(yaws), 0.0 * yaws], axis=1)
-    turns = np.stack([0.0 * yaws, 0.0 * yaws, yaws], axis=1)
-    return PosePath(TIMES_NS, np.cumsum(steps, axis=0), quaternion_from_rotation_vector(turns))
+    rotations = np.stack([0.0 * yaws, 0.0 * yaws, yaws], axis=1)
+    return Poses(TIMES_NS, np.cumsum(steps, axis=0), quaternion_from_rotation_vector(rotations))
 
 
 def seen_by_sensor(
-    body: PosePath, *, turn_noise: float = 0.0, shift_noise: float = 0.0, seed: int = 0
-) -> PosePath:
-    """The sensor's own way, in a world of its own."""
+    body: Poses, *, rotation_noise: float = 0.0, shift_noise: float = 0.0, seed: int = 0
+) -> Poses:
+    """The sensor's own trajectory, in a world of its own."""
     rng = np.random.default_rng(seed)
     count = len(body.timestamps_ns)
-    places = body.positions + rotate_vectors(body.quaternions_xyzw, MOUNT.translation)
-    places = places + rng.normal(0.0, 1.0, (count, 3)) * shift_noise
-    turns = multiply_quaternions(body.quaternions_xyzw, MOUNT.quaternion_xyzw)
-    noise = quaternion_from_rotation_vector(rng.normal(0.0, 1.0, (count, 3)) * turn_noise)
+    locations = body.positions + rotate_vectors(body.quaternions_xyzw, MOUNT.translation)
+    locations = locations + rng.normal(0.0, 1.0, (count, 3)) * shift_noise
+    rotations = multiply_quaternions(body.quaternions_xyzw, MOUNT.quaternion_xyzw)
+    noise = quaternion_from_rotation_vector(rng.normal(0.0, 1.0, (count, 3)) * rotation_noise)
     world = RigidTransform.from_quaternion(rng.normal(0, 3, 3), normalise_quaternion(rng.normal(0, 1, 4)))
-    turned = multiply_quaternions(world.quaternion_xyzw, multiply_quaternions(turns, noise))
-    return PosePath(body.timestamps_ns, world.apply(places), turned)
+    rotated = multiply_quaternions(world.quaternion_xyzw, multiply_quaternions(rotations, noise))
+    return Poses(body.timestamps_ns, world.apply(locations), rotated)
 
 
 def test_exact_motions_about_all_axes_give_the_exact_mounting() -> None:
     body = tumbling_body()
     found = align_motions(paired_motions(body, seen_by_sensor(body), TIMES_NS))
-    # what keeps unknown directions at the guess pulls by a millionth of what the motions tell
+    # what keeps unknown directions at the guess pulls by a millionth of what the motions report
     np.testing.assert_allclose(step_between(found.mounting.a_from_b, MOUNT), 0.0, atol=1e-5)
     assert found.mounting.unobserved == ()
     assert found.inliers == 1.0
@@ -70,7 +70,7 @@ def test_noisy_motions_give_a_mounting_at_least_as_good_as_that_of_scipy() -> No
     body = tumbling_body()
     ours, theirs = [], []
     for seed in range(6):
-        sensor = seen_by_sensor(body, turn_noise=np.radians(0.1), shift_noise=0.02, seed=seed)
+        sensor = seen_by_sensor(body, rotation_noise=np.radians(0.1), shift_noise=0.02, seed=seed)
         found = align_motions(paired_motions(body, sensor, TIMES_NS)).mounting.a_from_b
         ours.append(step_between(found, MOUNT))
         theirs.append(step_between(_by_scipy(body, sensor), MOUNT))
@@ -79,7 +79,7 @@ def test_noisy_motions_give_a_mounting_at_least_as_good_as_that_of_scipy() -> No
     assert np.linalg.norm(errors[0][3:]) <= np.linalg.norm(errors[1][3:])
 
 
-def _by_scipy(body: PosePath, sensor: PosePath) -> RigidTransform:
+def _by_scipy(body: Poses, sensor: Poses) -> RigidTransform:
     """Park and Martin's two steps: rotation vectors aligned by scipy, then the translation by least squares."""
     a, b = _relative(body), _relative(sensor)
     rotation, _ = Rotation.align_vectors(a[0].as_rotvec(), b[0].as_rotvec())
@@ -89,25 +89,25 @@ def _by_scipy(body: PosePath, sensor: PosePath) -> RigidTransform:
     return RigidTransform(rotation.as_matrix(), translation)
 
 
-def _relative(path: PosePath) -> tuple[Rotation, np.ndarray]:
+def _relative(path: Poses) -> tuple[Rotation, np.ndarray]:
     """Motions over a second, as scipy computes them."""
-    turns = Rotation.from_quat(path.quaternions_xyzw)
-    back = turns[:-10].inv()
-    return back * turns[10:], back.apply(path.positions[10:] - path.positions[:-10])
+    rotations = Rotation.from_quat(path.quaternions_xyzw)
+    back = rotations[:-10].inv()
+    return back * rotations[10:], back.apply(path.positions[10:] - path.positions[:-10])
 
 
 def test_a_wild_tenth_of_the_poses_does_not_spoil_the_mounting() -> None:
     body = tumbling_body()
-    sensor = seen_by_sensor(body, turn_noise=np.radians(0.02), shift_noise=0.01)
-    places = sensor.positions.copy()
-    places[::10] += 3.0
-    wild = PosePath(TIMES_NS, places, sensor.quaternions_xyzw)
+    sensor = seen_by_sensor(body, rotation_noise=np.radians(0.02), shift_noise=0.01)
+    locations = sensor.positions.copy()
+    locations[::10] += 3.0
+    wild = Poses(TIMES_NS, locations, sensor.quaternions_xyzw)
     step = step_between(align_motions(paired_motions(body, wild, TIMES_NS)).mounting.a_from_b, MOUNT)
     assert np.degrees(np.abs(step[:3])).max() < 0.02
     assert np.abs(step[3:]).max() < 0.02  # twice the noise of one pose
 
 
-def test_a_car_on_a_plane_tells_all_but_the_height_which_stays_as_it_was_guessed() -> None:
+def test_a_car_on_a_plane_reports_all_but_the_height_which_stays_as_it_was_guessed() -> None:
     body = planar_car()
     guess = RigidTransform(MOUNT.rotation, MOUNT.translation + np.array([0.2, -0.1, 0.3]))
     found = align_motions(paired_motions(body, seen_by_sensor(body), TIMES_NS), guess=guess).mounting
@@ -130,28 +130,28 @@ def test_the_covariance_covers_what_noise_of_the_poses_does() -> None:
     body = tumbling_body()
     inside = []
     for seed in range(20):
-        sensor = seen_by_sensor(body, turn_noise=np.radians(0.05), shift_noise=0.02, seed=seed)
+        sensor = seen_by_sensor(body, rotation_noise=np.radians(0.05), shift_noise=0.02, seed=seed)
         mounting = align_motions(paired_motions(body, sensor, TIMES_NS)).mounting
         inside.append(np.abs(step_between(mounting.a_from_b, MOUNT)) < 1.96 * mounting.sigmas)
     assert np.mean(inside) > 0.9
 
 
 def test_a_body_that_stands_is_refused() -> None:
-    still = PosePath(TIMES_NS, np.zeros((COUNT, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (COUNT, 1)))
-    with pytest.raises(PoseError, match="standing tells nothing"):
+    still = Poses(TIMES_NS, np.zeros((COUNT, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (COUNT, 1)))
+    with pytest.raises(PoseError, match="stationary states nothing"):
         align_motions(paired_motions(still, still, TIMES_NS))
 
 
 def test_ways_without_common_time_are_refused() -> None:
     body = tumbling_body()
-    later = PosePath(TIMES_NS + 10**12, body.positions, body.quaternions_xyzw)
+    later = Poses(TIMES_NS + 10**12, body.positions, body.quaternions_xyzw)
     with pytest.raises(PoseError, match="do they lie on one clock"):
         paired_motions(body, later, TIMES_NS)
 
 
 def test_the_mounting_and_the_clock_of_a_simulated_lidar_are_found_again() -> None:
     small = LidarSpec(beams=24, steps=600)
-    drive = simulate_street(3, frames=60, path=PathSpec(turn_rate=0.5), lidar=small)
+    drive = simulate_street(3, frames=60, path=PathSpec(yaw_rate=0.5), lidar=small)
     wrong = SensorFaults(rotation_deg=(1.0, -2.0, 3.0), shift=(0.3, -0.2, 0.0), time_offset_ns=30_000_000)
     found = lidar_to_ego(plant(drive, Faults({"lidar": wrong})).scene)
     mounting = found.found.mounting
@@ -162,7 +162,7 @@ def test_the_mounting_and_the_clock_of_a_simulated_lidar_are_found_again() -> No
     assert found.clock.offset_ns == pytest.approx(30e6, abs=2e6)
 
 
-def test_the_way_of_the_lidar_itself_is_refused_as_a_reference() -> None:
+def test_the_trajectory_of_the_lidar_itself_is_refused_as_a_reference() -> None:
     drive = simulate_street(3, frames=2)
     with pytest.raises(OptionError, match="found from the lidar itself"):
         lidar_to_ego(drive.scene, trajectory="lidar")

@@ -21,7 +21,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels.aligned_maps import sum_maps
 from sceneloom.simulate import CameraSpec, LidarSpec, PathSpec, simulate_street
 
-LENS = Camera("pinhole", 621, 188, 360.0, 360.0, 310.0, 93.5)
+CAMERA_MODEL = Camera("pinhole", 621, 188, 360.0, 360.0, 310.0, 93.5)
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def frames() -> tuple[CalibrationFrame, ...]:
     drive = simulate_street(
         5,
         frames=18,
-        cameras=[CameraSpec(LENS)],
+        cameras=[CameraSpec(CAMERA_MODEL)],
         lidar=LidarSpec(beams=48, steps=1200),
         path=PathSpec(speeds=(6.0, 12.0)),
     )
@@ -44,7 +44,7 @@ def off_by(frames: tuple[CalibrationFrame, ...], numbers: list[float]) -> tuple[
     return tuple(replace(frame, camera_from_lidar=stated) for frame in frames)
 
 
-def test_a_planted_error_is_taken_out_again(frames: tuple[CalibrationFrame, ...]) -> None:
+def test_an_injected_error_is_taken_out_again(frames: tuple[CalibrationFrame, ...]) -> None:
     wrong = off_by(frames, [0.008, -0.006, 0.004, 0, 0, 0, 0, 0])
     found = refine(wrong, parameters=("rotation",))
     assert found.verdict is RefinementVerdict.REFINED
@@ -67,17 +67,17 @@ def test_the_right_calibration_stays_what_it_is_within_what_is_known(
     [np.zeros_like, lambda grey: np.full_like(grey, 120.0)],
     ids=["black", "covered"],
 )
-def test_pictures_that_show_nothing_tell_nothing(
+def test_images_that_show_nothing_state_nothing(
     frames: tuple[CalibrationFrame, ...], paint: Callable[[np.ndarray], np.ndarray]
 ) -> None:
     found = refine(tuple(replace(frame, grey=paint(frame.grey)) for frame in frames))
-    assert found.verdict is RefinementVerdict.CANNOT_TELL
+    assert found.verdict is RefinementVerdict.UNDETERMINED
     assert "show next to nothing" in found.reason
     assert found.camera_from_lidar is frames[0].camera_from_lidar
 
 
 @pytest.mark.slow
-def test_a_right_calibration_is_not_repaired_by_pictures_of_the_night(
+def test_a_right_calibration_is_not_repaired_by_images_of_the_night(
     frames: tuple[CalibrationFrame, ...],
 ) -> None:
     """Of 256 levels four are left."""
@@ -88,7 +88,7 @@ def test_a_right_calibration_is_not_repaired_by_pictures_of_the_night(
 
 
 @pytest.mark.slow
-def test_pictures_seconds_late_are_never_refined(frames: tuple[CalibrationFrame, ...]) -> None:
+def test_images_seconds_late_are_never_refined(frames: tuple[CalibrationFrame, ...]) -> None:
     """The clock of the camera is off by half of the drive."""
     half = len(frames) // 2
     late = tuple(replace(frame, grey=frames[(k + half) % len(frames)].grey) for k, frame in enumerate(frames))
@@ -96,7 +96,7 @@ def test_pictures_seconds_late_are_never_refined(frames: tuple[CalibrationFrame,
     assert found.verdict is not RefinementVerdict.REFINED
 
 
-def test_something_that_fills_the_view_tells_nothing(frames: tuple[CalibrationFrame, ...]) -> None:
+def test_something_that_fills_the_view_states_nothing(frames: tuple[CalibrationFrame, ...]) -> None:
     """A lorry's flat side of one colour, three metres ahead in each frame."""
     filled = []
     for frame in frames:
@@ -106,14 +106,14 @@ def test_something_that_fills_the_view_tells_nothing(frames: tuple[CalibrationFr
         moved = frame.camera_from_lidar.inverse().apply(points)
         grey = np.full_like(frame.grey, 90.0)
         filled.append(replace(frame, points_lidar=moved, grey=grey, scan=None))
-    assert refine(filled).verdict is RefinementVerdict.CANNOT_TELL
+    assert refine(filled).verdict is RefinementVerdict.UNDETERMINED
 
 
 @pytest.mark.slow
 def test_an_extrinsic_upside_down_is_never_refined(frames: tuple[CalibrationFrame, ...]) -> None:
-    turned = RigidTransform(np.diag([-1.0, -1.0, 1.0]), np.zeros(3)) @ frames[0].camera_from_lidar
+    rotated = RigidTransform(np.diag([-1.0, -1.0, 1.0]), np.zeros(3)) @ frames[0].camera_from_lidar
     found = refine(
-        tuple(replace(frame, camera_from_lidar=turned) for frame in frames), parameters=("rotation",)
+        tuple(replace(frame, camera_from_lidar=rotated) for frame in frames), parameters=("rotation",)
     )
     assert found.verdict is not RefinementVerdict.REFINED
 
@@ -124,10 +124,10 @@ def test_a_camera_that_looks_away_sees_too_little(frames: tuple[CalibrationFrame
         @ frames[0].camera_from_lidar
     )
     found = refine(tuple(replace(frame, camera_from_lidar=up) for frame in frames))
-    assert found.verdict is RefinementVerdict.CANNOT_TELL
+    assert found.verdict is RefinementVerdict.UNDETERMINED
 
 
-def test_clouds_of_one_point_tell_nothing(frames: tuple[CalibrationFrame, ...]) -> None:
+def test_clouds_of_one_point_state_nothing(frames: tuple[CalibrationFrame, ...]) -> None:
     bare = tuple(
         replace(
             frame,
@@ -139,13 +139,13 @@ def test_clouds_of_one_point_tell_nothing(frames: tuple[CalibrationFrame, ...]) 
         for frame in frames
     )
     found = refine(bare)
-    assert found.verdict is RefinementVerdict.CANNOT_TELL
+    assert found.verdict is RefinementVerdict.UNDETERMINED
     assert "does it look where the calibration says" in found.reason
 
 
 def test_few_frames_are_not_enough_to_judge_by(frames: tuple[CalibrationFrame, ...]) -> None:
     found = refine(frames[:2])
-    assert found.verdict is RefinementVerdict.CANNOT_TELL
+    assert found.verdict is RefinementVerdict.UNDETERMINED
     assert found.reason.startswith("2 frames; expected")
 
 
@@ -157,7 +157,7 @@ def test_unknown_parameters_are_refused(
         refine(frames, parameters=parameters)
 
 
-def test_pixels_move_as_their_derivatives_say(frames: tuple[CalibrationFrame, ...]) -> None:
+def test_pixels_move_as_their_derivatives_state(frames: tuple[CalibrationFrame, ...]) -> None:
     cues = find_cues(frames[2])
     chosen, free = np.arange(0, len(cues.weights), 50), np.arange(8)
     numbers = np.array([0.01, -0.02, 0.005, 0.02, -0.01, 0.03, 0.01, 0.02])
@@ -169,7 +169,7 @@ def test_pixels_move_as_their_derivatives_say(frames: tuple[CalibrationFrame, ..
         behind, _ = moving_pixels(cues, chosen, numbers - step, free)
         numeric = (ahead - behind) / 2e-4
         known = np.isfinite(numeric).all(axis=1) & np.isfinite(slopes[:, :, k]).all(axis=1)
-        # turns are composed, so derivatives at a candidate that is turned already differ by that turn: 2 %
+        # rotates are composed, so derivatives at a candidate that is rotated already differ by that rotation: 2 %
         scale = np.abs(numeric[known]).max() + 1e-9
         assert np.abs(slopes[known, :, k] - numeric[known]).max() < 0.03 * scale
 
@@ -205,7 +205,7 @@ def test_sums_over_maps_are_those_of_scipy() -> None:
     np.testing.assert_allclose(gradients[:, 0], (nudged[0] - nudged[1]) / 2e-4, atol=2e-3)
 
 
-def test_frames_of_a_standing_vehicle_are_one_view(frames: tuple[CalibrationFrame, ...]) -> None:
+def test_frames_of_a_stationary_vehicle_are_one_view(frames: tuple[CalibrationFrame, ...]) -> None:
     still = tuple(replace(frame, twist_lidar=np.zeros(6)) for frame in frames)
     assert views_of(still).tolist() == [0] * len(frames)
     assert views_of(frames)[-1] >= 3

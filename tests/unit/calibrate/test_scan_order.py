@@ -7,7 +7,7 @@ from sceneloom.calibrate.scan_order import find_scan_order
 
 
 def scanned(lines: int = 16, steps: int = 360) -> tuple[np.ndarray, np.ndarray]:
-    """Points on a round wall, line after line from below, each a full turn from the front."""
+    """Points on a round wall, line after line from below, each a full rotation from the front."""
     rings = np.repeat(np.arange(lines), steps)
     azimuths = np.tile(np.linspace(0.001, 2 * np.pi - 0.001, steps), lines)
     elevations = np.radians(-15.0 + 2.0 * rings)
@@ -21,7 +21,7 @@ def scanned(lines: int = 16, steps: int = 360) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["rings", "order"])
-def test_lines_are_told_by_rings_or_by_the_order_of_the_file(known):
+def test_lines_are_reported_by_rings_or_by_the_order_of_the_file(known):
     points, rings = scanned()
     scan = find_scan_order(points, rings.astype(np.uint16) if known else None)
     assert scan is not None
@@ -29,7 +29,7 @@ def test_lines_are_told_by_rings_or_by_the_order_of_the_file(known):
     assert (rings[scan.order] == scan.lines).all()
 
 
-def test_lines_are_told_by_elevations_where_the_order_says_nothing():
+def test_lines_are_reported_by_elevations_where_the_order_says_nothing():
     points, rings = scanned()
     shuffled = np.random.default_rng(1).permutation(len(points))
     scan = find_scan_order(points[shuffled], None)

@@ -1,4 +1,4 @@
-"""A checkerboard in pictures and clouds, against exact scenes and OpenCV's detector."""
+"""A checkerboard in images and clouds, against exact scenes and OpenCV's detector."""
 
 import cv2
 import numpy as np
@@ -21,7 +21,7 @@ AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 CAMERA_FROM_LIDAR = RigidTransform.from_quaternion(
     np.array([0.12, -0.25, -0.4]), quaternion_from_rotation_vector(np.radians([1.0, -2.0, 1.5]))
 ) @ RigidTransform(AXES, np.zeros(3))
-PLACES = [
+LOCATIONS = [
     (-0.5, 0.1, 3.2, 25.0, 20.0, 8.0),
     (0.6, -0.1, 3.5, -30.0, 15.0, -12.0),
     (0.0, 0.2, 2.6, 10.0, -35.0, 20.0),
@@ -58,8 +58,8 @@ def _on_board(
     directions, start = inverse.rotate(rays), inverse.apply(origin)
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = -start[2] / directions[:, 2]
-    places = start + distance[:, None] * directions
-    return places[:, 0], places[:, 1], np.isfinite(distance) & (distance > 0)
+    locations = start + distance[:, None] * directions
+    return locations[:, 0], locations[:, 1], np.isfinite(distance) & (distance > 0)
 
 
 def cloud(lidar_from_board: RigidTransform, board: Board, *, noise: float, seed: int = 0) -> np.ndarray:
@@ -79,26 +79,26 @@ def cloud(lidar_from_board: RigidTransform, board: Board, *, noise: float, seed:
     return rays[seen] * ranges[seen, None]
 
 
-def placed(place: tuple[float, ...]) -> RigidTransform:
+def placed(location: tuple[float, ...]) -> RigidTransform:
     """`camera_from_board`."""
-    turn = quaternion_from_rotation_vector(np.radians(place[3:]))
-    return RigidTransform.from_quaternion(np.array(place[:3]), turn)
+    rotation = quaternion_from_rotation_vector(np.radians(location[3:]))
+    return RigidTransform.from_quaternion(np.array(location[:3]), rotation)
 
 
-@pytest.mark.parametrize("place", PLACES)
-def test_corners_lie_where_they_were_rendered(place: tuple[float, ...]) -> None:
-    corners = find_corners(rendered(CAMERA, placed(place), BOARD), BOARD)
+@pytest.mark.parametrize("location", LOCATIONS)
+def test_corners_lie_where_they_were_rendered(location: tuple[float, ...]) -> None:
+    corners = find_corners(rendered(CAMERA, placed(location), BOARD), BOARD)
     assert corners is not None
-    truth, visible = project(CAMERA, placed(place).apply(BOARD.corners))
+    truth, visible = project(CAMERA, placed(location).apply(BOARD.corners))
     assert visible.all()
     error = min(np.sqrt(np.mean(np.sum((order - truth) ** 2, axis=1))) for order in (corners, corners[::-1]))
     assert error < 0.15  # noise of 2 grey levels moves a saddle by some hundredths of a pixel
 
 
 def test_corners_are_those_that_opencv_finds() -> None:
-    picture = rendered(CAMERA, placed(PLACES[0]), BOARD)
-    ours = find_corners(picture, BOARD)
-    found, theirs = cv2.findChessboardCornersSB(picture.astype(np.uint8), (BOARD.columns, BOARD.rows))
+    image = rendered(CAMERA, placed(LOCATIONS[0]), BOARD)
+    ours = find_corners(image, BOARD)
+    found, theirs = cv2.findChessboardCornersSB(image.astype(np.uint8), (BOARD.columns, BOARD.rows))
     assert found
     assert ours is not None
     theirs = theirs.reshape(-1, 2)
@@ -107,16 +107,16 @@ def test_corners_are_those_that_opencv_finds() -> None:
 
 
 @pytest.mark.slow
-def test_pictures_without_the_whole_board_give_nothing() -> None:
+def test_images_without_the_whole_board_give_nothing() -> None:
     rng = np.random.default_rng(0)
     assert find_corners(np.zeros((200, 300), np.float32), BOARD) is None
     assert find_corners(rng.uniform(0, 255, (200, 300)).astype(np.float32), BOARD) is None
-    picture = rendered(CAMERA, placed(PLACES[0]), BOARD)
-    assert find_corners(picture[:, 250:], BOARD) is None
+    image = rendered(CAMERA, placed(LOCATIONS[0]), BOARD)
+    assert find_corners(image[:, 250:], BOARD) is None
 
 
 def test_the_pose_of_the_board_is_found_from_its_corners() -> None:
-    truth = placed(PLACES[1])
+    truth = placed(LOCATIONS[1])
     pixels, _ = project(CAMERA, truth.apply(BOARD.corners))
     found = board_pose(CAMERA, pixels, BOARD)
     assert found is not None
@@ -124,8 +124,8 @@ def test_the_pose_of_the_board_is_found_from_its_corners() -> None:
     assert found[1] < 1e-5
 
 
-def test_the_board_is_told_from_the_ground_and_from_things_of_another_size() -> None:
-    lidar_from_board = CAMERA_FROM_LIDAR.inverse() @ placed(PLACES[0])
+def test_the_board_is_distinguished_from_the_ground_and_from_things_of_another_size() -> None:
+    lidar_from_board = CAMERA_FROM_LIDAR.inverse() @ placed(LOCATIONS[0])
     points = cloud(lidar_from_board, BOARD, noise=0.01)
     found = board_in_cloud(points, BOARD)
     assert found is not None
@@ -137,14 +137,14 @@ def test_the_board_is_told_from_the_ground_and_from_things_of_another_size() -> 
 
 @pytest.fixture(scope="module")
 def views() -> list[BoardView]:
-    """What camera and lidar tell of all places, with 1 cm of noise."""
+    """What camera and lidar report all locations, with 1 cm of noise."""
     found = []
-    for seed, place in enumerate(PLACES):
-        corners = find_corners(rendered(CAMERA, placed(place), BOARD, seed=seed), BOARD)
+    for seed, location in enumerate(LOCATIONS):
+        corners = find_corners(rendered(CAMERA, placed(location), BOARD, seed=seed), BOARD)
         assert corners is not None
         pose = board_pose(CAMERA, corners, BOARD)
         seen = board_in_cloud(
-            cloud(CAMERA_FROM_LIDAR.inverse() @ placed(place), BOARD, noise=0.01, seed=seed), BOARD
+            cloud(CAMERA_FROM_LIDAR.inverse() @ placed(location), BOARD, noise=0.01, seed=seed), BOARD
         )
         assert pose is not None
         assert seen is not None
@@ -165,7 +165,7 @@ def test_too_few_views_or_views_that_are_alike_are_refused(views: list[BoardView
     found = views[:1]
     with pytest.raises(PoseError, match="expected 3 or more"):
         start_from_target(found, BOARD)
-    with pytest.raises(PoseError, match="turned alike"):
+    with pytest.raises(PoseError, match="rotated alike"):
         start_from_target(found * 4, BOARD)
 
 

@@ -1,11 +1,11 @@
-"""Where lenses end: against folds that are known on paper."""
+"""Where camera models end: against folds that are known on paper."""
 
 import math
 
 import numpy as np
 import pytest
 
-from sceneloom.cameras import Camera, domain_angle, lens_vector, project_unbounded, unproject
+from sceneloom.cameras import Camera, domain_angle, intrinsics_vector, project_unbounded, unproject
 
 SIZE = (640, 480, 500.0, 510.0, 318.7, 243.2)
 
@@ -38,13 +38,13 @@ SIZE = (640, 480, 500.0, 510.0, 318.7, 243.2)
         ("kannala_brandt18", (0,) * 4 + (0.5, 0, 0, 0, 0, 3.0), 0.0),  # inward along y from the start
     ],
 )
-def test_lenses_reach_as_far_as_paper_says(model, coefficients, angle):
+def test_camera_models_reach_as_far_as_paper_says(model, coefficients, angle):
     camera = Camera(model, *SIZE, tuple(map(float, coefficients)))
     assert domain_angle(camera) == pytest.approx(angle, abs=2e-6)
 
 
 def test_a_tangential_fisheye_ends_where_it_folds_first_in_any_direction():
-    # With p1 = 0.1 in OpenCV's sense y' = y + 0.1 (x² + 3 y²): it turns at y = -1/0.6, straight up.
+    # With p1 = 0.1 in OpenCV's sense y' = y + 0.1 (x² + 3 y²): it rotates at y = -1/0.6, straight up.
     camera = Camera("fisheye_radial_custom", *SIZE, (0.0,) * 6 + (0.1, 0.0))
     assert domain_angle(camera) == pytest.approx(1 / 0.6, rel=1e-3)
     # p1 of the other model is OpenCV's p2, which bends x.
@@ -55,8 +55,8 @@ def test_a_tangential_fisheye_ends_where_it_folds_first_in_any_direction():
 
 
 @pytest.mark.parametrize("size", [1e-3, 2e-4, 1e-5, 1e-6])
-def test_the_slightest_decentring_ends_a_perspective_lens_where_it_folds(size):
-    # x' = x + 3 p2 x² along y = 0: it turns at x = -1/(6 p2), and is back in the middle at twice that
+def test_the_slightest_decentring_ends_a_perspective_camera_model_where_it_folds(size):
+    # x' = x + 3 p2 x² along y = 0: it rotates at x = -1/(6 p2), and is back in the middle at twice that
     camera = Camera("brown_conrady", *SIZE, (0.0, 0.0, 0.0, size))
     # the limit is sought in steps of angles, whose tangents are 2 % apart here, and kept inside
     assert 0.97 / (6 * size) < math.tan(domain_angle(camera)) < 1 / (6 * size)
@@ -64,7 +64,7 @@ def test_the_slightest_decentring_ends_a_perspective_lens_where_it_folds(size):
     assert np.isnan(seen).all(axis=1).tolist() == [False, True]
 
 
-def test_asymmetric_terms_end_a_lens_where_they_turn_it_inward():
+def test_asymmetric_terms_end_a_camera_model_where_they_rotate_it_inward():
     # r = θ + θ (0.2 θ²)·(-1) along x only: l2 = 0.2, i3 = cos 2φ gives -1 along y and +1 along x.
     camera = Camera("kannala_brandt18", *SIZE, (0.0,) * 4 + (0.0, 0.2, 0.0, 0.0, 0.0, 1.0))
     assert 0.5 < domain_angle(camera) < math.sqrt(1 / 0.6)  # along y it folds there at the latest
@@ -80,7 +80,7 @@ def test_pixels_beyond_the_seam_of_a_panorama_look_nowhere():
         assert rays[0, 2] < -0.99
 
 
-def test_pixels_above_the_pole_of_an_equirectangular_picture_look_nowhere():
+def test_pixels_above_the_pole_of_an_equirectangular_image_look_nowhere():
     camera = Camera("equirectangular", *SIZE)
     high = SIZE[3] * math.pi / 2
     rays = unproject(
@@ -96,7 +96,7 @@ def test_nothing_is_seen_straight_up_or_down_in_a_panorama():
         assert np.isfinite(pixels).all(axis=1).tolist() == [False, False, False, True]
 
 
-def test_the_middle_of_an_ftheta_picture_with_an_offset_shows_nothing():
+def test_the_middle_of_an_ftheta_image_with_an_offset_shows_nothing():
     camera = Camera("ftheta", *SIZE, (5.0, 300.0))
     assert np.isnan(project_unbounded(camera, [[0.0, 0.0, 1.0]])).all()
     rays = unproject(camera, [[SIZE[4], SIZE[5]], [SIZE[4] + 4.9, SIZE[5]], [SIZE[4] + 5.1, SIZE[5]]])
@@ -122,7 +122,7 @@ def test_the_far_side_of_the_shifted_sphere_is_hidden():
 @pytest.mark.parametrize(
     "model", ["brown_conrady", "fisheye_rad_tan_prism", "kannala_brandt18", "omnidirectional"]
 )
-def test_a_lens_that_folds_at_its_centre_sees_nothing(model):
+def test_a_camera_model_that_folds_at_its_centre_sees_nothing(model):
     coefficients = {
         "brown_conrady": (0.0, 0.0, 10.0, 10.0, 0.0, 0.0, 0.0, 0.0, 3.0, -3.0),
         "fisheye_rad_tan_prism": (-1e6,),
@@ -130,5 +130,5 @@ def test_a_lens_that_folds_at_its_centre_sees_nothing(model):
         "omnidirectional": (0.0, 0.0, 0.0, 0.0, 10.0, 10.0, 1.0, 3.0, -3.0),
     }[model]
     camera = Camera(model, *SIZE, coefficients)
-    assert lens_vector(camera)[-1] < 1e-2
+    assert intrinsics_vector(camera)[-1] < 1e-2
     assert np.isnan(unproject(camera, [[10.0, 10.0], [600.0, 20.0]])).all()

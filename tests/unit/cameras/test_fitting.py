@@ -1,4 +1,4 @@
-"""Lenses that stand in for others: how near they come, told by measuring them anew."""
+"""Camera models that stand in for others: how near they come, reported by measuring them anew."""
 
 import math
 
@@ -17,7 +17,7 @@ ALL_AROUND = Camera(
     "fisheye", 640, 640, 140.0, 140.0, 319.5, 319.5
 )  # 130 degrees to each side at its corners
 PRISM_AND_TILT = ("s1", "s2", "s3", "s4", "tx", "ty")
-PLACES = ("fx", "fy", "cx", "cy")
+LOCATIONS = ("fx", "fy", "cx", "cy")
 
 
 def largest_distance_px(exact, other, *, columns=200, rows=150):
@@ -28,14 +28,14 @@ def largest_distance_px(exact, other, *, columns=200, rows=150):
 
 
 @pytest.mark.parametrize("camera", [BARREL, FISHEYE, PLAIN], ids=["barrel", "fisheye", "pinhole"])
-def test_a_lens_is_found_again_by_its_own_model(camera):
+def test_a_camera_model_is_found_again_by_its_own_model(camera):
     found = fit(camera, camera.model)
     assert found.largest_px < 1e-6
     assert found.share == 1
     assert largest_distance_px(camera, found.camera) < 1e-6
 
 
-def test_a_pinhole_is_any_perspective_lens_without_distortion():
+def test_a_pinhole_is_any_perspective_camera_model_without_distortion():
     found = fit(PLAIN, "brown_conrady")
     assert found.largest_px < 1e-6
     assert [found.camera.fx, found.camera.fy, found.camera.cx, found.camera.cy] == pytest.approx(
@@ -64,15 +64,15 @@ def test_the_best_pinhole_for_a_barrel_magnifies_less_than_its_axis():
 
 
 def test_numbers_that_are_fixed_stay():
-    found = fit(BARREL, "fisheye", fixed=PLACES)
-    assert [getattr(found.camera, name) for name in PLACES] == [1200.0, 1205.0, 959.0, 541.0]
+    found = fit(BARREL, "fisheye", fixed=LOCATIONS)
+    assert [getattr(found.camera, name) for name in LOCATIONS] == [1200.0, 1205.0, 959.0, 541.0]
     assert found.largest_px > fit(BARREL, "fisheye").largest_px
     without = fit(FISHEYE, "brown_conrady", fixed=("k4", "k5", "k6", *PRISM_AND_TILT)).camera
     assert without.coefficients[5:8] == (0, 0, 0)
     assert without.coefficients[10:] == (0,) * 6
 
 
-def test_prism_terms_that_have_no_place_are_taken_over_by_others():
+def test_prism_terms_that_have_no_location_are_taken_over_by_others():
     prism = Camera(
         "brown_conrady", 1920, 1080, *(1800.0, 1800.0, 959.5, 539.5), (*(0.0,) * 10, 5e-4, 0, -3e-4)
     )
@@ -91,7 +91,7 @@ def test_what_looks_behind_the_camera_cannot_be_held_by_a_perspective_model():
     assert found.largest_px < 1
 
 
-def test_distances_are_measured_where_both_lenses_see():
+def test_distances_are_measured_where_both_camera_models_see():
     shifted = Camera("pinhole", 640, 480, 500.0, 510.0, 321.0, 246.0)
     measured = measured_fit(PLAIN, shifted)
     assert measured.largest_px == pytest.approx(5.0)
@@ -110,9 +110,9 @@ def test_an_unknown_model_names_those_there_are():
         fit(BARREL, "periscope")
 
 
-def test_a_lens_of_which_the_model_holds_nothing_is_refused():
+def test_a_camera_model_of_which_the_model_holds_nothing_is_refused():
     backwards = Camera("fisheye", 64, 64, 40.0, 40.0, 150.0, 32.0)  # looks 122 to 214 degrees aside
-    with pytest.raises(CalibrationError, match="pinhole holds nothing of what the fisheye lens sees"):
+    with pytest.raises(CalibrationError, match="pinhole holds nothing of what the fisheye camera model sees"):
         fit(backwards, "pinhole")
 
 
@@ -146,11 +146,11 @@ def test_a_panorama_stands_for_nothing_but_a_panorama(model):
 
 def test_asymmetric_terms_are_found_though_they_are_factors_of_one_another():
     sides = (0.01, 0.002, 0.0, 0.5, 0.3, -0.2, 0.1, 0.004, 0.0, 0.0, 0.2, 0.3, -0.2, 0.1)
-    lens = Camera(
+    camera_model = Camera(
         "kannala_brandt18", 640, 480, 270.0, 270.0, 319.5, 239.5, (0.05, -0.02, 0.01, -0.003, *sides)
     )
-    assert fit(lens, "fisheye").largest_px > 1
-    assert fit(lens, "kannala_brandt18").largest_px < 1e-3
+    assert fit(camera_model, "fisheye").largest_px > 1
+    assert fit(camera_model, "kannala_brandt18").largest_px < 1e-3
 
 
 def test_of_several_models_the_nearest_one_is_taken_and_of_equals_the_first():
@@ -162,16 +162,18 @@ def test_of_several_models_the_nearest_one_is_taken_and_of_equals_the_first():
         nearest(backwards, {"pinhole": ()})
 
 
-def test_a_fit_is_told_in_words():
+def test_a_fit_is_reported_in_words():
     found = fit(ALL_AROUND, "brown_conrady")
-    assert found.message(ALL_AROUND).startswith("fisheye lens told as brown_conrady, off by up to ")
-    assert found.message(ALL_AROUND).endswith(" % of the picture cannot be held")
+    assert found.message(ALL_AROUND).startswith(
+        "fisheye camera model reported as brown_conrady, off by up to "
+    )
+    assert found.message(ALL_AROUND).endswith(" % of the image cannot be held")
 
 
 @pytest.mark.parametrize(
     "numbers", [(-0.5894, 0.66, 0.0011, -0.001, -1.0088), (-0.165, 0.0099, -7.5e-4, 5.4e-5, 0.01)]
 )
-def test_perspective_lenses_of_real_cameras_are_held_by_a_sphere_without_shift(numbers):
+def test_perspective_camera_models_of_real_cameras_are_held_by_a_sphere_without_shift(numbers):
     focal = 1970.0 if numbers[1] > 0.1 else 930.0
-    lens = Camera("brown_conrady", 1920, 1080, focal, focal, 970.0, 500.0, numbers)
-    assert fit(lens, "omnidirectional").largest_px < 0.1
+    camera_model = Camera("brown_conrady", 1920, 1080, focal, focal, 970.0, 500.0, numbers)
+    assert fit(camera_model, "omnidirectional").largest_px < 0.1

@@ -10,10 +10,10 @@ import pytest
 from sceneloom.cameras import MODELS, Camera, domain_angle, project_unbounded, unproject
 
 SIZE = (1280, 960, 410.0, 402.0, 633.2, 471.7)
-ROUNDING_PX = 1e-9  # 1e-16 of some 1e3 px, through some tens of operations and lenses that magnify
+ROUNDING_PX = 1e-9  # 1e-16 of some 1e3 px, through some tens of operations and camera models that magnify
 
 Oracle = Callable[[dict[str, float], float, float, float], complex]
-"""Named coefficients and a point give the place on the plane as x + iy, before focal lengths and centre."""
+"""Named coefficients and a point give the location on the plane as x + iy, before focal lengths and centre."""
 
 
 def polar(x: float, y: float, z: float) -> tuple[float, complex]:
@@ -41,9 +41,11 @@ def brown_conrady(n, X, Y, Z):
     tx, ty = n["tx"], n["ty"]
     about_x = np.array([[1, 0, 0], [0, math.cos(tx), math.sin(tx)], [0, -math.sin(tx), math.cos(tx)]])
     about_y = np.array([[math.cos(ty), 0, -math.sin(ty)], [0, 1, 0], [math.sin(ty), 0, math.cos(ty)]])
-    turn = about_y @ about_x
-    onto_plane = np.array([[turn[2, 2], 0, -turn[0, 2]], [0, turn[2, 2], -turn[1, 2]], [0, 0, 1]])
-    tilted = onto_plane @ turn @ (xd, yd, 1.0)
+    rotation = about_y @ about_x
+    onto_plane = np.array(
+        [[rotation[2, 2], 0, -rotation[0, 2]], [0, rotation[2, 2], -rotation[1, 2]], [0, 0, 1]]
+    )
+    tilted = onto_plane @ rotation @ (xd, yd, 1.0)
     return complex(tilted[0] / tilted[2], tilted[1] / tilted[2])
 
 
@@ -75,8 +77,8 @@ def on_shifted_sphere(xi, X, Y, Z):
     return complex(X / distance, Y / distance) / (Z / distance + xi)
 
 
-def decentred(place: complex, r2: float, radial: float, p1: float, p2: float) -> complex:
-    x, y = place.real, place.imag
+def decentred(location: complex, r2: float, radial: float, p1: float, p2: float) -> complex:
+    x, y = location.real, location.imag
     return complex(
         x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
         y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
@@ -84,16 +86,16 @@ def decentred(place: complex, r2: float, radial: float, p1: float, p2: float) ->
 
 
 def omnidirectional(n, X, Y, Z):
-    place = on_shifted_sphere(n["xi"], X, Y, Z)
-    r2 = abs(place) ** 2
+    location = on_shifted_sphere(n["xi"], X, Y, Z)
+    r2 = abs(location) ** 2
     radial = 1 + n["k1"] * r2 + n["k2"] * r2**2 + n["k3"] * r2**3 + n["k4"] * r2**4
-    return decentred(place + complex(n["lx"], n["ly"]), r2, radial, n["p1"], n["p2"])
+    return decentred(location + complex(n["lx"], n["ly"]), r2, radial, n["p1"], n["p2"])
 
 
 def omnidir(n, X, Y, Z):
-    place = on_shifted_sphere(n["xi"], X, Y, Z)
-    r2 = abs(place) ** 2
-    bent = decentred(place, r2, 1 + n["k1"] * r2 + n["k2"] * r2**2, n["p1"], n["p2"])
+    location = on_shifted_sphere(n["xi"], X, Y, Z)
+    r2 = abs(location) ** 2
+    bent = decentred(location, r2, 1 + n["k1"] * r2 + n["k2"] * r2**2, n["p1"], n["p2"])
     return bent + n["s"] * bent.imag / SIZE[2]  # the skew is in pixels
 
 
@@ -126,8 +128,8 @@ def kannala_brandt18(n, X, Y, Z):
 
     def part(powers: str, waves: str) -> float:
         growth = sum(n[f"{powers}{i}"] * angle ** (2 * i - 1) for i in (1, 2, 3))
-        turns = (math.cos(phi), math.sin(phi), math.cos(2 * phi), math.sin(2 * phi))
-        return growth * sum(n[f"{waves}{i}"] * turn for i, turn in enumerate(turns, start=1))
+        rotations = (math.cos(phi), math.sin(phi), math.cos(2 * phi), math.sin(2 * phi))
+        return growth * sum(n[f"{waves}{i}"] * rotation for i, rotation in enumerate(rotations, start=1))
 
     radial = odd_polynomial(angle, [n[f"k{i}"] for i in range(4)]) + part("l", "i")
     return (radial + 1j * part("m", "j")) * toward
@@ -154,7 +156,7 @@ BROWN = (0.2, 0.1, 1e-3, -2e-3, 0.02, 0.4, 0.1, 0.02, 0.01, -0.02, 1e-3, 2e-3, -
 SIX = (*FISHEYE, 4e-4, -3e-5)
 ASYMMETRIC = (0.01, 0.002, -0.001, 0.3, -0.2, 0.1, 0.4, 0.01, -0.02, 0.001, 0.2, 0.3, -0.1, 0.2)
 
-LENSES = [
+CAMERA_MODELS = [
     ("pinhole", ()),
     ("brown_conrady", ()),
     ("brown_conrady", (-0.3, 0.1, 0.001, -0.002, -0.01)),
@@ -182,16 +184,18 @@ LENSES = [
     ("omnidir", (-0.2, 0.05, 0.0, 1.0)),
     ("omnidir", (-0.2, 0.05, 1.3, 1.2, 1e-3, -2e-3)),
 ]
-EACH_LENS = pytest.mark.parametrize(
-    ("model", "coefficients"), LENSES, ids=[f"{model}-{len(numbers)}" for model, numbers in LENSES]
+EACH_CAMERA_MODEL = pytest.mark.parametrize(
+    ("model", "coefficients"),
+    CAMERA_MODELS,
+    ids=[f"{model}-{len(numbers)}" for model, numbers in CAMERA_MODELS],
 )
 
 
 def expected_pixel(camera: Camera, point: np.ndarray) -> tuple[float, float]:
     names = MODELS[camera.model].coefficient_names
     named = {**dict.fromkeys(names, 0.0), **dict(zip(names, camera.coefficients, strict=False))}
-    place = ORACLES[camera.model](named, *map(float, point))
-    return camera.fx * place.real + camera.cx, camera.fy * place.imag + camera.cy
+    location = ORACLES[camera.model](named, *map(float, point))
+    return camera.fx * location.real + camera.cx, camera.fy * location.imag + camera.cy
 
 
 def points_in_domain(camera: Camera, count: int, *, widest: float = 0.9) -> np.ndarray:
@@ -203,11 +207,11 @@ def points_in_domain(camera: Camera, count: int, *, widest: float = 0.9) -> np.n
     return rays * random.uniform(1, 50, (count, 1))
 
 
-def test_every_model_has_an_oracle_and_a_lens():
-    assert set(ORACLES) == set(MODELS) == {model for model, _ in LENSES}
+def test_every_model_has_an_oracle_and_a_camera_model():
+    assert set(ORACLES) == set(MODELS) == {model for model, _ in CAMERA_MODELS}
 
 
-@EACH_LENS
+@EACH_CAMERA_MODEL
 def test_pixels_are_those_of_the_formulas(model, coefficients):
     camera = Camera(model, *SIZE, coefficients)
     points = points_in_domain(camera, 400)
@@ -215,7 +219,7 @@ def test_pixels_are_those_of_the_formulas(model, coefficients):
     assert np.allclose(project_unbounded(camera, points), expected, rtol=1e-12, atol=ROUNDING_PX)
 
 
-@EACH_LENS
+@EACH_CAMERA_MODEL
 def test_pixels_of_the_formulas_look_at_their_points(model, coefficients):
     camera = Camera(model, *SIZE, coefficients)
     points = points_in_domain(camera, 400)
@@ -249,7 +253,7 @@ def test_the_sphere_that_is_not_shifted_is_a_pinhole():
         assert np.allclose(found, project_unbounded(Camera("pinhole", *SIZE), points))
 
 
-def test_the_focal_lengths_of_an_ftheta_lens_take_no_part():
+def test_the_focal_lengths_of_an_ftheta_camera_model_take_no_part():
     points = points_in_domain(Camera("ftheta", *SIZE, (0.0, 420.0)), 20)
     one, other = (Camera("ftheta", 1280, 960, f, 3 * f, 640.0, 480.0, (0.0, 420.0)) for f in (1.0, 700.0))
     assert np.array_equal(project_unbounded(one, points), project_unbounded(other, points))

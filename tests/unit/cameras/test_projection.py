@@ -1,4 +1,4 @@
-"""What all models promise: at the picture's edges, beyond the domain, in the hot path; `test_formulas` has formulas."""
+"""What all models promise: at the image's edges, beyond the domain, in the hot path; `test_formulas` has formulas."""
 
 import math
 import subprocess
@@ -10,10 +10,10 @@ import pytest
 from sceneloom.cameras import (
     MODELS,
     Camera,
-    PointsInPicture,
+    PointsInImage,
     check_camera,
     domain_angle,
-    lens_vector,
+    intrinsics_vector,
     project,
     project_unbounded,
     projection_kernel,
@@ -71,7 +71,7 @@ NAMES = [f"{camera.model}-{len(camera.coefficients)}-{camera.fx:g}" for camera i
 SHIFTS = {"lx", "ly", "dcx", "dcy"}
 CENTRED = [c for c in CAMERAS if not SHIFTS & {*MODELS[c.model].coefficient_names[: len(c.coefficients)]}]
 EACH_CAMERA = pytest.mark.parametrize("camera", CAMERAS, ids=NAMES)
-ROUNDING_PX = 1e-9  # 1e-16 of some 1e3 px, through some tens of operations and lenses that magnify
+ROUNDING_PX = 1e-9  # 1e-16 of some 1e3 px, through some tens of operations and camera models that magnify
 
 
 def points_before(camera: Camera, count: int, *, widest: float = 0.95) -> np.ndarray:
@@ -86,14 +86,14 @@ def points_before(camera: Camera, count: int, *, widest: float = 0.95) -> np.nda
 
 
 @pytest.mark.parametrize("camera", CENTRED)
-def test_a_point_on_the_axis_falls_on_the_principal_point_of_a_centred_lens(camera):
+def test_a_point_on_the_axis_falls_on_the_principal_point_of_a_centred_camera_model(camera):
     pixels, visible = project(camera, [[0.0, 0.0, 3.0]])
     assert visible.all()
     assert np.allclose(pixels, [[camera.cx, camera.cy]], atol=ROUNDING_PX)
 
 
 @EACH_CAMERA
-def test_every_pixel_of_the_picture_looks_along_a_ray_that_comes_back_to_it(camera):
+def test_every_pixel_of_the_image_looks_along_a_ray_that_comes_back_to_it(camera):
     columns, rows = np.meshgrid(np.linspace(-0.5, 639.5, 41), np.linspace(-0.5, 479.5, 31))
     pixels = np.column_stack([columns.ravel(), rows.ravel()])
     rays = unproject(camera, pixels)
@@ -120,7 +120,7 @@ def test_points_that_are_not_finite_are_never_seen(camera):
 
 
 @EACH_CAMERA
-def test_points_and_pixels_whose_distance_is_no_number_have_nothing_in_place_of_the_middle(camera):
+def test_points_and_pixels_whose_distance_is_no_number_have_nothing_instead_of_the_middle(camera):
     # squares of them overflow, or vanish, and would leave the axis
     points = np.array([[1e308, 1e308, 1e308], [1e200, 0.0, 1e200], [1e-300, 0.0, 1e-300]])
     assert np.isnan(project_unbounded(camera, points)).all()
@@ -157,7 +157,7 @@ def test_a_fisheye_sees_behind_its_own_plane():
     assert unproject(camera, pixels)[0, 2] < 0
 
 
-def test_the_edges_of_the_picture_are_half_a_pixel_around_the_centres_of_its_pixels():
+def test_the_edges_of_the_image_are_half_a_pixel_around_the_centres_of_its_pixels():
     camera = Camera("pinhole", 4, 2, 1.0, 1.0, 0.0, 0.0)
     inside = [(-0.5, -0.5), (3.4999, 1.4999), (0.0, -0.5), (-0.5, 1.0)]
     outside = [(-0.5001, 0.0), (3.5, 0.0), (0.0, -0.5001), (0.0, 1.5), (3.5, 1.5)]
@@ -168,10 +168,10 @@ def test_the_edges_of_the_picture_are_half_a_pixel_around_the_centres_of_its_pix
     assert np.allclose(project_unbounded(camera, [(*outside[1], 1.0)]), [outside[1]])
 
 
-def test_a_strong_barrel_does_not_fold_the_outside_back_into_the_picture():
+def test_a_strong_barrel_does_not_fold_the_outside_back_into_the_image():
     camera = Camera("brown_conrady", *SIZE, (-0.3,))
     fold = math.sqrt(1 / 0.9)  # r - 0.3 r³ grows up to here
-    assert lens_vector(camera)[-1] == pytest.approx(fold)
+    assert intrinsics_vector(camera)[-1] == pytest.approx(fold)
     far_out = np.array([[1.7, 0.0, 1.0]])  # r - 0.3 r³ = 0.226: 113 px from the centre if it were believed
     assert 0 < 318.7 + 500 * (1.7 - 0.3 * 1.7**3) < 640
     _, visible = project(camera, [*far_out, [0.6, 0.0, 1.0]])
@@ -189,26 +189,26 @@ def test_the_largest_radius_of_a_barrel_has_no_ray_beyond_it():
 
 def test_a_pole_of_the_rational_part_ends_the_domain():
     camera = Camera("brown_conrady", *SIZE, (0, 0, 0, 0, 0, -0.25))  # 1 - r²/4 vanishes at 2
-    assert lens_vector(camera)[-1] == pytest.approx(2.0)
+    assert intrinsics_vector(camera)[-1] == pytest.approx(2.0)
     assert not project(camera, [[2.5, 0.0, 1.0]])[1].any()
 
 
 def test_tangential_terms_end_the_domain_where_they_fold():
     camera = Camera("brown_conrady", *SIZE, (0, 0, 0.1, 0.0))
     # y' = y + 0.1 (x² + 3 y²) and x' = x + 0.2 x y: the area factor vanishes first at y = -1 / 0.6 on the axis
-    assert lens_vector(camera)[-1] == pytest.approx(1 / 0.6, rel=1e-3)
+    assert intrinsics_vector(camera)[-1] == pytest.approx(1 / 0.6, rel=1e-3)
 
 
-def test_a_fisheye_ends_where_its_angle_polynomial_turns():
+def test_a_fisheye_ends_where_its_angle_polynomial_rotates():
     camera = Camera("fisheye", *SIZE, (-0.2,))
-    assert lens_vector(camera)[-1] == pytest.approx(math.sqrt(1 / 0.6))
+    assert intrinsics_vector(camera)[-1] == pytest.approx(math.sqrt(1 / 0.6))
     beyond = math.sqrt(1 / 0.6) + 0.3
     assert not project(camera, [[math.sin(beyond), 0.0, math.cos(beyond)]])[1].any()
 
 
 @pytest.mark.parametrize("model", ["pinhole", "brown_conrady", "fisheye"])
-def test_lenses_that_never_fold_have_no_limit_but_the_sphere(model):
-    assert lens_vector(Camera(model, *SIZE))[-1] == (math.pi if model == "fisheye" else math.inf)
+def test_camera_models_that_never_fold_have_no_limit_but_the_sphere(model):
+    assert intrinsics_vector(Camera(model, *SIZE))[-1] == (math.pi if model == "fisheye" else math.inf)
 
 
 @EACH_CAMERA
@@ -238,19 +238,19 @@ def test_coefficients_that_nearly_vanish_change_nothing(tiny):
             project_unbounded(plain, points), project_unbounded(nearly, points), atol=ROUNDING_PX
         )
     rational = Camera("brown_conrady", *SIZE, (0.1, 0, 0, 0, tiny, 0, 0, tiny))
-    assert math.isinf(lens_vector(rational)[-1])
+    assert math.isinf(intrinsics_vector(rational)[-1])
 
 
 def run_kernel(camera: Camera, points_world, camera_from_world):
     count = len(points_world)
-    room = PointsInPicture(
+    room = PointsInImage(
         np.full(count, -1),
         np.full((count, 2), np.nan, np.float32),
         np.full(count, -1, np.int32),
         *np.full((4, count), np.nan, np.float32),
     )
-    kernel, lens = projection_kernel(camera.model), lens_vector(camera)
-    kept = kernel(points_world, camera_from_world, lens, camera.width, camera.height, room)
+    kernel, camera_model = projection_kernel(camera.model), intrinsics_vector(camera)
+    kept = kernel(points_world, camera_from_world, camera_model, camera.width, camera.height, room)
     return room.part(0, kept)
 
 
@@ -285,7 +285,7 @@ def assert_looks_as_mapped(kept, points_world, camera_from_world):
 
 @pytest.mark.parametrize("run", [1, 500, 512, 700])
 @pytest.mark.parametrize("count", [1, 511, 512, 3001])
-def test_runs_of_points_inside_and_outside_the_picture_are_told_apart_wherever_they_end(run, count):
+def test_runs_of_points_inside_and_outside_the_image_are_distinguished_wherever_they_end(run, count):
     camera = CAMERAS[0]
     points = np.random.default_rng(run).uniform((-0.2, -0.2, 1), (0.2, 0.2, 2), (count, 3))
     points[np.arange(count) // run % 2 == 1, 2] *= -1
@@ -312,8 +312,8 @@ def test_the_hot_path_takes_arrays_that_nobody_may_write():
 
 
 @EACH_CAMERA
-def test_lens_vectors_hold_all_coefficients_with_zeros_for_those_not_given(camera):
-    vector = lens_vector(camera)
+def test_camera_model_vectors_hold_all_coefficients_with_zeros_for_those_not_given(camera):
+    vector = intrinsics_vector(camera)
     names = MODELS[camera.model].coefficient_names
     missing = len(names) - len(camera.coefficients)
     assert len(vector) == 5 + len(names)
@@ -322,7 +322,7 @@ def test_lens_vectors_hold_all_coefficients_with_zeros_for_those_not_given(camer
     assert not vector.flags.writeable
 
 
-@pytest.mark.parametrize("use", [check_camera, lens_vector, lambda c: project(c, np.zeros((1, 3)))])
+@pytest.mark.parametrize("use", [check_camera, intrinsics_vector, lambda c: project(c, np.zeros((1, 3)))])
 def test_an_unknown_model_is_refused_with_those_known(use):
     with pytest.raises(CalibrationError, match="'opencv'; expected one of pinhole, brown_conrady, fisheye"):
         use(Camera("opencv", *SIZE))
@@ -345,7 +345,7 @@ def test_more_coefficients_than_the_model_has_are_refused(model, count, message)
 
 def test_coefficients_of_absurd_size_are_refused():
     with pytest.raises(CalibrationError, match="expected no more than"):
-        lens_vector(Camera("brown_conrady", *SIZE, (1e300, 1e300)))
+        intrinsics_vector(Camera("brown_conrady", *SIZE, (1e300, 1e300)))
 
 
 @pytest.mark.parametrize(("function", "wrong"), [(project, np.zeros((3, 2))), (unproject, np.zeros(2))])

@@ -1,4 +1,4 @@
-"""Pictures of a known pattern, taken through a lens, against the pattern itself as a pinhole sees it."""
+"""Images of a known pattern, taken through a camera model, against the pattern itself as a pinhole sees it."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def pixels_of(camera):
     return np.stack([columns, rows], axis=-1).reshape(-1, 2).astype(float)
 
 
-def photograph(camera):
+def image(camera):
     rays = unproject(camera, pixels_of(camera))
     return np.rint(grid_pattern(rays)).astype(np.uint8).reshape(camera.height, camera.width, 3)
 
@@ -47,28 +47,28 @@ def border_of(camera):
 
 
 @pytest.mark.parametrize("camera", [BARREL, PINCUSHION], ids=["barrel", "pincushion"])
-def test_a_pattern_seen_through_a_lens_becomes_the_pattern_as_a_pinhole_sees_it(camera):
-    rgb, seen = undistort(camera, photograph(camera))
+def test_a_pattern_seen_through_a_camera_model_becomes_the_pattern_as_a_pinhole_sees_it(camera):
+    rgb, seen = undistort(camera, image(camera))
     target = undistorted_camera(camera)
     pixels = pixels_of(target)
     x, y = (pixels[:, 0] - target.cx) / target.fx, (pixels[:, 1] - target.cy) / target.fy
     expected = grid_pattern(np.stack([x, y, np.ones(len(x))], axis=1)).reshape(400, 640, 3)
     assert seen.all()
     # waves of 13 rad per unit over 420 px: blending four pixels flattens them by 120 (13/420)²/8 = 0.015 levels,
-    # and both pictures round to whole ones
+    # and both images round to whole ones
     assert np.abs(rgb - expected).max() <= 1.1
 
 
-def test_a_picture_goes_from_one_distorted_lens_to_another():
+def test_an_image_goes_from_one_distorted_camera_model_to_another():
     other = Camera("fisheye", 500, 300, 400.0, 400.0, 249.5, 149.5, (-0.1, 0.02))
-    rgb, seen = undistort(BARREL, photograph(BARREL), to=other)
+    rgb, seen = undistort(BARREL, image(BARREL), to=other)
     expected = grid_pattern(unproject(other, pixels_of(other))).reshape(300, 500, 3)
     assert 0.5 < seen.mean() <= 1
     assert np.abs(rgb - expected)[seen].max() <= 1.3  # at the border, half a pixel is the border's own colour
 
 
 @EACH_CAMERA
-def test_keeping_valid_pixels_only_shows_nothing_that_the_picture_does_not(camera):
+def test_keeping_valid_pixels_only_shows_nothing_that_the_image_does_not(camera):
     maps = Undistortion.between(camera)
     assert maps.seen.all()
     assert maps.target.fx / maps.target.fy == pytest.approx(camera.fx / camera.fy)
@@ -84,19 +84,19 @@ def test_keeping_valid_pixels_only_shows_nothing_that_the_picture_does_not(camer
 
 
 @pytest.mark.parametrize("camera", [BARREL, PINCUSHION, FISHEYE], ids=["barrel", "pincushion", "fisheye"])
-def test_keeping_all_shows_everything_that_the_picture_does(camera):
+def test_keeping_all_shows_everything_that_the_image_does(camera):
     target = undistorted_camera(camera, keep=1.0)
     rays = unproject(camera, border_of(camera))
-    places = project_unbounded(target, rays[np.arccos(rays[:, 2]) < WIDEST])
-    slack = 0.5  # the border was sampled at other places
-    assert (places > -slack).all()
-    assert (places < [target.width - 1 + slack, target.height - 1 + slack]).all()
+    locations = project_unbounded(target, rays[np.arccos(rays[:, 2]) < WIDEST])
+    slack = 0.5  # the border was sampled at other locations
+    assert (locations > -slack).all()
+    assert (locations < [target.width - 1 + slack, target.height - 1 + slack]).all()
     touched = 5.0  # where the border is cut at WIDEST, the nearest sample of it lies a little inside
-    assert (places.min(axis=0) < touched).any()  # and not more than that: one pair of sides is touched
+    assert (locations.min(axis=0) < touched).any()  # and not more than that: one pair of sides is touched
     assert 0.2 < Undistortion.between(camera, target).seen.mean() < 1
 
 
-def test_between_all_and_valid_the_lens_goes_evenly():
+def test_between_all_and_valid_the_camera_model_goes_evenly():
     ends = [undistorted_camera(BARREL, keep=keep) for keep in (0.0, 1.0)]
     middle = undistorted_camera(BARREL, keep=0.5)
     assert ends[1].fx < middle.fx < ends[0].fx
@@ -104,20 +104,20 @@ def test_between_all_and_valid_the_lens_goes_evenly():
     assert middle.cy == pytest.approx((ends[0].cy + ends[1].cy) / 2)
 
 
-def test_a_lens_that_sees_behind_itself_gives_a_picture_as_wide_as_a_pinhole_can_be():
+def test_a_camera_model_that_sees_behind_itself_gives_an_image_as_wide_as_a_pinhole_can_be():
     target = undistorted_camera(BEYOND, keep=1.0)
     corners = unproject(target, [[0.0, target.height / 2], [target.width - 1.0, target.height / 2]])
     assert np.allclose(np.arccos(corners[:, 2]), WIDEST, atol=1e-3)
 
 
-def test_a_lens_without_distortion_stays_as_it_is():
+def test_a_camera_model_without_distortion_stays_as_it_is():
     camera = Camera("pinhole", 320, 240, 300.0, 310.0, 150.0, 125.0)
     target = undistorted_camera(camera)
     assert [target.fx, target.fy, target.cx, target.cy] == pytest.approx([300.0, 310.0, 150.0, 125.0])
     rgb = np.random.default_rng(0).integers(0, 256, (240, 320, 3), np.uint8)
     out, seen = undistort(camera, rgb)
     assert seen.all()
-    assert np.abs(out.astype(int) - rgb).max() <= 1  # float32 places blend neighbours with weights of 1e-5
+    assert np.abs(out.astype(int) - rgb).max() <= 1  # float32 locations blend neighbours with weights of 1e-5
 
 
 def test_another_size_shows_the_same_part():
@@ -133,7 +133,7 @@ def test_pixels_that_no_old_pixel_fills_have_the_colour_asked_for_and_stand_in_t
     assert (rgb[~seen] == 9).all()
 
 
-def test_the_corners_of_a_picture_that_the_lens_cannot_explain_are_left_out():
+def test_the_corners_of_an_image_that_the_camera_model_cannot_explain_are_left_out():
     folded = Camera(
         "brown_conrady", 640, 480, 300.0, 300.0, 319.5, 239.5, (-0.45,)
     )  # folds at 0.86 from the axis
@@ -141,9 +141,9 @@ def test_the_corners_of_a_picture_that_the_lens_cannot_explain_are_left_out():
     assert Undistortion.between(folded).seen.all()
 
 
-def test_maps_are_kept_for_all_pictures_of_a_lens_and_refuse_others():
+def test_maps_are_kept_for_all_images_of_a_camera_model_and_refuse_others():
     maps = Undistortion.between(BARREL)
-    assert not maps.places.flags.writeable
+    assert not maps.locations.flags.writeable
     with pytest.raises(ArrayError, match=r"rgb: \(480, 640, 3\)"):
         maps.apply(np.zeros((480, 640, 3), np.uint8))
     with pytest.raises(ArrayError, match="float64"):
@@ -156,9 +156,9 @@ def test_a_part_to_keep_that_is_none_is_refused(keep):
         undistorted_camera(BARREL, keep=keep)
 
 
-def test_a_picture_whose_middle_looks_too_far_aside_is_refused():
+def test_an_image_whose_middle_looks_too_far_aside_is_refused():
     aside = Camera("fisheye", 64, 64, 20.0, 20.0, 90.0, 32.0)
     with pytest.raises(
-        CalibrationError, match="the middle of its picture looks nowhere, or more than 75 degrees"
+        CalibrationError, match="the middle of its image looks nowhere, or more than 75 degrees"
     ):
         undistorted_camera(aside)

@@ -14,7 +14,7 @@ from sceneloom.scene import (
     CuboidPath,
     GnssSensor,
     OdometrySensor,
-    PosePath,
+    Poses,
     Scene,
 )
 
@@ -25,12 +25,12 @@ def times_ns(count: int) -> np.ndarray:
     return np.arange(count, dtype=np.int64) * 100_000_000
 
 
-def box(identifier, label, stamps_s, centers, *, attributes=()) -> CuboidAnnotation:
+def box(identifier, label, timestamps_s, centers, *, attributes=()) -> CuboidAnnotation:
     values = np.column_stack(
         [np.tile([4.0, 2.0, 1.5], (len(centers), 1)), centers, np.zeros((len(centers), 3))]
     )
-    stamps = np.round(np.asarray(stamps_s) * 1e9).astype(np.int64)
-    return CuboidAnnotation(identifier, CuboidPath(stamps, values), label, attributes=attributes)
+    timestamps = np.round(np.asarray(timestamps_s) * 1e9).astype(np.int64)
+    return CuboidAnnotation(identifier, CuboidPath(timestamps, values), label, attributes=attributes)
 
 
 def street(*, seconds: int = 10, origin=ORIGIN, annotations=None) -> Scene:
@@ -45,7 +45,7 @@ def street(*, seconds: int = 10, origin=ORIGIN, annotations=None) -> Scene:
     points = np.stack([east, np.zeros_like(t), np.zeros_like(t)], axis=-1)
     lla = np.stack(pymap3d.enu2geodetic(east, 0.0 * t, 0.0 * t, *origin), axis=-1)
     unknown = np.full(len(times), np.nan)
-    turns = np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1))
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1))
     rain = AttributePath("weather", ("dry", "Rain"), np.array([0, 4_000_000_000]))
     if annotations is None:
         colour = AttributePath("colour", ("red",), static=True)
@@ -56,7 +56,7 @@ def street(*, seconds: int = 10, origin=ORIGIN, annotations=None) -> Scene:
     return Scene(
         sensors=(
             GnssSensor("gnss", times, lla, unknown, unknown),
-            OdometrySensor("ego", PosePath(times, points, turns)),
+            OdometrySensor("ego", Poses(times, points, rotations)),
         ),
         annotations=tuple(annotations),
         attributes=(rain,),
@@ -70,7 +70,7 @@ def drives(tmp_path_factory):
     other = street(origin=(-33.9, 179.9999, 20.0))
     sceneloom.write(street(), folder / "north.sfs")
     sceneloom.write(replace(other, attributes=()), folder / "o'south [x].sfs")
-    shared = AttributePath("odd", ("a", "b"), np.array([0, 1, 2], np.int64))  # a stamp more than values
+    shared = AttributePath("odd", ("a", "b"), np.array([0, 1, 2], np.int64))  # a timestamp more than values
     short = street(seconds=2, annotations=())
     sceneloom.write(replace(short, attributes=(shared,)), folder / "short.sfs")
     return sorted(folder.iterdir())

@@ -24,7 +24,7 @@ def copies(drives, tmp_path):
     return sorted(shutil.copytree(drives[0].parent, tmp_path / "drives").iterdir())
 
 
-def stamps(folder):
+def timestamps(folder):
     return {file: (file.stat().st_ino, file.stat().st_mtime_ns) for file in folder.rglob("*.parquet")}
 
 
@@ -50,9 +50,9 @@ def put(layout, **scenes):
 def test_an_update_reads_only_what_changed(copies, tmp_path):
     folder = tmp_path / "catalogue"
     build(copies, folder)
-    before, others = stamps(folder), rows_of_others(folder, str(copies[2]))
+    before, others = timestamps(folder), rows_of_others(folder, str(copies[2]))
     assert update(folder).unchanged == 3
-    assert stamps(folder) == before
+    assert timestamps(folder) == before
     sceneloom.write(street(seconds=4), copies[2], overwrite=True)
     report = update(folder)
     assert (report.changed, report.unchanged) == ((str(copies[2]),), 2)
@@ -71,10 +71,10 @@ def test_scenes_share_parts_up_to_a_number_of_rows(copies, tmp_path, monkeypatch
         "part-00000.parquet",
         "part-00001.parquet",
     ]
-    before = stamps(folder)
+    before = timestamps(folder)
     sceneloom.write(street(seconds=4), copies[1], overwrite=True)
     update(folder)
-    after = stamps(folder)
+    after = timestamps(folder)
     assert {file.name for file in before if after[file] != before[file]} == {"part-00001.parquet"}
     assert [count for _, count in query(folder, counts).rows] == [200, 80, 40]
 
@@ -114,14 +114,16 @@ def test_an_update_that_is_stopped_anywhere_is_done_again(copies, tmp_path, monk
 def test_workers_make_the_same_catalogue(copies, tmp_path):
     torn = tmp_path / "torn.sfs"
     torn.write_bytes(copies[0].read_bytes()[:200])
-    told = []
+    reported = []
     reports = [
-        build([*copies, torn], tmp_path / str(workers), workers=workers, progress=lambda *n: told.append(n))
+        build(
+            [*copies, torn], tmp_path / str(workers), workers=workers, progress=lambda *n: reported.append(n)
+        )
         for workers in (1, 2)
     ]
     assert [[failure.path for failure in report.failed] for report in reports] == [[str(torn)]] * 2
     assert sorted(reports[0].added) == sorted(reports[1].added) == sorted(map(str, copies))
-    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)] * 2
+    assert reported == [(1, 4), (2, 4), (3, 4), (4, 4)] * 2
     for table in TABLES:
         sql = f"SELECT * FROM {table} ORDER BY ALL"
         assert repr(query(tmp_path / "1", sql).rows) == repr(query(tmp_path / "2", sql).rows)
@@ -171,7 +173,7 @@ def test_drives_come_and_go(copies, tmp_path):
         update(folder, copies, prune=True)
 
 
-def test_a_drive_that_cannot_be_read_is_told_and_the_others_go_on(copies, tmp_path):
+def test_a_drive_that_cannot_be_read_is_reported_and_the_others_go_on(copies, tmp_path):
     folder = tmp_path / "catalogue"
     torn = tmp_path / "torn.sfs"
     torn.write_bytes(copies[0].read_bytes()[:200])
@@ -237,7 +239,7 @@ def test_odd_scenes_are_catalogued_too(tmp_path):
         box("'; DROP", None, [0.0, 1.0], [[nan, 1e300, 0]] * 2, attributes=(odd,)),
         box(1, "ünï\ud800", [0.05], [[0, 0, 0]]),
         box("1", "", [], np.zeros((0, 3))),
-        EventAnnotation("e", 5, label="turn"),
+        EventAnnotation("e", 5, label="rotation"),
     )
     scene = street(seconds=2, annotations=boxes)
     tables = scene_rows(scene, path="x", options={}, fingerprint="", size_bytes=None, findings=())

@@ -157,8 +157,8 @@ def test_files_with_wrong_bytes_give_rows_or_an_error_about_data(copied, table):
     refused = 0
     for _ in range(12):
         content = bytearray(whole)
-        for place in random.integers(0, len(whole), 8).tolist():
-            content[place] = int(random.integers(256))
+        for location in random.integers(0, len(whole), 8).tolist():
+            content[location] = int(random.integers(256))
         file.write_bytes(content)
         try:
             query(copied, "SELECT * FROM annotations JOIN scenes USING (scene)")
@@ -168,7 +168,7 @@ def test_files_with_wrong_bytes_give_rows_or_an_error_about_data(copied, table):
 
 
 @pytest.mark.parametrize("table", TABLES)
-def test_damage_inside_a_file_is_named_and_mended(copied, table):
+def test_damage_inside_a_file_is_named_and_repaired(copied, table):
     (file,) = copied.glob(f"{table}/*.parquet")
     sql = f"SELECT * FROM {table} ORDER BY ALL"
     whole, right = file.read_bytes(), repr(query(copied, sql).rows)
@@ -191,8 +191,8 @@ def test_updates_of_files_with_wrong_bytes_end_well_or_name_them(copied, drives,
     whole, random = file.read_bytes(), np.random.default_rng(2)
     for length in [*random.integers(0, len(whole), 4).tolist(), *[len(whole)] * 8]:
         content = bytearray(whole[:length])
-        for place in random.integers(0, max(length, 1), 8).tolist() if length == len(whole) else ():
-            content[place] = int(random.integers(256))
+        for location in random.integers(0, max(length, 1), 8).tolist() if length == len(whole) else ():
+            content[location] = int(random.integers(256))
         file.write_bytes(content)
         report = update(copied, drives[:1], checks="none")
         assert not report.failed

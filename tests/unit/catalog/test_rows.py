@@ -9,7 +9,7 @@ import sceneloom
 from sceneloom.catalog import TABLES, Selection, build, query
 from sceneloom.catalog.boxes import box_rows, distances, track_rows
 from sceneloom.catalog.ego import Ego
-from sceneloom.scene import PosePath
+from sceneloom.scene import Poses
 
 from .conftest import box, street, times_ns
 
@@ -18,7 +18,7 @@ def rows_of(catalogue, sql):
     return query(catalogue, sql).rows
 
 
-def test_a_box_stands_at_every_moment_between_its_stamps(catalogue, drives):
+def test_a_box_stands_at_every_moment_between_its_timestamps(catalogue, drives):
     rows = rows_of(
         catalogue,
         "SELECT seconds, x, y, speed, a.annotation FROM annotations a JOIN scenes USING (scene) "
@@ -44,7 +44,7 @@ def test_distances_are_those_from_the_ego_at_that_moment(catalogue, drives):
     assert np.array([row[2] for row in rows])[steady] == pytest.approx(np.where(t < 5, 5, 15)[steady])
 
 
-def test_a_track_tells_its_span_way_and_least_distance(catalogue):
+def test_a_track_reports_its_span_trajectory_and_least_distance(catalogue):
     sql = "SELECT start, stop, metres, nearest, boxes FROM tracks WHERE annotation = '7' LIMIT 1"
     ((start, stop, metres, nearest, boxes),) = rows_of(catalogue, sql)
     assert (start, stop, metres, boxes) == pytest.approx((2.0, 3.0, 2.0, 11))
@@ -56,16 +56,14 @@ def test_the_least_distance_is_that_of_the_moments_at_which_the_ego_is_known():
     scene = street()
     ego = scene.sensor("ego")
     rows = slice(0, 30)
-    path = PosePath(
-        ego.poses.timestamps_ns[rows], ego.poses.positions[rows], ego.poses.quaternions_xyzw[rows]
-    )
+    path = Poses(ego.poses.timestamps_ns[rows], ego.poses.positions[rows], ego.poses.quaternions_xyzw[rows])
     part = replace(scene, sensors=(replace(ego, poses=path),))
     boxes = box_rows(part, times_ns(100))
     nearest = track_rows(part, boxes, distances(part, Ego.of(part), boxes), 0)["nearest"]
     assert nearest == pytest.approx([np.hypot(50 - 5 * 2.9, 10), np.hypot(20 - 5 * 2.9, 7 - 0.2)], abs=0.5)
 
 
-def test_frames_tell_where_on_earth_the_ego_was(catalogue, drives):
+def test_frames_report_where_on_earth_the_ego_was(catalogue, drives):
     sql = (
         "SELECT f.latitude, f.longitude FROM frames f JOIN scenes s USING (scene) WHERE reference AND "
         f"path = '{drives[0]}' ORDER BY frame"
@@ -74,13 +72,13 @@ def test_frames_tell_where_on_earth_the_ego_was(catalogue, drives):
     assert found == pytest.approx(street().sensors[0].positions_lla[:, :2], abs=1e-9)
 
 
-def test_fixes_without_reception_or_height_are_told_as_far_as_they_are_places():
+def test_fixes_without_reception_or_height_are_reported_as_far_as_they_are_locations():
     whole = street()
     lla = whole.sensor("gnss").positions_lla.copy()
     lla[:, 2] = np.nan
     lla[50] = 0.0
     ego = Ego.of(replace(whole, sensors=(replace(whole.sensor("gnss"), positions_lla=lla),)))
-    found = ego.places_lla(times_ns(100))
+    found = ego.positions_lla(times_ns(100))
     assert found[:, :2] == pytest.approx(whole.sensor("gnss").positions_lla[:, :2], abs=1e-5)
     assert ego.speeds(times_ns(100)).max() < 20.0
 
@@ -93,12 +91,12 @@ def test_fixes_without_reception_or_height_are_told_as_far_as_they_are_places():
         ({"enu_origin": {"latitude": 10**400, "longitude": 11.0, "altitude": 0.0}}, False),
     ],
 )
-def test_a_place_of_the_world_counts_where_it_is_one_and_the_world_was_not_moved(ours, known):
+def test_a_location_of_the_world_counts_where_it_is_one_and_the_world_was_not_moved(ours, known):
     origin = dict(zip(("latitude", "longitude", "altitude"), (48.0, 11.0, 500.0), strict=True))
     scene = replace(
         street(), sensors=street().sensors[1:], metadata={"sceneloom": {"enu_origin": origin, **ours}}
     )
-    assert np.isfinite(Ego.of(scene).places_lla(times_ns(3))).all() == known
+    assert np.isfinite(Ego.of(scene).positions_lla(times_ns(3))).all() == known
 
 
 def test_every_table_has_its_columns_and_the_scene(catalogue):
@@ -115,8 +113,8 @@ def test_the_scene_row_counts_what_is_there(catalogue, drives):
 def test_the_page_about_catalogues_names_every_column(request):
     page = (request.config.rootpath / "docs" / "catalogue.md").read_text("utf-8")
     for table, columns in TABLES.items():
-        told = "; ".join(f"`{column.name}` {column.words}" for column in columns)
-        assert f"| `{table}` | {told} |" in page
+        reported = "; ".join(f"`{column.name}` {column.words}" for column in columns)
+        assert f"| `{table}` | {reported} |" in page
 
 
 @pytest.mark.parametrize("reader", ["pyarrow", "polars"])
@@ -134,7 +132,7 @@ def test_other_readers_find_the_same_rows_and_scenes(catalogue, reader):
     assert found == rows_of(catalogue, "SELECT count(*), count(DISTINCT scene) FROM annotations")[0]
 
 
-def test_the_moments_of_a_drive_without_frames_are_the_stamps_of_its_boxes(tmp_path):
+def test_the_moments_of_a_drive_without_frames_are_the_timestamps_of_its_boxes(tmp_path):
     stands = replace(box("stands", "car", [0.0], [[1, 2, 0]]), stationary=True)
     boxes = (stands, box("goes", "car", [1.0, 2.0, 4.0], [[0, 0, 0], [2, 0, 0], [6, 0, 0]]))
     sceneloom.write(replace(street(annotations=boxes), sensors=()), tmp_path / "boxes.sfs")

@@ -43,7 +43,7 @@ def test_spans_are_those_in_which_all_holds(catalogue, drives, wanted, expected)
     assert np.array(found).reshape(-1) == pytest.approx(np.array(expected).reshape(-1))
 
 
-def test_places_are_found_by_metres_on_the_ellipsoid_also_across_the_date_line(catalogue, drives):
+def test_locations_are_found_by_metres_on_the_ellipsoid_also_across_the_date_line(catalogue, drives):
     for drive, origin in ((drives[0], (48.0, 11.0)), (drives[1], (-33.9, 179.9999))):
         found = spans(catalogue, drive, near=(*origin, 40.0))
         t = np.arange(100) / 10
@@ -55,7 +55,7 @@ def test_places_are_found_by_metres_on_the_ellipsoid_also_across_the_date_line(c
 
 def test_findings_choose_drives(catalogue, drives):
     rules = query(catalogue, "SELECT DISTINCT rule, path FROM findings JOIN scenes USING (scene)").rows
-    assert rules, "the drives say less than the rules want"
+    assert rules, "the drives state less than the rules want"
     rule = rules[0][0]
     chosen = query(catalogue, Selection(findings=(rule,)), show="drives")
     assert [row[0] for row in chosen.rows] == sorted(path for name, path in rules if name == rule)
@@ -81,7 +81,7 @@ def test_lists_are_what_a_batch_takes(catalogue, drives, tmp_path):
     lines = list(iter_list(query(catalogue, Selection(labels=("ped*",)))))
     (tmp_path / "found.jsonl").write_text("\n".join(lines))
     inputs = find_inputs((), (tmp_path / "found.jsonl",))
-    assert [drive.place for drive in inputs] == list(map(str, drives[:2]))
+    assert [drive.location for drive in inputs] == list(map(str, drives[:2]))
     assert inputs[0].options == {"start": 2.0, "stop": json.loads(lines[0])["stop"]}
     with pytest.raises(OptionError, match="needs the column `path`"):
         list(iter_list(query(catalogue, "SELECT 1 AS start")))

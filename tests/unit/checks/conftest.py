@@ -1,4 +1,4 @@
-"""A sound scene, changed by each test in one thing, and what rules say about it."""
+"""A sound scene, changed by each test in one thing, and what rules state about it."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,37 +10,37 @@ import pytest
 from sceneloom.cameras.camera import Camera
 from sceneloom.checks import all_rules, validate
 from sceneloom.scene import (
+    CameraImage,
     CameraSensor,
     LazyFrames,
     LidarFrame,
     LidarPoints,
     LidarSensor,
     OdometrySensor,
-    Picture,
     PointsFrame,
-    PosePath,
+    Poses,
     Scene,
     Sensor,
 )
 
 SECOND = 1_000_000_000
 PERIOD = SECOND // 10
-LENS = Camera("pinhole", 32, 24, 30.0, 30.0, 15.5, 11.5)
+CAMERA_MODEL = Camera("pinhole", 32, 24, 30.0, 30.0, 15.5, 11.5)
 
 
 class Sound:
     """Parts of a scene in which no rule finds anything; each takes what is to be different."""
 
     def times(self, count: int = 6) -> np.ndarray:
-        """Stamps of 10 Hz [ns]."""
+        """Timestamps of 10 Hz [ns]."""
         return np.arange(count, dtype=np.int64) * PERIOD
 
-    def path(self, stamps_ns: Any = None, **fields: Any) -> PosePath:
-        """A straight way at 5 m/s."""
-        times = self.times() if stamps_ns is None else np.asarray(stamps_ns, np.int64)
+    def path(self, timestamps_ns: Any = None, **fields: Any) -> Poses:
+        """A straight trajectory at 5 m/s."""
+        times = self.times() if timestamps_ns is None else np.asarray(timestamps_ns, np.int64)
         positions = np.column_stack([5.0 * times / SECOND, np.zeros(len(times)), np.zeros(len(times))])
         given = {"positions": positions, "quaternions_xyzw": np.tile([0.0, 0, 0, 1], (len(times), 1))}
-        return PosePath(times, **{**given, **fields})
+        return Poses(times, **{**given, **fields})
 
     def sweep(self, timestamp_ns: int, **fields: Any) -> LidarFrame:
         """100 points around the sensor, measured over the sweep."""
@@ -54,26 +54,30 @@ class Sound:
         }
         return LidarFrame(timestamp_ns, LidarPoints(**{**given, **fields}))
 
-    def lidar(self, stamps_ns: Any = None, *, sweep: Any = None, **fields: Any) -> LidarSensor:
+    def lidar(self, timestamps_ns: Any = None, *, sweep: Any = None, **fields: Any) -> LidarSensor:
         """A lidar, its points in its own frame."""
-        times = self.times() if stamps_ns is None else np.asarray(stamps_ns, np.int64)
+        times = self.times() if timestamps_ns is None else np.asarray(timestamps_ns, np.int64)
         frames = LazyFrames.of([(sweep or self.sweep)(int(t)) for t in times], times)
         given = {"poses": self.path(), "points_frame": PointsFrame.SENSOR}
         return LidarSensor(**{"id": "top", "frames": frames, **given, **fields})
 
-    def camera(self, stamps_ns: Any = None, *, lens: Camera = LENS, **fields: Any) -> CameraSensor:
-        """A camera with noise for pictures."""
-        times = self.times() if stamps_ns is None else np.asarray(stamps_ns, np.int64)
+    def camera(
+        self, timestamps_ns: Any = None, *, camera_model: Camera = CAMERA_MODEL, **fields: Any
+    ) -> CameraSensor:
+        """A camera with noise for images."""
+        times = self.times() if timestamps_ns is None else np.asarray(timestamps_ns, np.int64)
         rng = np.random.default_rng(0)
-        noise = rng.integers(0, 255, (len(times), lens.height, lens.width, 3), np.uint8)
-        shots = [Picture.of(int(t), lens, rgb) for t, rgb in zip(times, noise, strict=True)]
-        pictures = LazyFrames.of(shots, times)
+        noise = rng.integers(0, 255, (len(times), camera_model.height, camera_model.width, 3), np.uint8)
+        shots = [CameraImage.of(int(t), camera_model, rgb) for t, rgb in zip(times, noise, strict=True)]
+        images = LazyFrames.of(shots, times)
         # z forward, y down
         poses = self.path(quaternions_xyzw=np.tile([-0.5, 0.5, -0.5, 0.5], (len(self.times()), 1)))
-        return CameraSensor(**{"id": "front", "camera": lens, "pictures": pictures, "poses": poses, **fields})
+        return CameraSensor(
+            **{"id": "front", "camera": camera_model, "images": images, "poses": poses, **fields}
+        )
 
     def odometry(self, **fields: Any) -> OdometrySensor:
-        """The way of the ego."""
+        """The ego trajectory."""
         return OdometrySensor(**{"id": "ego", "poses": self.path(), **fields})
 
     def scene(self, *sensors: Sensor, **fields: Any) -> Scene:
@@ -92,7 +96,7 @@ Found = Callable[..., list[tuple[str, str]]]
 
 @pytest.fixture
 def found() -> Found:
-    """What one rule finds: places and messages."""
+    """What one rule finds: locations and messages."""
 
     def run(source: Any, rule: str, **options: Any) -> list[tuple[str, str]]:
         report = validate(source, rules=[rule], **options)
@@ -104,7 +108,7 @@ def found() -> Found:
 
 @pytest.fixture
 def fixed() -> Callable[[Scene, str], Scene]:
-    """A scene mended by one rule, whose fix changes nothing when it is applied again."""
+    """A scene repaired by one rule, whose fix changes nothing when it is applied again."""
 
     def run(scene: Scene, rule: str) -> Scene:
         fix = next(r.fix for r in all_rules() if r.id == rule)

@@ -13,7 +13,7 @@ from sceneloom.scene import (
     EventAnnotation,
     LocalizationAdjustment,
     PointsAnnotation,
-    PosePath,
+    Poses,
     Projection,
     ShapeAnnotation,
     ShapeType,
@@ -28,7 +28,7 @@ RULES = (
     "annotation-outside-scene",
     "annotation-beyond-scene",
     "annotation-duration",
-    "projection-without-picture",
+    "projection-without-image",
 )
 
 
@@ -69,12 +69,12 @@ def test_an_empty_path_between_two_others_parts_them(sound, found):
     assert [path for path, _ in found(scene, "annotation-path-empty")] == ["annotations[1].path"]
 
 
-def test_a_points_annotation_without_points_is_told(sound, found):
+def test_a_points_annotation_without_points_is_reported(sound, found):
     scene = sound.scene(annotations=(PointsAnnotation("hand", ()),))
     assert [path for path, _ in found(scene, "annotation-path-empty")] == ["annotations[0].paths"]
 
 
-def test_sorting_takes_values_along_and_drops_rows_told_twice(sound, fixed):
+def test_sorting_takes_values_along_and_drops_rows_reported_twice(sound, fixed):
     rows = np.arange(36.0).reshape(4, 9)
     rows[3] = rows[0]
     path = CuboidPath(np.array([PERIOD, 0, 2 * PERIOD, PERIOD]), rows)
@@ -83,12 +83,12 @@ def test_sorting_takes_values_along_and_drops_rows_told_twice(sound, fixed):
     scene = sound.scene(
         annotations=(CuboidAnnotation("c", path, attributes=(attribute,), projections=(projection,)),)
     )
-    [mended] = fixed(scene, "annotation-times-increasing").annotations
-    assert mended.path.timestamps_ns.tolist() == [0, PERIOD, 2 * PERIOD]
-    np.testing.assert_array_equal(mended.path.values, rows[[1, 0, 2]])
-    assert mended.attributes[0].values == ("a", "b")
-    assert mended.projections[0].confirmed == (None, True)
-    np.testing.assert_array_equal(mended.projections[0].boxes[1], [1.0] * 4)
+    [repaired] = fixed(scene, "annotation-times-increasing").annotations
+    assert repaired.path.timestamps_ns.tolist() == [0, PERIOD, 2 * PERIOD]
+    np.testing.assert_array_equal(repaired.path.values, rows[[1, 0, 2]])
+    assert repaired.attributes[0].values == ("a", "b")
+    assert repaired.projections[0].confirmed == (None, True)
+    np.testing.assert_array_equal(repaired.projections[0].boxes[1], [1.0] * 4)
 
 
 def test_sorting_takes_vertices_along(sound, fixed):
@@ -96,8 +96,8 @@ def test_sorting_takes_vertices_along(sound, fixed):
     shape = ShapeAnnotation(
         "s", ShapeType.POLYGON_2D, VertexPath(np.array([PERIOD, 0]), outlines), sensor_id="front"
     )
-    [mended] = fixed(sound.scene(annotations=(shape,)), "annotation-times-increasing").annotations
-    assert [len(vertices) for vertices in mended.path.vertices] == [4, 3]
+    [repaired] = fixed(sound.scene(annotations=(shape,)), "annotation-times-increasing").annotations
+    assert [len(vertices) for vertices in repaired.path.vertices] == [4, 3]
 
 
 def test_two_different_rows_of_one_time_are_left_to_a_person(sound, fixed):
@@ -116,7 +116,7 @@ def test_annotations_may_reach_one_sweep_beyond_the_sensors(sound, found):
 
 
 def test_the_poses_of_corrections_may_lie_around_the_scene(sound, found):
-    poses = PosePath(np.array([-(10**9), 10**9]), np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
+    poses = Poses(np.array([-(10**9), 10**9]), np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
     scene = sound.scene(annotations=(LocalizationAdjustment("drift", poses),))
     assert found(scene, "annotation-beyond-scene") == []
 
@@ -159,9 +159,9 @@ def test_an_activation_of_negative_length_is_found(sound, found):
     ]
 
 
-def test_a_projection_between_pictures_is_found(sound, found):
+def test_a_projection_between_images_is_found(sound, found):
     times = np.array([0, PERIOD + PERIOD // 4, PERIOD + PERIOD // 4 + 1, 5 * PERIOD])
     scene = sound.scene(annotations=(cuboid(projections=(Projection("front", times),)),))
-    assert [path for path, _ in found(scene, "projection-without-picture")] == [
+    assert [path for path, _ in found(scene, "projection-without-image")] == [
         "annotations[0].projections[0].timestamps[2]"
     ]

@@ -40,14 +40,14 @@ def test_values_that_the_format_does_not_have_are_found(sound, found, value):
     ]
 
 
-def test_text_and_numbers_by_turns_are_told(sound, found):
+def test_text_and_numbers_alternately_are_reported(sound, found):
     scene = sound.scene(annotations=(holder(AttributePath("lane", (1, "2"), TIMES)),))
     assert [message for _, message in found(scene, "attribute-kinds-mixed")] == [
-        "'lane' is a number and text by turns"
+        "'lane' is a number and text alternately"
     ]
 
 
-def test_static_values_that_differ_are_found_and_equal_ones_told_once(sound, found, fixed):
+def test_static_values_that_differ_are_found_and_equal_ones_reported_once(sound, found, fixed):
     changing = AttributePath("colour", ("red", "blue"), TIMES, static=True)
     repeated = AttributePath("make", ("vw", "vw"), TIMES, static=True)
     scene = sound.scene(annotations=(holder(changing, repeated),))
@@ -55,9 +55,9 @@ def test_static_values_that_differ_are_found_and_equal_ones_told_once(sound, fou
         "annotations[0].attributes[0].values[1]"
     ]
     assert [path for path, _ in found(scene, "attribute-static-repeats")] == ["annotations[0].attributes[1]"]
-    [mended] = fixed(scene, "attribute-static-repeats").annotations
-    assert mended.attributes[0] is changing
-    assert (mended.attributes[1].values, mended.attributes[1].timestamps_ns.tolist()) == (("vw",), [0])
+    [repaired] = fixed(scene, "attribute-static-repeats").annotations
+    assert repaired.attributes[0] is changing
+    assert (repaired.attributes[1].values, repaired.attributes[1].timestamps_ns.tolist()) == (("vw",), [0])
 
 
 def test_values_that_change_need_times(sound, found):

@@ -1,4 +1,4 @@
-"""Rules about lenses, pictures and videos."""
+"""Rules about camera models, images and videos."""
 
 from io import BytesIO
 
@@ -7,11 +7,11 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.formats.video.writer import VideoWriter
-from sceneloom.scene import Notice, NoticeKind, VideoContent
+from sceneloom.scene import DataWarning, VideoContent, WarningKind
 
 RULES = (
     "video-or-images",
-    "lens-model-known",
+    "camera-model-model-known",
     "distortion-length",
     "principal-point",
     "focal-length",
@@ -19,11 +19,11 @@ RULES = (
 )
 
 
-def with_lens(sound, **fields):
-    return sound.camera(lens=Camera(**{**sound_lens(), **fields}))
+def with_camera_model(sound, **fields):
+    return sound.camera(camera_model=Camera(**{**sound_camera_model(), **fields}))
 
 
-def sound_lens():
+def sound_camera_model():
     return {"model": "pinhole", "width": 32, "height": 24, "fx": 30.0, "fy": 30.0, "cx": 15.5, "cy": 11.5}
 
 
@@ -33,28 +33,28 @@ def test_a_sound_scene_keeps_all_of_them(sound, found):
 
 
 def with_fisheye(sound):
-    lens = Camera("fisheye", 32, 24, 9.0, 9.0, 15.5, 11.5, (0.1, 0.0, 0.0, 0.0))
-    return sound.camera(id="fish", lens=lens)
+    camera_model = Camera("fisheye", 32, 24, 9.0, 9.0, 15.5, 11.5, (0.1, 0.0, 0.0, 0.0))
+    return sound.camera(id="fish", camera_model=camera_model)
 
 
-def test_an_unknown_lens_is_found(sound, found):
-    scene = sound.scene(with_lens(sound, model="spherical"))
-    [(path, message)] = found(scene, "lens-model-known")
+def test_an_unknown_camera_model_is_found(sound, found):
+    scene = sound.scene(with_camera_model(sound, model="spherical"))
+    [(path, message)] = found(scene, "camera-model-model-known")
     assert path == "sensors[0].intrinsics.distortion.model"
     assert "'spherical'" in message
 
 
 @pytest.mark.parametrize(
-    ("fields", "places"),
+    ("fields", "locations"),
     [
         ({"cx": 40.0}, ["cx"]),
         ({"cx": -3.0, "cy": 24.0}, ["cx", "cy"]),
         ({"cx": -0.5, "cy": 23.5}, []),
     ],
 )
-def test_a_centre_outside_the_picture_is_found(sound, found, fields, places):
-    hits = found(sound.scene(with_lens(sound, **fields)), "principal-point")
-    assert [path for path, _ in hits] == [f"sensors[0].intrinsics.{name}" for name in places]
+def test_a_centre_outside_the_image_is_found(sound, found, fields, locations):
+    hits = found(sound.scene(with_camera_model(sound, **fields)), "principal-point")
+    assert [path for path, _ in hits] == [f"sensors[0].intrinsics.{name}" for name in locations]
 
 
 @pytest.mark.parametrize(
@@ -66,23 +66,23 @@ def test_a_centre_outside_the_picture_is_found(sound, found, fields, places):
         ({"fx": 30.0, "fy": 31.0}, False),
     ],
 )
-def test_focal_lengths_of_no_lens_are_found(sound, found, fields, wrong):
-    assert bool(found(sound.scene(with_lens(sound, **fields)), "focal-length")) is wrong
+def test_focal_lengths_of_no_camera_model_are_found(sound, found, fields, wrong):
+    assert bool(found(sound.scene(with_camera_model(sound, **fields)), "focal-length")) is wrong
 
 
 @pytest.mark.parametrize(
     ("rule", "code"), [("video-or-images", "video-and-images"), ("distortion-length", "short-distortion")]
 )
-def test_what_the_reader_remarked_is_told_by_its_own_rule(sound, found, rule, code):
-    notice = Notice(kind=NoticeKind.ASSUMED, code=code, place="sensors[1]", message="so it was")
-    scene = sound.scene(notices=(notice,))
+def test_what_the_reader_remarked_is_known_by_its_own_rule(sound, found, rule, code):
+    warning = DataWarning(kind=WarningKind.ASSUMED, code=code, location="sensors[1]", message="so it was")
+    scene = sound.scene(warnings=(warning,))
     assert found(scene, rule) == [("sensors[1]", "so it was")]
     assert found(scene, "reading-assumed") == []
 
 
 @pytest.fixture
 def filmed(sound, tmp_path):
-    """Make a camera with a video of six pictures, and some number of stamps."""
+    """Make a camera with a video of six images, and some number of timestamps."""
     path = tmp_path / "video.mp4"
     times = sound.times()
     with VideoWriter(path, 64, 48, fps=10) as writer:
@@ -91,20 +91,20 @@ def filmed(sound, tmp_path):
     content = path.read_bytes()
 
     def camera(count=6, **fields):
-        lens = Camera("pinhole", 64, 48, 60.0, 60.0, 31.5, 23.5)
+        camera_model = Camera("pinhole", 64, 48, 60.0, 60.0, 31.5, 23.5)
         video = VideoContent(lambda: BytesIO(content), "h264", **fields)
-        return sound.camera(sound.times(count), lens=lens, video=video)
+        return sound.camera(sound.times(count), camera_model=camera_model, video=video)
 
     return camera
 
 
 @pytest.mark.parametrize("chosen", [None, (0, 1, 2, 3, 4, 5)])
-def test_a_video_with_a_picture_for_each_stamp_is_sound(sound, filmed, found, chosen):
+def test_a_video_with_an_image_for_each_timestamp_is_sound(sound, filmed, found, chosen):
     assert found(sound.scene(filmed(frame_indices=chosen)), "video-count") == []
 
 
-def test_a_video_with_more_or_fewer_pictures_than_stamps_is_found(sound, filmed, found):
-    problem = "4 time stamps; the video has 6 pictures"
+def test_a_video_with_more_or_fewer_images_than_timestamps_is_found(sound, filmed, found):
+    problem = "4 timestamps; the video has 6 images"
     assert found(sound.scene(filmed(4)), "video-count") == [("sensors[0].video.timestamps", problem)]
     assert len(found(sound.scene(filmed(8)), "video-count")) == 1
     assert len(found(sound.scene(filmed(6, frame_indices=(0, 6))), "video-count")) == 1

@@ -39,8 +39,8 @@ def test_an_adjustment_that_ends_more_than_a_sweep_too_soon_is_found(sound, foun
 
 
 def test_an_adjustment_need_not_cover_what_inertial_sensors_measured_before_and_after(sound, found):
-    stamps = np.arange(-20, 40) * PERIOD
-    imu = ImuSensor("imu", {"gyroscope": VectorSamples(stamps, np.zeros((60, 3)))})
+    timestamps = np.arange(-20, 40) * PERIOD
+    imu = ImuSensor("imu", {"gyroscope": VectorSamples(timestamps, np.zeros((60, 3)))})
     adjustment = LocalizationAdjustment("a", sound.path(np.array([0, 5 * PERIOD])))
     scene = sound.scene(sound.lidar(), imu, annotations=(adjustment,))
     assert found(scene, "localization-adjustment-short") == []
@@ -64,9 +64,9 @@ def test_a_calibration_that_says_nothing_is_found(sound, found):
     assert [path for path, _ in found(scene, "camera-calibration-empty")] == ["annotations[0]"]
 
 
-def test_a_calibrated_lens_for_other_pictures_is_found(sound, found):
-    lens = Camera("pinhole", 64, 48, 60.0, 60.0, 31.5, 23.5)
-    scene = sound.scene(annotations=(CameraCalibration("c", "front", intrinsics=lens),))
+def test_a_calibrated_camera_model_for_other_images_is_found(sound, found):
+    camera_model = Camera("pinhole", 64, 48, 60.0, 60.0, 31.5, 23.5)
+    scene = sound.scene(annotations=(CameraCalibration("c", "front", intrinsics=camera_model),))
     assert found(scene, "camera-calibration-size") == [
-        ("annotations[0].intrinsics", "64 x 48 px; the camera's pictures are 32 x 24 px")
+        ("annotations[0].intrinsics", "64 x 48 px; the camera's images are 32 x 24 px")
     ]

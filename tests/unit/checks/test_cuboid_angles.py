@@ -9,14 +9,14 @@ from scipy.spatial.transform import Rotation
 from sceneloom.scene import (
     CuboidAnnotation,
     CuboidPath,
+    DataWarning,
     LazyFrames,
     LidarFrame,
     LidarPoints,
     LidarSensor,
-    Notice,
-    NoticeKind,
     PointsFrame,
     Scene,
+    WarningKind,
 )
 
 PERIOD = 100_000_000
@@ -25,7 +25,7 @@ SIZE = np.array([4.5, 1.8, 1.5])
 BY_MOTION, BY_POINTS = "cuboid-heading-off-motion", "cuboid-angles-off-points"
 
 
-def turns(count=24, *, tilted=False):
+def rotations(count=24, *, tilted=False):
     """Orientations as scipy has them: all around, and where asked for up and down and sideways, too."""
     yaw = np.linspace(-170, 175, count)
     tilt = 40 * np.sin(np.arange(count)) if tilted else np.zeros(count)
@@ -38,9 +38,9 @@ def angles_of(orientation, unit, order):
     return np.column_stack([found[:, order.index(axis)] for axis in "xyz"])
 
 
-def scene_of(written, said, *, tilted=False, speed=10.0, points=True):
+def scene_of(written, stated, *, tilted=False, speed=10.0, points=True):
     """Objects that move along their x axis; points on their faces, seen by a lidar whose points are in the world."""
-    orientation = turns(tilted=tilted)
+    orientation = rotations(tilted=tilted)
     angles, forward = angles_of(orientation, *written), orientation.apply([1.0, 0, 0])
     start = np.column_stack([*np.divmod(np.arange(len(angles)), 6)[::-1], np.zeros(len(angles))]) * 12.0
     annotations = []
@@ -58,7 +58,7 @@ def scene_of(written, said, *, tilted=False, speed=10.0, points=True):
             LidarFrame(int(time_ns), LidarPoints(cloud[: len(cloud) if points else 0].astype(np.float32)))
         )
     lidar = LidarSensor("top", LazyFrames.of(frames, TIMES), points_frame=PointsFrame.WORLD)
-    ours = {"euler_unit": said[0], "euler_order": said[1]}
+    ours = {"euler_unit": stated[0], "euler_order": stated[1]}
     return Scene((lidar,), tuple(annotations), metadata={"sceneloom": ours})
 
 
@@ -73,58 +73,58 @@ def test_the_right_reading_is_left_alone(found, reading, tilted):
 
 
 @pytest.mark.parametrize(
-    ("written", "said"),
+    ("written", "stated"),
     [(("degrees", "xyz"), ("radians", "xyz")), (("radians", "zyx"), ("degrees", "zyx"))],
 )
-def test_another_unit_is_told_by_motion_and_by_points(found, written, said):
-    scene = scene_of(written, said)
+def test_another_unit_is_known_by_motion_and_by_points(found, written, stated):
+    scene = scene_of(written, stated)
     for rule in (BY_MOTION, BY_POINTS):
         [(path, message)] = found(scene, rule)
         assert path == "annotations"
-        assert f"read as {said[0]} in the order {said[1]}" in message
+        assert f"read as {stated[0]} in the order {stated[1]}" in message
         assert f"read as {written[0]} in the order {written[1]}" in message
 
 
-def test_another_order_is_told_by_points_where_objects_are_tilted(found):
+def test_another_order_is_known_by_points_where_objects_are_tilted(found):
     scene = scene_of(("degrees", "zyx"), ("degrees", "xyz"), tilted=True)
     [(_, message)] = found(scene, BY_POINTS)
     assert "read as degrees in the order zyx" in message
 
 
-def test_the_order_plays_no_part_where_objects_only_turn(found):
+def test_the_order_plays_no_part_where_objects_only_rotate(found):
     scene = scene_of(("degrees", "zyx"), ("degrees", "xyz"))
     assert found(scene, BY_MOTION) == []
     assert found(scene, BY_POINTS) == []
 
 
-def test_standing_objects_are_told_by_points_alone(found):
+def test_stationary_objects_are_reported_by_points_alone(found):
     scene = scene_of(("degrees", "xyz"), ("radians", "xyz"), speed=0.0)
     assert found(scene, BY_MOTION) == []
     assert len(found(scene, BY_POINTS)) == 1
 
 
-def test_without_points_motion_tells(found):
+def test_without_points_motion_reports(found):
     scene = scene_of(("degrees", "xyz"), ("radians", "xyz"), points=False)
     assert found(scene, BY_POINTS) == []
     assert len(found(scene, BY_MOTION, frames=False)) == 1
 
 
-def test_where_nothing_is_said_the_evidence_is_told(found):
-    assumed = Notice(
-        kind=NoticeKind.ASSUMED, code="euler-unit", place="annotations", message="taken to be degrees"
+def test_where_nothing_is_stated_the_evidence_is_reported(found):
+    assumed = DataWarning(
+        kind=WarningKind.ASSUMED, code="euler-unit", location="annotations", message="taken to be degrees"
     )
     scene = scene_of(("degrees", "xyz"), ("degrees", "xyz"))
     assert found(scene, "cuboid-angles-unsaid") == []
-    [(path, message)] = found(replace(scene, notices=(assumed,)), "cuboid-angles-unsaid")
+    [(path, message)] = found(replace(scene, warnings=(assumed,)), "cuboid-angles-unsaid")
     assert path == "annotations"
     assert message.startswith(
-        "not said; taken to be degrees in the order xyz: headings are 0° off the motion"
+        "not stated; taken to be degrees in the order xyz: headings are 0° off the motion"
     )
     blind = replace(
-        scene_of(("degrees", "xyz"), ("degrees", "xyz"), speed=0.0, points=False), notices=(assumed,)
+        scene_of(("degrees", "xyz"), ("degrees", "xyz"), speed=0.0, points=False), warnings=(assumed,)
     )
     [(_, message)] = found(blind, "cuboid-angles-unsaid")
-    assert message.endswith("neither motion nor points in the boxes tell")
+    assert message.endswith("neither motion nor points in the boxes report")
 
 
 def test_objects_that_drive_backwards_are_along_their_motion(found):

@@ -14,13 +14,13 @@ RULES = (
     "cuboid-size-absurd",
     "cuboid-size-changes",
     "cuboid-jump",
-    "cuboid-turn",
+    "cuboid-rotation",
     "cuboid-stationary-moves",
 )
 
 
 def rows(count=5):
-    """A car at 15 m/s that turns slowly."""
+    """A car at 15 m/s that rotations slowly."""
     values = np.tile([4.0, 2, 1.5, 0, 0, 0, 0, 0, 170], (count, 1))
     values[:, 3] = 1.5 * np.arange(count)
     values[:, 8] += 4.0 * np.arange(count)
@@ -59,7 +59,7 @@ def test_a_sound_scene_keeps_all_of_them(sound, found):
         ("cuboid-size-changes", 0, 8.1, 7.9),
         ("cuboid-size-changes", 1, 0.9, 1.1),
         ("cuboid-jump", 4, 2.2, 2.0),
-        ("cuboid-turn", 8, 174.0 + 101, 174.0 + 99),
+        ("cuboid-rotation", 8, 174.0 + 101, 174.0 + 99),
     ],
 )
 def test_what_is_beyond_the_limit_is_found_and_what_is_within_is_not(sound, found, rule, column, value, near):
@@ -74,15 +74,15 @@ def test_small_things_may_double(sound, found):
     assert found(scene_of(sound, values), "cuboid-size-changes") == []
 
 
-def test_a_keyframe_off_the_way_is_told_by_how_far(sound, found):
+def test_a_keyframe_off_the_trajectory_is_known_by_how_far(sound, found):
     values = rows()
     values[2, 4] = 6.0
     [(path, message)] = found(scene_of(sound, values), "cuboid-jump")
     assert path == "annotations[1].path.values[2]"
-    assert message == "6.0 m off the way between the keyframes before and after"
+    assert message == "6.0 m off the trajectory between the keyframes before and after"
 
 
-def test_a_keyframe_out_of_reach_is_told_by_its_distance_and_time(sound, found):
+def test_a_keyframe_out_of_reach_is_known_by_its_distance_and_time(sound, found):
     values = rows(2)
     values[1, 3] = 12.1
     [(path, message)] = found(scene_of(sound, values, TIMES[:2]), "cuboid-jump")
@@ -91,34 +91,34 @@ def test_a_keyframe_out_of_reach_is_told_by_its_distance_and_time(sound, found):
     assert found(scene_of(sound, values, TIMES[:2]), "cuboid-jump") == []
 
 
-def test_keyframes_far_apart_in_time_may_lie_off_a_straight_way(sound, found):
+def test_keyframes_far_apart_in_time_may_lie_off_a_straight_trajectory(sound, found):
     values = changed(2, 4, 10.0)
     assert found(scene_of(sound, values, TIMES * 10), "cuboid-jump") == []
 
 
-def test_turning_through_a_full_circle_of_numbers_is_no_turn(sound, found):
+def test_rotating_through_a_full_circle_of_numbers_is_no_rotation(sound, found):
     values = rows()
     values[:, 8] = [170, 175, -180, -175, 530]
-    assert found(scene_of(sound, values), "cuboid-turn") == []
+    assert found(scene_of(sound, values), "cuboid-rotation") == []
 
 
-def test_turning_slowly_is_no_flip(sound, found):
-    assert found(scene_of(sound, changed(2, 8, 350.0), TIMES * 7), "cuboid-turn") == []
+def test_rotating_slowly_is_no_flip(sound, found):
+    assert found(scene_of(sound, changed(2, 8, 350.0), TIMES * 7), "cuboid-rotation") == []
 
 
-def test_radians_are_turned_as_radians(sound, found):
+def test_radians_are_rotated_as_radians(sound, found):
     values = rows()
     values[:, 8] = [3.0, 3.1, -3.1, -3.0, 0.0]
     scene = scene_of(sound, values)
-    said = {"sceneloom": {"euler_unit": "radians", "euler_order": "xyz"}}
+    stated = {"sceneloom": {"euler_unit": "radians", "euler_order": "xyz"}}
     [(path, message)] = found(
-        type(scene)(scene.sensors, scene.annotations[1:2], metadata=said), "cuboid-turn"
+        type(scene)(scene.sensors, scene.annotations[1:2], metadata=stated), "cuboid-rotation"
     )
     assert path == "annotations[0].path.values[4]"
-    assert message.startswith("turned by 172°")
+    assert message.startswith("rotated by 172°")
 
 
-def test_a_standing_object_that_moves_is_found(sound, found):
+def test_a_stationary_object_that_moves_is_found(sound, found):
     assert len(found(scene_of(sound, rows(), stationary=True), "cuboid-stationary-moves")) == 1
     still = rows()
     still[:, 3:6] = np.linspace(0, 0.5, 5)[:, None]
@@ -129,9 +129,9 @@ def test_negative_lengths_become_positive_and_nothing_else_changes(sound, fixed)
     values = rows()
     values[1, :3] *= [-1, 1, -1]
     scene = scene_of(sound, values)
-    mended = fixed(scene, "cuboid-negative-size")
-    np.testing.assert_array_equal(mended.annotations[1].path.values, rows())
-    assert mended.annotations[0] is scene.annotations[0]
+    repaired = fixed(scene, "cuboid-negative-size")
+    np.testing.assert_array_equal(repaired.annotations[1].path.values, rows())
+    assert repaired.annotations[0] is scene.annotations[0]
 
 
 def test_a_path_without_keyframes_is_no_trouble(sound, found):

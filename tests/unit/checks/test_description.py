@@ -1,4 +1,4 @@
-"""Clauses of the description that a file can break and still be read: each is found, and told once."""
+"""Clauses of the description that a file can break and still be read: each is found, and reported once."""
 
 import numpy as np
 import pytest
@@ -88,8 +88,8 @@ def test_times_without_a_dtype_of_another_width_are_refused_and_named(file, unit
 def test_times_of_another_width_than_the_unit_says_are_found_and_fixed(tmp_path, file, unit, dtype, wrong):
     fields = {} if unit is None else {"time_unit": unit}
     path = file(scene(sensors=[lidar(np.arange(4, dtype=dtype))], **fields))
-    places = [place for place, _ in found(path, "point-times-width")]
-    assert places == (["sensors[0].frames[0].points.timestamps"] if wrong else [])
+    locations = [location for location, _ in found(path, "point-times-width")]
+    assert locations == (["sensors[0].frames[0].points.timestamps"] if wrong else [])
     report = validate(path, fix=tmp_path / "fixed.sfs")
     assert "point-times-width" not in {finding.rule for finding in report.findings}
 
@@ -109,8 +109,8 @@ def test_the_unit_of_time_is_written_back_as_it_was_read(tmp_path, file, decode_
     ("kind", "near"), [("cubiod", "cuboid"), ("Cuboid", "cuboid"), ("box2d", "box_2d"), ("xyzzy", None)]
 )
 def test_a_misspelt_type_of_annotation_is_found_with_the_nearest_one(file, kind, near):
-    ((place, message),) = found(file(scene({"id": 1, "type": kind})), "annotation-type-known")
-    assert place == "annotations[0].type"
+    ((location, message),) = found(file(scene({"id": 1, "type": kind})), "annotation-type-known")
+    assert location == "annotations[0].type"
     assert (f"which is like {near!r}" in message) if near else "which is like" not in message
 
 
@@ -126,8 +126,10 @@ def test_attributes_of_the_scene_name_sensors_of_it_and_have_rising_times(tmp_pa
         {"name": "weather", "timestamps": [20, 10], "values": ["dry", "wet"]},
     ]
     path = file(scene(attributes=attributes))
-    assert [place for place, _ in found(path, "annotation-sensor-unknown")] == ["attributes[0].sensor_id"]
-    assert [place for place, _ in found(path, "annotation-times-increasing")] == [
+    assert [location for location, _ in found(path, "annotation-sensor-unknown")] == [
+        "attributes[0].sensor_id"
+    ]
+    assert [location for location, _ in found(path, "annotation-times-increasing")] == [
         "attributes[1].timestamps[1]"
     ]
     validate(path, fix=tmp_path / "fixed.sfs")
@@ -147,7 +149,7 @@ def test_a_second_activation_or_projection_of_one_sensor_is_found(file):
         "projections": [[point], [point, point]],
     }
     content = scene(cuboid(activations=[active, active], projections=[seen, seen]), keypoints)
-    assert [place for place, _ in found(file(content), "part-of-sensor-once")] == [
+    assert [location for location, _ in found(file(content), "part-of-sensor-once")] == [
         "annotations[0].activations[1].sensor_id",
         "annotations[0].projections[1].sensor_id",
         "annotations[1].projections[1][1].sensor_id",
@@ -159,8 +161,8 @@ def test_a_second_activation_or_projection_of_one_sensor_is_found(file):
 def test_pairs_that_are_read_as_triples_are_found_and_read_as_pairs_on_request(file, kind):
     pairs = [value for vertex in ROAD for value in vertex]
     path = file(scene({"id": 1, "type": kind, "path": {"timestamps": [0], "values": [pairs]}}))
-    ((place, message),) = found(path, "shape-vertices-pairs")
-    assert place == "annotations[0].path.values"
+    ((location, message),) = found(path, "shape-vertices-pairs")
+    assert location == "annotations[0].path.values"
     assert "12 numbers, read as 4 x, y, z triples" in message
     assert not found(path, "shape-vertices-pairs", vertices="pairs")
     with sceneloom.open(path, vertices="pairs") as opened:
@@ -180,18 +182,18 @@ def test_rows_that_fit_both_are_questioned_beside_rows_that_are_pairs(file):
     both = {"id": 1, "type": "polyline", "path": {"timestamps": [0], "values": [[0, 0, 1, 1, 0, 2]]}}
     pairs = {"id": 2, "type": "polyline", "path": {"timestamps": [0], "values": [[0, 0, 1, 1]]}}
     assert not found(file(scene(both)), "shape-vertices-pairs")
-    ((place, message),) = found(file(scene(both, pairs)), "shape-vertices-pairs")
-    assert place == "annotations[0].path.values"
+    ((location, message),) = found(file(scene(both, pairs)), "shape-vertices-pairs")
+    assert location == "annotations[0].path.values"
     assert "as in other annotations of the file" in message
 
 
-def test_vertices_that_are_not_what_was_said_are_refused(file):
+def test_vertices_that_are_not_what_was_stated_are_refused(file):
     path = file(scene({"id": 1, "type": "polyline", "path": {"timestamps": [0], "values": [[0] * 8]}}))
     with pytest.raises(DataError, match="8 numbers; expected a multiple of 3"):
         sceneloom.open(path, vertices="triples")
 
 
-def test_one_bad_sensor_is_told_once_and_not_by_all_that_name_it(file):
+def test_one_bad_sensor_is_reported_once_and_not_by_all_that_name_it(file):
     seen = [
         cuboid(id=k, projections=[{"sensor_id": "cam", "timestamps": [0], "boxes": [[1, 2, 3, 4]]}])
         for k in range(20)
@@ -201,9 +203,9 @@ def test_one_bad_sensor_is_told_once_and_not_by_all_that_name_it(file):
     link = {"id": "l", "type": "link", "label": "x", "is_bidirectional": True, "from_id": 0, "to_id": "gone"}
     gone = {"id": "gone", "type": "cuboid", "parent_id": "cam"}
     path = file(scene(*seen, link, gone, sensors=[lidar(), bad, child]))
-    said = [message for _, message in found(path)]
-    assert not [message for message in said if "is no sensor" in message or "is no annotation" in message]
-    assert "sensors[1].intrinsics.fx" in [place for place, _ in found(path, "fields-valid")]
+    stated = [message for _, message in found(path)]
+    assert not [message for message in stated if "is no sensor" in message or "is no annotation" in message]
+    assert "sensors[1].intrinsics.fx" in [location for location, _ in found(path, "fields-valid")]
 
 
 def test_a_part_keeps_attributes_without_times_and_points_that_no_camera_sees(tmp_path, file):

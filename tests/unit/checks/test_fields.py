@@ -11,7 +11,7 @@ from sceneloom.checks import validate
 from sceneloom.formats.sfs.removal import copied, parse_path
 
 POSES = {"timestamps": [0, 100_000], "values": [[0, 0, 0, 0, 0, 0, 1], [1, 0, 0, 0, 0, 0, 1]]}
-LENS = {"fx": 9, "fy": 9, "cx": 4, "cy": 3, "width": 8, "height": 6}
+CAMERA_MODEL = {"fx": 9, "fy": 9, "cx": 4, "cy": 3, "width": 8, "height": 6}
 ATTRIBUTE = {"name": "colour", "timestamps": [0], "values": ["red"]}
 
 
@@ -29,7 +29,7 @@ def shape(identifier, kind, *row, **fields):
 
 @cache
 def film():
-    """A video of one picture."""
+    """A video of one image."""
     target = io.BytesIO()
     with av.open(target, "w", format="mp4") as output:
         stream = output.add_stream("mpeg4", rate=10)
@@ -62,14 +62,14 @@ def header():
                 "id": "cam",
                 "type": "camera",
                 "poses": POSES,
-                "intrinsics": {**LENS, "distortion": {"model": "fisheye", "params": [0.1, 0, 0, 0]}},
+                "intrinsics": {**CAMERA_MODEL, "distortion": {"model": "fisheye", "params": [0.1, 0, 0, 0]}},
                 "images": [{"timestamp": 0, "content": np.zeros(9, np.uint8)}],
             },
             {
                 "id": "film",
                 "type": "camera",
                 "poses": POSES,
-                "intrinsics": LENS,
+                "intrinsics": CAMERA_MODEL,
                 "video": {"timestamps": [0], "content": film(), "fps": 10},
             },
             {"id": "ego", "type": "odometry", "poses": POSES},
@@ -105,7 +105,13 @@ def header():
                 ],
             },
             {"id": "a", "type": "localization_adjustment", "poses": POSES},
-            {"id": "c", "type": "camera_calibration", "sensor_id": "cam", "poses": POSES, "intrinsics": LENS},
+            {
+                "id": "c",
+                "type": "camera_calibration",
+                "sensor_id": "cam",
+                "poses": POSES,
+                "intrinsics": CAMERA_MODEL,
+            },
             {"id": "o", "type": "object", "label": "thing"},
             {
                 "id": "n",
@@ -122,7 +128,7 @@ def header():
 
 
 OPTIONAL = {
-    "distortion": "stands for a pinhole lens",
+    "distortion": "stands for a pinhole camera model",
     "images": "or `video`",
     "video": "or `images`",
     "attributes": "",
@@ -135,34 +141,36 @@ OPTIONAL = {
 """Fields of the scene above that the description calls optional."""
 LABELS_THAT_MAY_BE_ABSENT = {"annotations[13].label", "annotations[15].label"}
 READ_WITHOUT = {"annotations[12].poses", "annotations[12].intrinsics", "annotations[9].start"}
-"""Required by the text, and free by the readings of docs/CONVENTIONS.md: corrections of poses or of the lens alone, and
+"""Required by the text, and free by the readings of docs/CONVENTIONS.md.
+
+Corrections of poses or of the camera model alone, and
 an event without a start, which is an object."""
 
 
-def fields_of(node, place=""):
+def fields_of(node, location=""):
     """The path of every field of a header."""
     if isinstance(node, dict):
         for name, value in node.items():
-            inner = f"{place}.{name}" if place else name
+            inner = f"{location}.{name}" if location else name
             yield inner
             yield from fields_of(value, inner)
     elif isinstance(node, list):
         for k, value in enumerate(node):
-            yield from fields_of(value, f"{place}[{k}]")
+            yield from fields_of(value, f"{location}[{k}]")
 
 
 REQUIRED = [
-    place
-    for place in fields_of(header())
-    if place.rpartition(".")[2] not in OPTIONAL
-    and place not in LABELS_THAT_MAY_BE_ABSENT
-    and place not in READ_WITHOUT
+    location
+    for location in fields_of(header())
+    if location.rpartition(".")[2] not in OPTIONAL
+    and location not in LABELS_THAT_MAY_BE_ABSENT
+    and location not in READ_WITHOUT
 ]
 
 
-def without(place):
+def without(location):
     changed = copied(header())
-    *above, last = parse_path(place)
+    *above, last = parse_path(location)
     node = changed
     for key in above:
         node = node[key]
@@ -172,7 +180,7 @@ def without(place):
 
 @pytest.fixture
 def found(tmp_path, encode_sfs):
-    """Write a header, and give what the rules that read no frames say of it."""
+    """Write a header, and give what the rules that read no frames state of it."""
 
     def run(content, **options):
         file = tmp_path / "scene.sfs"
@@ -190,12 +198,12 @@ def test_the_scene_of_these_tests_is_complete(found):
     assert len(REQUIRED) > 120
 
 
-@pytest.mark.parametrize("place", REQUIRED)
+@pytest.mark.parametrize("location", REQUIRED)
 @pytest.mark.few(60)
-def test_a_required_field_that_is_missing_is_found_at_its_path(found, place):
+def test_a_required_field_that_is_missing_is_found_at_its_path(found, location):
     before = {entry[:2] for entry in found(header())}
-    new = {path for rule, path, _ in found(without(place)) if (rule, path) not in before}
-    assert place in new
+    new = {path for rule, path, _ in found(without(location)) if (rule, path) not in before}
+    assert location in new
 
 
 def test_times_of_static_attributes_may_be_absent(found):
@@ -205,37 +213,39 @@ def test_times_of_static_attributes_may_be_absent(found):
 
 
 @pytest.mark.parametrize(
-    ("place", "wrong", "right"),
+    ("location", "wrong", "right"),
     [
         ("sensors[1].frames[0].points.intensites", [1, 2], "intensities"),
         ("annotations[0].lable", "car", "label"),
         ("sensors[4].video.FPS", 10, None),
     ],
 )
-def test_a_field_with_nearly_the_name_of_one_that_is_missing_is_found(found, place, wrong, right):
+def test_a_field_with_nearly_the_name_of_one_that_is_missing_is_found(found, location, wrong, right):
     content = header()
-    *above, last = parse_path(place)
+    *above, last = parse_path(location)
     node = content
     for key in above:
         node = node[key]
     node[last] = wrong
-    told = [(path, message) for rule, path, message in found(content) if rule == "fields-spelling"]
-    assert [path for path, _ in told] == ([] if right is None else [place])
-    assert all(repr(right) in message for _, message in told)
+    reported = [(path, message) for rule, path, message in found(content) if rule == "fields-spelling"]
+    assert [path for path, _ in reported] == ([] if right is None else [location])
+    assert all(repr(right) in message for _, message in reported)
 
 
 @pytest.mark.parametrize("kind", ["cubiod", "Cuboid", "labelled_points", ""])
 def test_of_an_annotation_of_an_unknown_type_nothing_is_required(found, kind):
     content = header()
     content["annotations"] = [{"id": "a", "type": kind, "path": path(1, 1, 1, 0, 0, 0, 0, 0, 0)}]
-    about = [rule for rule, place, _ in found(content) if place.startswith("annotations")]
+    about = [rule for rule, location, _ in found(content) if location.startswith("annotations")]
     assert about == ["annotation-type-known"]
 
 
 @pytest.mark.parametrize("kind", ["polygon", "polygon_topdown"])
-def test_an_outline_of_six_numbers_is_told_to_be_of_pairs(found, kind):
+def test_an_outline_of_six_numbers_is_reported_to_be_of_pairs(found, kind):
     content = header()
     content["annotations"] = [shape("a", kind, 10, 10, 14, 10, 12, 13)]
-    said = [(place, message) for rule, place, message in found(content) if rule == "shape-vertices-pairs"]
+    stated = [
+        (location, message) for rule, location, message in found(content) if rule == "shape-vertices-pairs"
+    ]
     read = "6 numbers, read as 2 x, y, z triples; they may be 3 x, y pairs"
-    assert said == [("annotations[0].path.values", f"{read}, as triples they are too few for a {kind}")]
+    assert stated == [("annotations[0].path.values", f"{read}, as triples they are too few for a {kind}")]

@@ -31,8 +31,8 @@ def test_frames_that_the_sensor_does_not_have_are_found(sound, found):
     points_sensor = PointsSensor("map", np.ones((5, 3), np.float32))
     annotations = (marked([1], 6), marked([1], -1, name="b"), marked([1], 0, name="c", sensor_id="map"))
     scene = sound.scene(sound.lidar(), points_sensor, annotations=annotations)
-    places = [path for path, _ in found(scene, "labelled-frame-unknown")]
-    assert places == [f"annotations[{k}].labeled_points[0].sensor_frame" for k in range(3)]
+    locations = [path for path, _ in found(scene, "labelled-frame-unknown")]
+    assert locations == [f"annotations[{k}].labeled_points[0].sensor_frame" for k in range(3)]
 
 
 def test_points_beyond_their_frame_their_sensor_and_their_map_are_found(sound, found):
@@ -62,8 +62,8 @@ def test_points_named_twice_are_found_and_named_once_again(sound, found, fixed):
     assert found(scene, "labelled-point-twice") == [
         ("annotations[0].labeled_points[0].point_ids", "2 points named twice in one list")
     ]
-    [mended] = fixed(scene, "labelled-point-twice").annotations
-    assert mended.labeled_points[0].point_ids.tolist() == [7, 3, 1]
+    [repaired] = fixed(scene, "labelled-point-twice").annotations
+    assert repaired.labeled_points[0].point_ids.tolist() == [7, 3, 1]
 
 
 def test_points_of_two_instances_are_counted_at_the_second_one(sound, found):
@@ -73,7 +73,7 @@ def test_points_of_two_instances_are_counted_at_the_second_one(sound, found):
     ]
 
 
-def test_two_instances_that_share_points_of_many_frames_are_told_once(sound, found):
+def test_two_instances_that_share_points_of_many_frames_are_reported_once(sound, found):
     def in_frames(name, *ids):
         points = [LabeledPoints("top", np.array([i], np.uint32), k) for k, i in enumerate(ids)]
         return LabeledPointsAnnotation(name, tuple(points), is_instance=True)

@@ -19,7 +19,7 @@ RULES = (
 )
 
 
-def places(count=100):
+def locations(count=100):
     """Points around the sensor, none of them at it."""
     angles = np.linspace(0, 6, count)
     return np.column_stack([10 * np.cos(angles), 10 * np.sin(angles), angles]).astype(np.float32)
@@ -29,9 +29,9 @@ def lidar_with(sound, **fields):
     """Every sweep has these fields, or what the field's function gives for its time."""
 
     def sweep(timestamp_ns):
-        count = len(fields.get("positions", places()))
+        count = len(fields.get("positions", locations()))
         given = {
-            "positions": places(),
+            "positions": locations(),
             "intensities": np.arange(count) % 256,
             "timestamps_ns": None,
             **fields,
@@ -49,7 +49,7 @@ def lidar_with(sound, **fields):
 
 
 def radar_with(**fields):
-    positions = places(4)
+    positions = locations(4)
     given = {
         "directions": positions / np.linalg.norm(positions, axis=1, keepdims=True),
         "lengths": np.full(4, 150.0),
@@ -67,28 +67,28 @@ def test_a_sound_scene_keeps_all_of_them(sound, found):
     assert [found(scene, rule) for rule in RULES] == [[]] * len(RULES)
 
 
-def test_places_that_are_not_finite_are_counted(sound, found):
-    broken = places()
+def test_locations_that_are_not_finite_are_counted(sound, found):
+    broken = locations()
     broken[[3, 7], 1] = np.nan, np.inf
     scene = sound.scene(lidar_with(sound, positions=broken), PointsSensor("map", broken))
     hits = found(scene, "points-not-finite")
     assert (
         "sensors[0].frames[0].points.positions",
-        "2 of 100 points have a place that is not finite",
+        "2 of 100 points have a location that is not finite",
     ) in hits
-    assert ("sensors[1].points.positions", "2 of 100 points have a place that is not finite") in hits
+    assert ("sensors[1].points.positions", "2 of 100 points have a location that is not finite") in hits
     assert len(hits) == 7
 
 
 @pytest.mark.parametrize(("count", "hits"), [(5, 0), (6, 6)])
 def test_too_many_points_at_the_origin_are_found(sound, found, count, hits):
-    positions = places()
+    positions = locations()
     positions[:count] = 0
     assert len(found(sound.scene(lidar_with(sound, positions=positions)), "points-at-origin")) == hits
 
 
 def test_points_beyond_ten_kilometres_are_found(sound, found):
-    far = places()
+    far = locations()
     far[0, 1] = -10_001
     scene = sound.scene(lidar_with(sound, positions=far), PointsSensor("map", far))
     hits = dict(found(scene, "points-far"))
@@ -104,7 +104,9 @@ def swept(sound, *counts):
     left = iter(counts)
 
     def sweep(timestamp_ns):
-        return sound.sweep(timestamp_ns, positions=places(next(left)), intensities=None, timestamps_ns=None)
+        return sound.sweep(
+            timestamp_ns, positions=locations(next(left)), intensities=None, timestamps_ns=None
+        )
 
     return sound.scene(sound.lidar(sweep=sweep))
 
@@ -131,7 +133,7 @@ def test_frames_with_the_very_points_of_the_one_before_are_counted(sound, found)
 
 
 @pytest.mark.parametrize(
-    ("intensities", "said"),
+    ("intensities", "stated"),
     [
         (np.zeros(100), "all are 0"),
         (np.full(100, 255), "all are 255"),
@@ -140,22 +142,22 @@ def test_frames_with_the_very_points_of_the_one_before_are_counted(sound, found)
         (np.r_[np.full(51, 255), np.arange(49)], "51% are 255: they were cut off"),
     ],
 )
-def test_intensities_off_their_scale_are_told(sound, found, intensities, said):
+def test_intensities_off_their_scale_are_reported(sound, found, intensities, stated):
     [(path, message)] = found(sound.scene(lidar_with(sound, intensities=intensities)), "intensity-scale")
-    assert (path, message) == ("sensors[0].frames[].points.intensities", said)
+    assert (path, message) == ("sensors[0].frames[].points.intensities", stated)
 
 
 @pytest.mark.parametrize(
     "intensities", [np.arange(100) % 5, np.arange(100) % 3 + 1, np.r_[np.full(50, 255), np.arange(50)], None]
 )
-def test_few_levels_are_told_from_five_on_no_more(sound, found, intensities):
+def test_few_levels_are_distinguished_from_five_on_no_more(sound, found, intensities):
     hits = found(sound.scene(lidar_with(sound, intensities=intensities)), "intensity-scale")
     expected = intensities is not None and len(np.unique(intensities)) < 5
     assert bool(hits) == expected
 
 
 @pytest.mark.parametrize(("level", "name"), [(255, "white"), (0, "black")])
-def test_points_of_no_colour_are_told_for_the_sensor(sound, found, level, name):
+def test_points_of_no_colour_are_reported_for_the_sensor(sound, found, level, name):
     colors = np.full((100, 3), level)
     [(_, message)] = found(sound.scene(lidar_with(sound, colors=colors)), "colors-all-alike")
     assert message == f"all 600 points are {name}"

@@ -13,10 +13,10 @@ PERIOD = 100_000_000
 
 RULES = (
     "sensor-placed",
-    "ego-way-known",
+    "ego-trajectory-known",
     "poses-cover-frames",
     "poses-jump",
-    "poses-turn",
+    "poses-rotation",
     "trajectory-times-increasing",
     "ego-odometry",
     "ego-odometry-unique",
@@ -43,10 +43,10 @@ def test_a_sensor_without_poses_and_mounting_is_found(sound, found):
     assert [path for path, _ in found(scene, "sensor-placed")] == ["sensors[0].poses"]
 
 
-def test_a_mounted_sensor_without_any_way_of_the_ego_is_told(sound, found):
+def test_a_mounted_sensor_without_any_ego_trajectory_is_reported(sound, found):
     scene = sound.scene(sound.lidar(poses=None, mount=MOUNT))
     assert found(scene, "sensor-placed") == []
-    [(path, message)] = found(scene, "ego-way-known")
+    [(path, message)] = found(scene, "ego-trajectory-known")
     assert path == "trajectories"
     assert "sensors[0]" in message
 
@@ -60,18 +60,18 @@ def test_frames_beyond_the_poses_are_counted(sound, found):
     assert found(within, "poses-cover-frames") == []
 
 
-def test_a_pose_off_its_way_is_found_at_both_steps(sound, found):
+def test_a_pose_off_its_trajectory_is_found_at_both_steps(sound, found):
     path = sound.path(sound.times(12))
     positions = path.positions.copy()
     positions[5] += [0, 4.0, 0]
     scene = sound.scene(sound.lidar(poses=replace(path, positions=positions)))
-    assert [place for place, _ in found(scene, "poses-jump")] == [
+    assert [location for location, _ in found(scene, "poses-jump")] == [
         "sensors[0].poses.values[5]",
         "sensors[0].poses.values[6]",
     ]
 
 
-def test_braking_a_noisy_fix_and_standing_still_are_no_jumps(sound, found):
+def test_braking_a_noisy_fix_and_stationary_are_no_jumps(sound, found):
     times = np.arange(200) * PERIOD
     seconds = times / 1e9
     speed = np.clip(20 - 8 * seconds, 0, None)
@@ -82,37 +82,37 @@ def test_braking_a_noisy_fix_and_standing_still_are_no_jumps(sound, found):
 
 
 def test_a_trajectory_that_jumps_is_found_once(sound, found):
-    ways = trajectory(sound, "vio")
-    positions = ways["vio"].positions.copy()
+    trajectories = trajectory(sound, "vio")
+    positions = trajectories["vio"].positions.copy()
     positions[3:] += [0, 0, 40.0]
-    ways["vio"] = replace(ways["vio"], positions=positions)
-    assert [place for place, _ in found(sound.scene(trajectories=ways), "poses-jump")] == [
+    trajectories["vio"] = replace(trajectories["vio"], positions=positions)
+    assert [location for location, _ in found(sound.scene(trajectories=trajectories), "poses-jump")] == [
         "trajectories[vio].values[3]"
     ]
 
 
 @pytest.mark.parametrize(("degrees", "wrong"), [(10.0, False), (80.0, True)])
-def test_a_turned_pose_is_found(sound, found, degrees, wrong):
+def test_a_rotated_pose_is_found(sound, found, degrees, wrong):
     quaternions = np.tile([0.0, 0, 0, 1], (6, 1))
     quaternions[3] = quaternion_from_rotation_vector(np.array([0, 0, np.radians(degrees)]))
     poses = sound.path(quaternions_xyzw=quaternions)
-    places = [place for place, _ in found(sound.scene(sound.lidar(poses=poses)), "poses-turn")]
-    assert places == (["sensors[0].poses.values[3]", "sensors[0].poses.values[4]"] if wrong else [])
+    locations = [location for location, _ in found(sound.scene(sound.lidar(poses=poses)), "poses-rotation")]
+    assert locations == (["sensors[0].poses.values[3]", "sensors[0].poses.values[4]"] if wrong else [])
 
 
-def test_opposite_quaternions_are_the_same_turn(sound, found):
+def test_opposite_quaternions_are_the_same_rotation(sound, found):
     quaternions = np.tile([0.0, 0, 0, 1], (6, 1))
     quaternions[::2] *= -1
     poses = sound.path(quaternions_xyzw=quaternions)
-    assert found(sound.scene(sound.lidar(poses=poses)), "poses-turn") == []
+    assert found(sound.scene(sound.lidar(poses=poses)), "poses-rotation") == []
 
 
 def test_a_trajectory_that_goes_back_in_time_is_found(sound, found):
-    ways = trajectory(sound)
-    times = ways["ego"].timestamps_ns.copy()
+    trajectories = trajectory(sound)
+    times = trajectories["ego"].timestamps_ns.copy()
     times[2] = times[1]
-    ways["ego"] = replace(ways["ego"], timestamps_ns=times)
-    assert [p for p, _ in found(sound.scene(trajectories=ways), "trajectory-times-increasing")] == [
+    trajectories["ego"] = replace(trajectories["ego"], timestamps_ns=times)
+    assert [p for p, _ in found(sound.scene(trajectories=trajectories), "trajectory-times-increasing")] == [
         "trajectories[ego][2]"
     ]
 
@@ -120,9 +120,9 @@ def test_a_trajectory_that_goes_back_in_time_is_found(sound, found):
 def test_ego_coordinates_need_an_odometry_sensor(sound, found):
     on_ego = sound.lidar(coordinates=Coordinates.EGO, points_frame=PointsFrame.EGO)
     assert [path for path, _ in found(sound.scene(on_ego), "ego-odometry")] == ["sensors[0].coordinates"]
-    riding = replace(on_ego, coordinates=Coordinates.WORLD)
-    assert [path for path, _ in found(sound.scene(riding), "ego-points-placed")] == ["sensors[0]"]
-    assert found(sound.scene(riding, sound.odometry()), "ego-points-placed") == []
+    rider_association = replace(on_ego, coordinates=Coordinates.WORLD)
+    assert [path for path, _ in found(sound.scene(rider_association), "ego-points-placed")] == ["sensors[0]"]
+    assert found(sound.scene(rider_association, sound.odometry()), "ego-points-placed") == []
     assert found(sound.scene(on_ego, sound.odometry()), "ego-odometry") == []
 
 

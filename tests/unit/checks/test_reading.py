@@ -6,7 +6,7 @@ import pytest
 import sceneloom
 from sceneloom.checks.reading import FAULT_RULES
 from sceneloom.errors import DataError
-from sceneloom.scene import LazyFrames, LidarSensor, Notice, NoticeKind
+from sceneloom.scene import DataWarning, LazyFrames, LidarSensor, WarningKind
 
 POSE = [0, 0, 0, 0, 0, 0, 1]
 
@@ -60,15 +60,15 @@ FAULTY = {
 
 
 @pytest.mark.parametrize("rule", FAULTY)
-def test_a_fault_of_a_file_is_told_by_its_rule_alone(file_of, found, rule):
-    content, place = FAULTY[rule]
+def test_a_fault_of_a_file_is_known_by_its_rule_alone(file_of, found, rule):
+    content, location = FAULTY[rule]
     path = file_of(content)
-    assert [where for where, _ in found(path, rule)] == [place]
+    assert [where for where, _ in found(path, rule)] == [location]
     others = [other.id for other in FAULT_RULES if other.id != rule]
     assert [hit for other in others for hit in found(path, other)] == []
 
 
-def test_an_array_that_is_cut_off_is_told(file_of, found):
+def test_an_array_that_is_cut_off_is_reported(file_of, found):
     path = file_of(header(), cut=20)
     assert [where for where, _ in found(path, "arrays-whole")] == [
         "sensors[0].frames[0].points.positions ($items[0])"
@@ -103,12 +103,12 @@ def test_a_frame_that_cannot_be_read_is_a_finding(sound, found):
     assert found(sound.scene(), "frame-readable") == []
 
 
-@pytest.mark.parametrize("kind", list(NoticeKind))
-def test_remarks_of_readers_are_hints(sound, found, kind):
+@pytest.mark.parametrize("kind", list(WarningKind))
+def test_notes_of_readers_are_hints(sound, found, kind):
     rule = f"reading-{kind}"
-    remark = Notice(kind=kind, code="lines-sorted", place="data.jsonl", message="so", count=3)
-    told_elsewhere = Notice(kind=kind, code="no-poses", place="sensors[0]", message="none")
-    scene = sound.scene(notices=(remark, told_elsewhere))
+    note = DataWarning(kind=kind, code="lines-sorted", location="data.jsonl", message="so", count=3)
+    reported_elsewhere = DataWarning(kind=kind, code="no-poses", location="sensors[0]", message="none")
+    scene = sound.scene(warnings=(note, reported_elsewhere))
     assert found(scene, rule) == [("data.jsonl", "so")]
     assert found(sound.scene(), rule) == []
 
@@ -119,7 +119,7 @@ def test_what_was_remarked_when_a_file_was_made_is_not_remarked_again(file_of, t
     with sceneloom.open(path) as scene:
         sceneloom.write(scene, written)
     with sceneloom.open(written) as scene:
-        assert scene.notices
+        assert scene.warnings
     assert found(written, "reading-assumed") == []
 
 
@@ -128,8 +128,8 @@ def test_a_broken_recording_is_checked_without_what_is_broken(tmp_path, sound, f
     sceneloom.write(sound.scene(sound.lidar(), sound.odometry()), folder)
     lines = (folder / "data.jsonl").read_text("utf-8").splitlines()
     (folder / "data.jsonl").write_text("\n".join([lines[0], "{torn", *lines[1:]]), "utf-8")
-    [(place, message)] = found(folder, "broken-lines")
-    assert place == "data.jsonl: line 2"
+    [(location, message)] = found(folder, "broken-lines")
+    assert location == "data.jsonl: line 2"
     assert "{torn" in message
     assert found(folder, "file-readable") == []
     assert found(folder, "sensor-empty") == []

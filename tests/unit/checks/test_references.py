@@ -68,7 +68,7 @@ def test_a_sound_scene_keeps_all_of_them(sound, found):
         ObjectAnnotation("o"),
         GroupAnnotation("g"),
         LinkAnnotation("l", "car", "g"),
-        ObjectAnnotation("told", attributes=(AttributePath("colour", ("red",), static=True),)),
+        ObjectAnnotation("reported", attributes=(AttributePath("colour", ("red",), static=True),)),
         CameraCalibration("c", "front", time_offset_ns=5),
     )
     scene = sound.scene(annotations=annotations)
@@ -109,7 +109,7 @@ def test_two_ways_to_one_parent_are_no_cycle(sound, found):
 
 
 @pytest.mark.parametrize(
-    ("annotation", "place"),
+    ("annotation", "location"),
     [
         (box("gone"), "annotations[0].sensor_id"),
         (marked("gone"), "annotations[0].labeled_points[0].sensor_id"),
@@ -125,9 +125,9 @@ def test_two_ways_to_one_parent_are_no_cycle(sound, found):
         ),
     ],
 )
-def test_a_sensor_that_is_not_there_is_found_wherever_it_is_named(sound, found, annotation, place):
+def test_a_sensor_that_is_not_there_is_found_wherever_it_is_named(sound, found, annotation, location):
     scene = sound.scene(annotations=(annotation,))
-    assert [path for path, _ in found(scene, "annotation-sensor-unknown")] == [place]
+    assert [path for path, _ in found(scene, "annotation-sensor-unknown")] == [location]
 
 
 @pytest.mark.parametrize(
@@ -182,15 +182,15 @@ def test_an_attribute_of_a_point_that_is_not_there_is_found(sound, found):
     ]
 
 
-def test_an_object_without_anything_is_told(sound, found):
+def test_an_object_without_anything_is_reported(sound, found):
     scene = sound.scene(annotations=(ObjectAnnotation("o"), GroupAnnotation("g"), cuboid(parent_id="g")))
     assert [path for path, _ in found(scene, "annotation-unused")] == ["annotations[0]"]
 
 
-def test_one_label_in_two_spellings_is_told_with_the_rarer_one_counted(sound, found):
+def test_one_label_in_two_spellings_is_reported_with_the_rarer_one_counted(sound, found):
     labels = ("Traffic Cone", "Traffic Cone", "traffic_cone", "traffic light")
     scene = sound.scene(annotations=tuple(cuboid(k, label=label) for k, label in enumerate(labels)))
     [(path, message)] = found(scene, "label-spellings")
     assert path == "annotations"
-    told = "labels 'Traffic Cone' (2 times), 'traffic_cone' (1 times)"
-    assert message == f"{told}; expected one spelling, as 'Traffic Cone'"
+    reported = "labels 'Traffic Cone' (2 times), 'traffic_cone' (1 times)"
+    assert message == f"{reported}; expected one spelling, as 'Traffic Cone'"

@@ -83,7 +83,7 @@ def test_a_scene_that_is_no_file_of_the_format_has_nothing_to_be_refused(sound):
 
 
 @pytest.mark.parametrize("field", ["coordinates", "parent_id"])
-def test_what_the_library_drops_in_silence_is_told(sound, tmp_path, encode_sfs, field):
+def test_what_the_library_drops_in_silence_is_reported(sound, tmp_path, encode_sfs, field):
     value = {"coordinates": "ego", "parent_id": "rack"}[field]
     poses = {"timestamps": [0], "values": [[0.0, 0, 0, 0, 0, 0, 1]]}
     frames = [{"timestamp": 0, "points": {"positions": ONE}}]

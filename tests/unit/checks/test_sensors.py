@@ -35,9 +35,9 @@ def imu(values=None, times=(0, 1, 2)):
 
 
 def gnss(latitude=48.0, longitude=11.0, times=(0, 1)):
-    places = np.array([[latitude, longitude, 500.0]] * 2)
+    locations = np.array([[latitude, longitude, 500.0]] * 2)
     unknown = np.full(2, np.nan)
-    return GnssSensor("gnss", np.array(times, np.int64), places, unknown, unknown)
+    return GnssSensor("gnss", np.array(times, np.int64), locations, unknown, unknown)
 
 
 def test_a_sound_scene_keeps_all_of_them(sound, found):
@@ -56,13 +56,13 @@ def test_sensors_without_content_are_found(sound, found):
     scene = sound.scene(sound.lidar([]), sound.camera([]), empty_map, ImuSensor("imu", {}), sound.odometry())
     assert found(scene, "sensor-empty") == [
         ("sensors[0]", "lidar 'top' has no measurements"),
-        ("sensors[1]", "camera 'front' has no pictures"),
+        ("sensors[1]", "camera 'front' has no images"),
         ("sensors[2]", "points 'map' has no measurements"),
         ("sensors[3]", "imu 'imu' has no measurements"),
     ]
 
 
-def test_a_camera_without_pictures_that_annotations_name_is_used(sound, found):
+def test_a_camera_without_images_that_annotations_name_is_used(sound, found):
     box = Box2DAnnotation("box", "front", BoxPath(np.zeros(1, np.int64), np.ones((1, 4))))
     scene = sound.scene(sound.camera([]), sound.lidar([]), annotations=(box,))
     assert [path for path, _ in found(scene, "sensor-empty")] == ["sensors[1]"]
@@ -116,6 +116,6 @@ def test_samples_that_are_no_numbers_are_found(sound, found):
 
 
 @pytest.mark.parametrize(("latitude", "longitude"), [(91.0, 0.0), (0.0, -181.0)])
-def test_places_off_the_earth_are_found(sound, found, latitude, longitude):
+def test_locations_off_the_earth_are_found(sound, found, latitude, longitude):
     scene = sound.scene(gnss(latitude, longitude))
     assert [path for path, _ in found(scene, "gnss-on-earth")] == ["sensors[0].positions_lla[0]"]

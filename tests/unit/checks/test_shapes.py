@@ -71,7 +71,7 @@ def test_a_shape_of_too_few_vertices_is_found(sound, found, kind, least):
     assert found(sound.scene(annotations=(shape(kind, vertices),)), "shape-vertices") == []
 
 
-def test_a_point_of_two_vertices_is_told(sound, found):
+def test_a_point_of_two_vertices_is_reported(sound, found):
     scene = sound.scene(annotations=(shape(ShapeType.POINT, np.eye(3)[:2]),))
     assert [message for _, message in found(scene, "point-of-several")] == ["2 vertices; a point has one"]
 
@@ -90,7 +90,7 @@ def test_numbers_that_are_not_finite_are_found(sound, found):
 
 @pytest.mark.parametrize(("size", "limit"), [(1.0, 0.02), (10.0, 0.1)])
 def test_a_polygon_is_flat_within_its_tolerance(sound, found, size, limit):
-    """Of a square whose corners go up and down by turns, the plane goes through the middle: each is off by h.
+    """Of a square whose corners go up and down alternately, the plane goes through the middle: each is off by h.
 
     The polygon is as large as its diagonal, `size`.
     """
@@ -145,7 +145,7 @@ def crosses(outline):
     return False
 
 
-def test_outlines_of_other_lengths_are_told(sound, found):
+def test_outlines_of_other_lengths_are_reported(sound, found):
     scene = sound.scene(annotations=(shape(ShapeType.POLYGON_2D, SQUARE, SQUARE[:3]),))
     [(path, message)] = found(scene, "vertex-count-changes")
     assert path == "annotations[0].path.values[1]"

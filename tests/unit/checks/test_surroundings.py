@@ -69,11 +69,11 @@ def with_cuboids(scene, change):
 
 
 def with_quaternions(scene, change):
-    ways = {
-        name: replace(way, quaternions_xyzw=change(way.quaternions_xyzw))
-        for name, way in scene.trajectories.items()
+    trajectories = {
+        name: replace(trajectory, quaternions_xyzw=change(trajectory.quaternions_xyzw))
+        for name, trajectory in scene.trajectories.items()
     }
-    return replace(scene, trajectories=ways)
+    return replace(scene, trajectories=trajectories)
 
 
 @pytest.mark.parametrize("rule", RULES)
@@ -95,9 +95,9 @@ def test_crowds_and_lidars_that_see_little_are_left_alone(options):
 
 
 def test_a_lidar_whose_z_is_down_has_the_ground_above_it(found, sound_drive):
-    # the roof is about 1.8 m above the ground; a sheet is told to a quarter of a metre
-    ((place, message),) = found(with_points(sound_drive, lambda p: p * [1, -1, -1]), GROUND)
-    assert place.endswith(".frames[].points")
+    # the roof is about 1.8 m above the ground; a sheet is reported to a quarter of a metre
+    ((location, message),) = found(with_points(sound_drive, lambda p: p * [1, -1, -1]), GROUND)
+    assert location.endswith(".frames[].points")
     assert float(message.split(" m above")[0].split()[-1]) == pytest.approx(1.8, abs=0.3)
 
 
@@ -112,18 +112,18 @@ def test_a_lidar_whose_z_is_down_has_the_ground_above_it(found, sound_drive):
     ],
     ids=["left-handed", "millimetres", "y the other way", "too high", "mounting the other way"],
 )
-def test_cuboids_that_hold_no_points_are_told(found, sound_drive, broken):
-    ((place, message),) = found(broken(sound_drive), CUBOIDS)
-    assert place == "annotations"
+def test_cuboids_that_hold_no_points_are_reported(found, sound_drive, broken):
+    ((location, message),) = found(broken(sound_drive), CUBOIDS)
+    assert location == "annotations"
     assert "hold a point" in message
 
 
-def test_cuboids_of_another_drive_are_told(found, sound_drive):
+def test_cuboids_of_another_drive_are_reported(found, sound_drive):
     other = simulate_street(99, frames=6, lidar=LIDAR, cameras=(), traffic=TrafficSpec()).scene
     assert len(found(replace(sound_drive, annotations=other.annotations), CUBOIDS)) == 1
 
 
-def test_a_lidar_that_is_turned_by_ten_degrees_is_told(found):
+def test_a_lidar_that_is_rotated_by_ten_degrees_is_reported(found):
     faults = Faults(sensors={"lidar": SensorFaults(rotation_deg=(0.0, 0.0, 10.0))})
     assert len(found(drive(faults=faults, cameras=()), CUBOIDS)) == 1
 
@@ -143,10 +143,10 @@ def test_a_lidar_that_is_turned_by_ten_degrees_is_told(found):
     ],
     ids=["mounting the other way", "axes of a body", "quaternions w first"],
 )
-def test_pictures_that_do_not_stand_upright_are_told(found, sound_drive, broken):
-    ((place, message),) = found(broken(sound_drive), UPRIGHT)
+def test_images_that_do_not_stand_upright_are_reported(found, sound_drive, broken):
+    ((location, message),) = found(broken(sound_drive), UPRIGHT)
     (number,) = (k for k, s in enumerate(sound_drive.sensors) if isinstance(s, CameraSensor))
-    assert place == f"sensors[{number}]"
+    assert location == f"sensors[{number}]"
     assert "° off" in message
 
 
@@ -155,6 +155,6 @@ def test_a_camera_that_looks_up_a_little_stands_upright(found):
     assert found(drive(faults=faults), UPRIGHT) == []
 
 
-def test_frames_that_nothing_places_are_left_alone(found, sound_drive):
+def test_frames_that_nothing_locations_are_left_alone(found, sound_drive):
     lost = changed(replace(sound_drive, trajectories={}), LidarSensor, lambda s: replace(s, poses=None))
     assert [found(lost, rule) for rule in RULES] == [[], [], []]

@@ -38,7 +38,7 @@ def faulty(tmp_path, encode_sfs):
 
 @pytest.fixture
 def target(tmp_path):
-    return tmp_path / "mended.sfs"
+    return tmp_path / "repaired.sfs"
 
 
 def rules_of(findings):
@@ -65,12 +65,12 @@ def test_the_worst_comes_first_and_paths_are_those_of_the_file(faulty):
     order = [list(Severity).index(finding.severity) for finding in report.findings]
     assert order == sorted(order)
     assert not report.passed
-    places = {(finding.rule, finding.path) for finding in report.findings}
+    locations = {(finding.rule, finding.path) for finding in report.findings}
     assert {
         ("fields-valid", "sensors[0].type"),
         ("quaternion-norm", "sensors[1].poses.values[1]"),
         ("frame-times-increasing", "sensors[1].frames[1]"),
-    } <= places
+    } <= locations
 
 
 def test_chosen_and_ignored_rules_are_obeyed(faulty):
@@ -106,23 +106,23 @@ def test_progress_counts_frames_of_all_sensors(sound):
     assert calls == [(k, 12) for k in range(1, 13)]
 
 
-def test_of_many_places_the_first_are_told_and_the_others_counted(sound):
+def test_of_many_locations_the_first_are_reported_and_the_others_counted(sound):
     scene = sound.scene(sound.camera(np.zeros(60, np.int64)))
-    told = validate(scene, rules=["frame-times-unique"])
-    assert len(told.findings) == 21
-    assert told.findings[-1].count == 39
-    assert told.findings[-1].path == "sensors[0].pictures[21]"
-    assert "up to sensors[0].pictures[59]" in told.findings[-1].message
-    assert told.counts["error"] == 59
-    everything = validate(scene, rules=["frame-times-unique"], places=None)
+    reported = validate(scene, rules=["frame-times-unique"])
+    assert len(reported.findings) == 21
+    assert reported.findings[-1].count == 39
+    assert reported.findings[-1].path == "sensors[0].images[21]"
+    assert "up to sensors[0].images[59]" in reported.findings[-1].message
+    assert reported.counts["error"] == 59
+    everything = validate(scene, rules=["frame-times-unique"], locations=None)
     assert len(everything.findings) == 59
 
 
-def test_one_place_more_than_the_limit_is_told_and_not_counted():
+def test_one_location_more_than_the_limit_is_reported_and_not_counted():
     rule = Rule("x", Severity.ERROR, "", "")
     hits = {"x": [Hit(f"a[{k}]", "m") for k in range(4)]}
-    assert [f.path for f in findings_of(hits, [rule], places=3)] == ["a[0]", "a[1]", "a[2]", "a[3]"]
-    assert [f.count for f in findings_of(hits, [rule], places=2)] == [1, 1, 2]
+    assert [f.path for f in findings_of(hits, [rule], locations=3)] == ["a[0]", "a[1]", "a[2]", "a[3]"]
+    assert [f.count for f in findings_of(hits, [rule], locations=2)] == [1, 1, 2]
 
 
 def test_fixing_writes_a_sound_scene_and_says_what_was_done(faulty, target):
@@ -137,14 +137,16 @@ def test_fixing_writes_a_sound_scene_and_says_what_was_done(faulty, target):
         assert [float(frame.points.positions[0, 0]) for frame in lidar.frames] == [1.0, pytest.approx(1.1)]
         assert lidar.poses.quaternions_xyzw.tolist() == [[0, 0, 0, 1]] * 2
         assert [
-            (notice.code, notice.place) for notice in scene.notices if notice.code in ("mended", "at-fault")
+            (warning.code, warning.location)
+            for warning in scene.warnings
+            if warning.code in ("repaired", "at-fault")
         ] == [
             ("at-fault", "sensors[0].type"),
-            ("mended", "sensors[1].poses.values[1]"),
+            ("repaired", "sensors[1].poses.values[1]"),
         ]
 
 
-def test_what_a_fix_leaves_is_not_told_as_fixed_though_its_place_moves(tmp_path, encode_sfs, target):
+def test_what_a_fix_leaves_is_not_reported_as_fixed_though_its_location_moves(tmp_path, encode_sfs, target):
     frames = [{"timestamp": t, "points": {"positions": np.ones((1, 3), np.float32)}} for t in (100_000, 0, 0)]
     content = header()
     content["sensors"][1]["frames"] = frames
@@ -165,7 +167,7 @@ def test_fixing_what_was_fixed_changes_no_byte(faulty, target, tmp_path):
     assert again.read_bytes() == target.read_bytes()
 
 
-def test_only_the_rules_that_are_run_mend(faulty, target):
+def test_only_the_rules_that_are_run_repair(faulty, target):
     report = validate(faulty, fix=target, ignore=["frame-times-increasing"])
     assert rules_of(report.fixed) == {"quaternion-norm"}
     with sceneloom.open(target) as scene:
@@ -180,7 +182,7 @@ def test_a_target_that_exists_is_kept(faulty, target):
     assert validate(faulty, fix=target, overwrite=True).output == str(target)
 
 
-def test_a_file_may_be_mended_in_its_own_place(faulty):
+def test_a_file_may_be_repaired_in_its_own_location(faulty):
     assert validate(faulty, fix=faulty, overwrite=True).passed
 
 
@@ -205,9 +207,17 @@ def test_a_file_that_cannot_be_read_at_all_gives_one_finding(tmp_path, target):
 def test_short_distortions_are_written_in_full(tmp_path, encode_sfs, target):
     path = tmp_path / "short.sfs"
     distortion = {"model": "fisheye", "params": [0.1]}
-    lens = {"fx": 9.0, "fy": 9.0, "cx": 15.5, "cy": 11.5, "width": 32, "height": 24, "distortion": distortion}
+    camera_model = {
+        "fx": 9.0,
+        "fy": 9.0,
+        "cx": 15.5,
+        "cy": 11.5,
+        "width": 32,
+        "height": 24,
+        "distortion": distortion,
+    }
     poses = {"timestamps": [0], "values": [POSE]}
-    camera = {"id": "c", "type": "camera", "intrinsics": lens, "poses": poses, "images": []}
+    camera = {"id": "c", "type": "camera", "intrinsics": camera_model, "poses": poses, "images": []}
     path.write_bytes(encode_sfs({"version": "1.0", "sensors": [camera]}))
     report = validate(path, fix=target)
     assert "distortion-length" in rules_of(report.fixed)
@@ -215,7 +225,7 @@ def test_short_distortions_are_written_in_full(tmp_path, encode_sfs, target):
         assert scene.cameras[0].camera.coefficients == (0.1, 0.0, 0.0, 0.0)
 
 
-def test_epoch_stamps_are_mended_without_moving_anything(tmp_path, encode_sfs, target):
+def test_epoch_timestamps_are_repaired_without_moving_anything(tmp_path, encode_sfs, target):
     start_us = 1_700_000_000_000_000
     path = tmp_path / "epoch.sfs"
     lidar = header()["sensors"][1]
@@ -231,12 +241,12 @@ def test_epoch_stamps_are_mended_without_moving_anything(tmp_path, encode_sfs, t
 
 
 def test_a_recording_can_be_checked_and_fixed(tmp_path, sound):
-    folder, mended = tmp_path / "drive", tmp_path / "drive.sfs"
+    folder, repaired = tmp_path / "drive", tmp_path / "drive.sfs"
     sceneloom.write(sound.scene(sound.lidar(), sound.odometry()), folder)
-    report = validate(folder, fix=mended)
+    report = validate(folder, fix=repaired)
     assert report.format == "recording"
-    assert report.output == str(mended)
-    assert mended.exists()
+    assert report.output == str(repaired)
+    assert repaired.exists()
 
 
 def test_every_rule_has_an_id_of_its_own_and_says_what_to_do():

@@ -40,11 +40,11 @@ def call(capsys: pytest.CaptureFixture[str]) -> Call:
 
 @pytest.fixture(scope="session")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three sweeps of a coarse lidar and one small camera, as PNG pictures."""
+    """Three sweeps of a coarse lidar and one small camera, as PNG images."""
     folder = tmp_path_factory.mktemp("recordings") / "drive"
     camera = CameraSpec(Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5))
     drive = simulate_street(1, frames=3, lidar=LidarSpec(beams=8, steps=90), cameras=(camera,))
-    sceneloom.write(drive.scene, folder, pictures="png")
+    sceneloom.write(drive.scene, folder, images="png")
     return folder
 
 

@@ -1,4 +1,4 @@
-"""Bad input gives one clear error with its place, exit code 1, and leaves nothing behind."""
+"""Bad input gives one clear error with its location, exit code 1, and leaves nothing behind."""
 
 import json
 import shutil
@@ -40,10 +40,10 @@ def shear(calibration: dict) -> None:
 
 
 def with_nan_position(lines: list[str]) -> list[str]:
-    place = next(k for k, line in enumerate(lines) if "groundTruth" in line)
-    record = json.loads(lines[place])
+    location = next(k for k, line in enumerate(lines) if "groundTruth" in line)
+    record = json.loads(lines[location])
     record["groundTruth"]["position"]["x"] = float("nan")
-    return [*lines[:place], json.dumps(record), *lines[place + 1 :]]
+    return [*lines[:location], json.dumps(record), *lines[location + 1 :]]
 
 
 FAULTS: dict[str, tuple[Spoil, tuple[str, ...]]] = {
@@ -54,7 +54,7 @@ FAULTS: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     ),
     "no calibration": (lambda f: (f / "calibration.json").unlink(), ("calibration.json",)),
     "no video": (lambda f: shutil.rmtree(f / "frames1"), ("frames1", "data.{mkv")),
-    "fewer pictures than lines": (lambda f: (f / "frames1" / "00000002.png").unlink(), ("2 pictures", "3")),
+    "fewer images than lines": (lambda f: (f / "frames1" / "00000002.png").unlink(), ("2 images", "3")),
     "a lidar file missing": (lambda f: (f / "lidar" / "000001.bin").unlink(), ("000001.bin",)),
     "a torn lidar file": (
         lambda f: (f / "lidar" / "000001.bin").write_bytes(b"x" * 50),
@@ -65,7 +65,7 @@ FAULTS: dict[str, tuple[Spoil, tuple[str, ...]]] = {
         ("data.jsonl", "line 4"),
     ),
     "a number that is not one": (edit_lines(with_nan_position), ("data.jsonl", "line")),
-    "an unknown lens": (
+    "an unknown camera model": (
         edit_calibration(lambda c: c["cameras"][0].update(model="fisheye-of-mine")),
         ("fisheye-of-mine", "kannala-brandt4"),
     ),
@@ -92,7 +92,7 @@ def test_one_clear_error_and_no_output(call: Call, recording: Path, tmp_path: Pa
     shutil.copytree(recording, folder)
     spoil, words = FAULTS[fault]
     spoil(folder)
-    outputs = ["-o", tmp_path / "d.sfs", "--depth", tmp_path / "depth", "--pictures", tmp_path / "look"]
+    outputs = ["-o", tmp_path / "d.sfs", "--depth", tmp_path / "depth", "--visualize", tmp_path / "look"]
     outcome = call("fuse", folder, *outputs)
     assert outcome.code == 1
     assert outcome.err.startswith("sceneloom: ")
@@ -103,7 +103,7 @@ def test_one_clear_error_and_no_output(call: Call, recording: Path, tmp_path: Pa
     assert {path.name for path in tmp_path.iterdir()} <= {"drive"}
 
 
-def test_times_that_run_backwards_are_sorted_with_a_notice(
+def test_times_that_run_backwards_are_sorted_with_a_warning(
     call: Call, recording: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "drive"
@@ -114,7 +114,7 @@ def test_times_that_run_backwards_are_sorted_with_a_notice(
         [(s["id"], s["count"], s["start"], s["stop"]) for s in x["sensors"]] for x in (straight, backwards)
     ]
     assert counts[0] == counts[1]
-    assert any(notice["kind"] == "repaired" for notice in backwards["notices"])
+    assert any(warning["kind"] == "repaired" for warning in backwards["warnings"])
 
 
 def test_lenient_counts_what_it_skips(call: Call, recording: Path, tmp_path: Path) -> None:
@@ -123,19 +123,19 @@ def test_lenient_counts_what_it_skips(call: Call, recording: Path, tmp_path: Pat
     (folder / "lidar" / "000001.bin").write_bytes(b"x" * 50)
     edit_lines(lambda lines: [*lines, '{"broken'])(folder)
     report = json.loads(call("fuse", folder, "-o", tmp_path / "d.sfs", "--lenient", "--json").out)
-    skipped = [notice["place"] for notice in report["notices"] if notice["kind"] == "skipped"]
-    places = " ".join([*skipped, *report["skipped"]])
+    skipped = [warning["location"] for warning in report["warnings"] if warning["kind"] == "skipped"]
+    locations = " ".join([*skipped, *report["skipped"]])
     assert (report["fused"], report["frames"]) == (2, 2)
-    assert "000001.bin" in places
-    assert "data.jsonl" in places
+    assert "000001.bin" in locations
+    assert "data.jsonl" in locations
 
 
-def test_a_camera_that_cannot_be_used_is_skipped_leniently_and_named_without_empty_places(
+def test_a_camera_that_cannot_be_used_is_skipped_leniently_and_named_without_empty_locations(
     call: Call, recording: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "drive"
     shutil.copytree(recording, folder)
-    FAULTS["an unknown lens"][0](folder)
+    FAULTS["an unknown camera model"][0](folder)
     outcome = call("fuse", folder, "-o", tmp_path / "d.sfs", "--lenient")
     assert outcome.code == 0
     assert "fused 3 of 3 sweeps" in outcome.out
@@ -153,7 +153,7 @@ def test_points_that_are_not_finite_are_kept_and_never_coloured(
     points = np.fromfile(path, record)
     points["p"][::2] = np.nan
     points.tofile(path)
-    outcome = call("fuse", folder, "-o", tmp_path / "d.sfs", "--pictures", tmp_path / "look", "--json")
+    outcome = call("fuse", folder, "-o", tmp_path / "d.sfs", "--visualize", tmp_path / "look", "--json")
     assert outcome.code == 0
     assert json.loads(outcome.out)["frames"] == 3
 
@@ -229,7 +229,7 @@ def test_nothing_is_written_to_a_url(call: Call, arguments: tuple[str, ...]) -> 
         (("salvage", "http://127.0.0.1:9/b.sfs", "-o", "c.sfs"), "is behind a URL"),
     ],
 )
-def test_a_url_that_cannot_be_read_is_named_as_it_was_said(
+def test_a_url_that_cannot_be_read_is_named_as_it_was_stated(
     call: Call, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], problem: str
 ) -> None:
     monkeypatch.setattr("sceneloom.formats.remote.patience.time.sleep", lambda _: None)
@@ -246,7 +246,7 @@ def spoiled(recording: Path, target: Path, fault: str) -> Path:
     return folder
 
 
-def test_what_was_left_out_before_an_error_is_told_with_it(
+def test_what_was_left_out_before_an_error_is_reported_with_it(
     call: Call, recording: Path, tmp_path: Path
 ) -> None:
     broken = spoiled(recording, tmp_path, "a broken line")
@@ -259,7 +259,7 @@ def test_what_was_left_out_before_an_error_is_told_with_it(
     assert "left out" not in call(*arguments, "--quiet").err
 
 
-def test_what_was_left_out_is_told_also_where_reading_comes_to_no_end(
+def test_what_was_left_out_is_reported_also_where_reading_comes_to_no_end(
     call: Call, recording: Path, tmp_path: Path
 ) -> None:
     broken = spoiled(recording, tmp_path, "a broken line")
@@ -277,7 +277,7 @@ def with_late_truth(lines: list[str]) -> list[str]:
     return [json.dumps(r | {"time": r["time"] + 100.0 * ("groundTruth" in r)}) for r in records]
 
 
-def test_sweeps_that_could_not_be_read_are_told_where_the_others_could_not_be_fused(
+def test_sweeps_that_could_not_be_read_are_reported_where_the_others_could_not_be_fused(
     call: Call, recording: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "drive"
@@ -291,7 +291,7 @@ def test_sweeps_that_could_not_be_read_are_told_where_the_others_could_not_be_fu
     assert "could be fused" in error
 
 
-def test_a_stray_point_beyond_what_the_file_can_hold_is_told_as_a_fault_of_the_data(
+def test_a_stray_point_beyond_what_the_file_can_hold_is_reported_as_a_fault_of_the_data(
     call: Call, recording: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "drive"
@@ -310,7 +310,7 @@ def test_a_stray_point_beyond_what_the_file_can_hold_is_told_as_a_fault_of_the_d
     assert (report["frames"], report["fused"]) == (3, 2)
     summary = call("fuse", folder, "-o", tmp_path / "out.sfs", "--lenient", "--overwrite").out
     assert summary.startswith("fused 2 of 3 sweeps by trajectory groundTruth")
-    assert "\n1 sweep or picture skipped\n" in summary
+    assert "\n1 sweep or image skipped\n" in summary
     with sceneloom.open(tmp_path / "out.sfs") as scene:
         assert len(scene.lidars[0].frames) == 2
 

@@ -20,9 +20,9 @@ def test_drives_are_checked_side_by_side_and_those_that_fail_are_named(call, rec
     assert f"failed: {missing}: no such file or folder" in outcome.err
     report = json.loads((tmp_path / "out" / f"{recording.name}.json").read_text())
     assert (report["source"], "stages" in report) == (str(recording), False)
-    told = call("batch", "status", tmp_path / "out", "--json")
-    assert [row["state"] for row in json.loads(told.out)["drives"]] == ["done", "failed"]
-    stages = json.loads(told.out)["stages"]
+    reported = call("batch", "status", tmp_path / "out", "--json")
+    assert [row["state"] for row in json.loads(reported.out)["drives"]] == ["done", "failed"]
+    stages = json.loads(reported.out)["stages"]
     assert set(stages) == {"opening", "checking", "everything else"}
     shown = call("batch", "status", tmp_path / "out", "--html", tmp_path / "run.html").out
     assert "checking 0." in shown
@@ -107,11 +107,11 @@ def test_every_output_of_a_verb_is_known_to_batches():
 
 
 def test_options_of_the_verb_are_those_of_the_run(call, tmp_path):
-    told = call("batch", "convert", "--help").out
-    assert "--pictures" in told
-    assert "--overwrite" not in told
-    refused = call("batch", "convert", tmp_path, "-o", tmp_path / "out", "--pictures", "woven")
-    assert (refused.code, "woven" in refused.err) == (2, True)
+    reported = call("batch", "convert", "--help").out
+    assert "--images" in reported
+    assert "--overwrite" not in reported
+    refused = call("batch", "convert", tmp_path, "-o", tmp_path / "out", "--images", "aligned")
+    assert (refused.code, "aligned" in refused.err) == (2, True)
     nothing = call("batch", "fuse", tmp_path / "*.sfs", "-o", tmp_path / "out")
     assert (nothing.code, "fits this pattern" in nothing.err) == (2, True)
 
@@ -128,7 +128,7 @@ def test_the_verb_finds_its_record_by_the_address(call, recording, tmp_path, mon
         ".sceneloom-run",
         f"{recording.name}.json",
     }
-    told = call("batch", "status", store, "--json")
-    assert [row["state"] for row in json.loads(told.out)["drives"]] == ["done"]
+    reported = call("batch", "status", store, "--json")
+    assert [row["state"] for row in json.loads(reported.out)["drives"]] == ["done"]
     refused = call("batch", "validate", recording, "-o", "https://host/run", "--quick")
     assert (refused.code, "web server" in refused.err) == (1, True)

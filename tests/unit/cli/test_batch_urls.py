@@ -45,18 +45,18 @@ class Web:
 
         class Handler(BaseHTTPRequestHandler):
             def do_HEAD(self):
-                self._answer(told=False)
+                self._answer(reported=False)
 
             def do_GET(self):
-                self._answer(told=True)
+                self._answer(reported=True)
 
-            def _answer(self, *, told):
+            def _answer(self, *, reported):
                 name = "whole" if web.well else self.path[1:].removesuffix(".sfs")
                 content = web.mutants.get(name, web.content)
                 if name in ("404", "500"):
                     self.send_error(int(name))
                     return
-                if name == "stall" and told:
+                if name == "stall" and reported:
                     web.free.wait(30)
                     return
                 if name == "reset":
@@ -84,7 +84,7 @@ class Web:
                 length = stop - start + (1000 if name == "long" else 0)
                 self.send_header("Content-Length", str(length))
                 self.end_headers()
-                if told:
+                if reported:
                     self.wfile.write(content[start:stop][: (stop - start) // 2 if name == "short" else None])
                 self.close_connection = True
 

@@ -10,8 +10,8 @@ def test_a_catalogue_is_built_updated_and_asked(call, recording, tmp_path):
     assert (outcome.code, "1 scene: 1 new, 1 failed" in outcome.out) == (1, True)
     assert f"failed: {tmp_path / 'missing'}: no such file or folder" in outcome.err
     assert "1 unchanged" in call("catalog", "update", folder).out
-    told = call("catalog", "query", folder, "--speed", 0, "inf", "--as", "list")
-    assert [json.loads(line)["path"] for line in told.out.splitlines()] == [str(recording)]
+    reported = call("catalog", "query", folder, "--speed", 0, "inf", "--as", "list")
+    assert [json.loads(line)["path"] for line in reported.out.splitlines()] == [str(recording)]
     rows = json.loads(call("catalog", "query", folder, "--sql", "SELECT sensor FROM sensors", "--json").out)
     assert {"sensor": "lidar"} in rows
     table = call("catalog", "query", folder, "--show", "drives").out.splitlines()
@@ -33,17 +33,17 @@ def test_a_list_says_how_its_drives_are_opened(call, recording, tmp_path):
     both, fleet = tmp_path / "kitti", tmp_path / "fleet"
     for name in ("0001", "0002"):
         written = tmp_path / name
-        to = ("--to", "kitti-tracking", "--set", f"sequence={name}")
+        to = ("--to", "kitti-tracking", "--output-option", f"sequence={name}")
         assert call("convert", recording, written, *to).code == 0
         shutil.copytree(written, both, dirs_exist_ok=True)
-    assert call("catalog", "build", both, "-o", fleet, "--read-with", "sequence=0001").code == 0
-    assert call("catalog", "update", fleet, both, "--read-with", "sequence=0002").code == 0
+    assert call("catalog", "build", both, "-o", fleet, "--input-option", "sequence=0001").code == 0
+    assert call("catalog", "update", fleet, both, "--input-option", "sequence=0002").code == 0
     assert "2 scenes: 2 unchanged" in call("catalog", "update", fleet, both).out
-    told = call("catalog", "query", fleet, "--speed", 0, "inf", "--show", "drives", "--as", "list").out
-    assert [json.loads(line)["reading"] for line in told.splitlines()] == [
+    reported = call("catalog", "query", fleet, "--speed", 0, "inf", "--show", "drives", "--as", "list").out
+    assert [json.loads(line)["reading"] for line in reported.splitlines()] == [
         {"sequence": "0001"}, {"sequence": "0002"},
     ]  # fmt: skip
-    (tmp_path / "list.jsonl").write_text(told)
+    (tmp_path / "list.jsonl").write_text(reported)
     done = call("batch", "convert", "--list", tmp_path / "list.jsonl", "-o", tmp_path / "out", "--workers", 1)
     assert done.code == 0, done.err
     names = sorted(file.name for file in (tmp_path / "out").glob("*.sfs"))

@@ -10,7 +10,7 @@ from PIL import Image
 
 def test_a_map_is_written_and_summed_up(call, recording, tmp_path):
     done = call(
-        "colour", recording, "-o", tmp_path / "map.laz", "--voxel", "0.2", "--pictures", tmp_path / "look"
+        "colour", recording, "-o", tmp_path / "map.laz", "--voxel", "0.2", "--visualize", tmp_path / "look"
     )
     assert done.code == 0, done.err
     assert "coloured 3 of 3 sweeps" in done.out
@@ -30,13 +30,13 @@ def test_the_report_comes_as_json(call, recording, tmp_path):
     ]
 
 
-def test_missing_label_images_are_counted_and_told(call, recording, tmp_path):
+def test_missing_label_images_are_counted_and_reported(call, recording, tmp_path):
     (tmp_path / "labels").mkdir()
     Image.fromarray(np.full((64, 96), 9, np.uint8)).save(tmp_path / "labels" / "1.png")
     done = call("colour", recording, "-o", tmp_path / "map.las", "--labels", tmp_path / "labels")
     assert done.code == 0, done.err
     assert "labels: 1 image painted onto" in done.out
-    assert "no label image of 2 pictures" in done.out
+    assert "no label image of 2 images" in done.out
     assert set(np.unique(laspy.read(tmp_path / "map.las").label).tolist()) == {9, 65535}
 
 

@@ -41,7 +41,7 @@ def test_checks_are_listed_without_a_server(call):
     assert [line.split()[0] for line in listed.out.splitlines()] == [check.id for check in CHECKS]
 
 
-def test_a_failed_check_is_told_with_both_languages_and_exit_code_1(call, address, monkeypatch):
+def test_a_failed_check_is_reported_with_both_languages_and_exit_code_1(call, address, monkeypatch):
     from sceneloom.service.conformance import transport
 
     sound = transport.GrpcTransport.call
@@ -60,7 +60,7 @@ def test_a_failed_check_is_told_with_both_languages_and_exit_code_1(call, addres
     assert "sent AddProperty speed: expected 1, found 2" in outcome.out
 
 
-def test_nobody_at_the_address_unknown_checks_and_reports_are_told(call, address, tmp_path, monkeypatch):
+def test_nobody_at_the_address_unknown_checks_and_reports_are_reported(call, address, tmp_path, monkeypatch):
     from sceneloom.service.conformance import transport
 
     monkeypatch.setattr(transport, "PATIENCE_S", 1.0)

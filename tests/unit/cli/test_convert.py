@@ -1,4 +1,4 @@
-"""`sceneloom convert` tells people and programs what became of every field."""
+"""`sceneloom convert` reports people and programs what became of every field."""
 
 import json
 import re
@@ -32,10 +32,10 @@ def test_a_short_table_says_what_is_not_simply_kept(call: "Call", recording: Pat
 
 
 def test_json_lists_every_field(call: "Call", recording: Path, tmp_path: Path) -> None:
-    told = json.loads(call("convert", recording, tmp_path / "drive.sfs", "--json").out)
-    fates = {row["field"]: row["fate"] for row in told["fields"]}
-    assert fates["sensors.lidar.frames.points.positions"] == "kept"
-    assert told["written"] is True
+    reported = json.loads(call("convert", recording, tmp_path / "drive.sfs", "--json").out)
+    supports = {row["field"]: row["support"] for row in reported["fields"]}
+    assert supports["sensors.lidar.frames.points.positions"] == "kept"
+    assert reported["written"] is True
 
 
 def test_strict_refuses_with_the_fields_and_the_next_step(
@@ -51,23 +51,28 @@ def test_strict_refuses_with_the_fields_and_the_next_step(
 
 
 def test_a_drive_is_read_as_the_format_that_is_named(call: "Call", recording: Path, tmp_path: Path) -> None:
-    refused = call("info", recording, "--read-as", "kitti-raw")
+    refused = call("info", recording, "--input-format", "kitti-raw")
     assert refused.code != 0
-    assert call("convert", recording, tmp_path / "drive.sfs", "--read-as", "recording").code == 0
-    unknown = call("info", recording, "--read-as", "nope")
+    assert call("convert", recording, tmp_path / "drive.sfs", "--input-format", "recording").code == 0
+    unknown = call("info", recording, "--input-format", "nope")
     assert (unknown.code, "no format 'nope'" in unknown.err) == (2, True)
 
 
 def test_an_option_of_another_kind_of_clouds_is_refused(
     call: "Call", recording: Path, tmp_path: Path
 ) -> None:
-    told = call("convert", recording, tmp_path / "ply", "--to", "ply", "--set", "encoding=ascii")
-    assert (told.code, "option 'encoding'; writing ply takes frame, lidar" in told.err) == (2, True)
+    reported = call(
+        "convert", recording, tmp_path / "ply", "--to", "ply", "--output-option", "encoding=ascii"
+    )
+    assert (reported.code, "option 'encoding'; writing ply takes frame, lidar" in reported.err) == (2, True)
     assert not (tmp_path / "ply").exists()
-    assert call("convert", recording, tmp_path / "pcd", "--to", "pcd", "--set", "encoding=ascii").code == 0
+    assert (
+        call("convert", recording, tmp_path / "pcd", "--to", "pcd", "--output-option", "encoding=ascii").code
+        == 0
+    )
 
 
-def test_pictures_are_placed_along_the_way_that_is_named(
+def test_images_are_placed_along_the_trajectory_that_is_named(
     call: "Call", recording: Path, tmp_path: Path
 ) -> None:
     done = call("convert", recording, tmp_path / "model", "--to", "colmap", "--trajectory", "groundTruth")
@@ -84,11 +89,16 @@ def test_what_the_verb_itself_takes_is_no_option_of_a_format(
     call: "Call", recording: Path, tmp_path: Path
 ) -> None:
     for name in ("trajectory", "overwrite", "progress"):
-        told = call("convert", recording, tmp_path / "model", "--to", "colmap", "--set", f"{name}=x")
-        assert (told.code, f"--set {name} does not count here" in told.err) == (2, True)
+        reported = call(
+            "convert", recording, tmp_path / "model", "--to", "colmap", "--output-option", f"{name}=x"
+        )
+        assert (reported.code, f"--output-option {name} does not count here" in reported.err) == (2, True)
     for name in ("start", "path", "format"):
-        told = call("info", recording, "--read-with", f"{name}=1")
-        assert (told.code, f"--read-with {name}: no format has this option" in told.err) == (2, True)
+        reported = call("info", recording, "--input-option", f"{name}=1")
+        assert (reported.code, f"--input-option {name}: no format has this option" in reported.err) == (
+            2,
+            True,
+        )
 
 
 def _tree(folder: Path) -> dict[str, bytes | None]:
@@ -215,20 +225,20 @@ def test_channels_of_nuscenes_are_named_on_the_command_line(call, recording, tmp
     assert "nix" in unknown.err
 
 
-def test_b_frames_in_mcap_are_told_with_a_remedy_that_works(recording, call, tmp_path):
+def test_b_frames_in_mcap_are_reported_with_a_remedy_that_works(recording, call, tmp_path):
     drive = tmp_path / "drive"
     with sceneloom.open(recording) as scene:
-        sceneloom.write(scene, drive, pictures="h264")
+        sceneloom.write(scene, drive, images="h264")
     found = call("convert", drive, tmp_path / "copied.mcap")
     assert found.code == 0
     assert "B frames" in found.err
-    remedy = re.search("`(--set pictures=.*?)`", found.err)[1].split()
+    remedy = re.search("`(--output-option images=.*?)`", found.err)[1].split()
     again = call("convert", drive, tmp_path / "anew.mcap", *remedy)
     assert (again.code, "B frames" in again.err) == (0, False)
     with sceneloom.open(tmp_path / "anew.mcap") as scene:
         (camera,) = scene.cameras
         assert camera.video is None
-        assert all(picture.encoded is not None for picture in camera.pictures)
+        assert all(image.encoded is not None for image in camera.images)
 
 
 def test_info_shows_the_intrinsics_of_single_images(recording, call, tmp_path):
@@ -240,7 +250,7 @@ def test_info_shows_the_intrinsics_of_single_images(recording, call, tmp_path):
         entry["cameraParameters"] = {"focalLengthX": 60.0 + k, "focalLengthY": 61.0}
     (drive / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     assert (
-        f"{len(entries)} lenses among {len(entries)} images: fx 60 to {59 + len(entries)} px"
+        f"{len(entries)} camera models among {len(entries)} images: fx 60 to {59 + len(entries)} px"
         in call("info", drive).out
     )
     (camera,) = [s for s in json.loads(call("info", drive, "--json").out)["sensors"] if s["type"] == "camera"]

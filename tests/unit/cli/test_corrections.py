@@ -25,7 +25,7 @@ from sceneloom.scene import (
     CameraCalibration,
     CuboidAnnotation,
     LocalizationAdjustment,
-    PosePath,
+    Poses,
     Scene,
 )
 from sceneloom.service.sent_rig import sent_rig
@@ -33,41 +33,41 @@ from sceneloom.simulate import CameraSpec, LidarSpec, detect_2d, detect_3d, simu
 from sceneloom.view.drive import prepare_drive
 from sceneloom.view.settings import ViewSettings
 
-LENS = Camera("brown_conrady", 160, 96, 90.0, 90.0, 79.5, 47.5, (-0.1, 0.02, 0.0, 0.0, 0.0))
-WRONG_LENS = replace(LENS, fx=97.0, fy=97.0)
-TURNED = RigidTransform.from_quaternion(np.array([0.3, 0.1, -0.2]), np.array([0.0, 0.05, 0.0, 0.9987492178]))
+CAMERA_MODEL = Camera("brown_conrady", 160, 96, 90.0, 90.0, 79.5, 47.5, (-0.1, 0.02, 0.0, 0.0, 0.0))
+WRONG_CAMERA_MODEL = replace(CAMERA_MODEL, fx=97.0, fy=97.0)
+ROTATED = RigidTransform.from_quaternion(np.array([0.3, 0.1, -0.2]), np.array([0.0, 0.05, 0.0, 0.9987492178]))
 MOVED = RigidTransform.from_quaternion(np.array([40.0, -7.0, 1.5]), np.array([0.0, 0.0, 0.6, 0.8]))
 LATER_NS = 3_000_000
 
 
-def constant(transform: RigidTransform) -> PosePath:
+def constant(transform: RigidTransform) -> Poses:
     """The same at all times."""
-    return PosePath(np.zeros(1, np.int64), transform.translation[None], transform.quaternion_xyzw[None])
+    return Poses(np.zeros(1, np.int64), transform.translation[None], transform.quaternion_xyzw[None])
 
 
 def with_corrections(
-    scene: Scene, turned: RigidTransform, lens: Camera, later_ns: int, moved: RigidTransform
+    scene: Scene, rotated: RigidTransform, camera_model: Camera, later_ns: int, moved: RigidTransform
 ) -> Scene:
-    camera = CameraCalibration("mounted", "camera0", constant(turned), lens, later_ns)
+    camera = CameraCalibration("mounted", "camera0", constant(rotated), camera_model, later_ns)
     world = LocalizationAdjustment("placed", constant(moved))
     return replace(scene, annotations=(*scene.annotations, camera, world))
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A drive that is right, the same wrong by known corrections, and that with the annotations that mend it."""
+    """A drive that is right, the same wrong by known corrections, and that with the annotations that repair it."""
     folder = tmp_path_factory.mktemp("corrected")
     lidar = LidarSpec(beams=16, steps=240)
-    drive = simulate_street(1, frames=3, lidar=lidar, cameras=(CameraSpec(LENS),))
+    drive = simulate_street(1, frames=3, lidar=lidar, cameras=(CameraSpec(CAMERA_MODEL),))
     labels = [annotation for annotation in drive.scene.annotations if annotation.label == "car"]
     sceneloom.write(replace(drive.scene, annotations=tuple(labels[:6])), folder / "right.sfs")
     with sceneloom.open(folder / "right.sfs") as right:
-        opposite = with_corrections(right, TURNED.inverse(), WRONG_LENS, -LATER_NS, MOVED.inverse())
-        wrong = replace(sceneloom.apply_corrections(opposite), metadata=right.metadata, notices=())
+        opposite = with_corrections(right, ROTATED.inverse(), WRONG_CAMERA_MODEL, -LATER_NS, MOVED.inverse())
+        wrong = replace(sceneloom.apply_corrections(opposite), metadata=right.metadata, warnings=())
         sceneloom.write(wrong, folder / "wrong.sfs")
     with sceneloom.open(folder / "wrong.sfs") as wrong:
-        mended = with_corrections(wrong, TURNED, LENS, LATER_NS, MOVED)
-        sceneloom.write(mended, folder / "mended.sfs")
+        repaired = with_corrections(wrong, ROTATED, CAMERA_MODEL, LATER_NS, MOVED)
+        sceneloom.write(repaired, folder / "repaired.sfs")
     for name, reports, record in (
         ("boxes3d.jsonl", detect_3d(drive), boxes_3d_record),
         ("boxes2d.jsonl", detect_2d(drive), boxes_2d_record),
@@ -82,7 +82,7 @@ def numbers_of(value: Any) -> Iterator[float]:
     """All numbers of something read from JSON, in order."""
     if isinstance(value, dict):
         for key in sorted(value):
-            if key not in {"seconds", "stages", "size_bytes", "notices"}:
+            if key not in {"seconds", "stages", "size_bytes", "warnings"}:
                 yield from numbers_of(value[key])
     elif isinstance(value, list | tuple):
         for item in value:
@@ -92,14 +92,14 @@ def numbers_of(value: Any) -> Iterator[float]:
 
 
 def figures_of_scene(path: Path | Scene) -> np.ndarray:
-    """Where the camera and the cuboids are, what the camera is, when its pictures were taken; colours of points."""
+    """Where the camera and the cuboids are, what the camera is, when its images were taken; colours of points."""
     scene = path if isinstance(path, Scene) else sceneloom.open(path)
     found: list[Any] = []
     with scene:
         assert not scene.pending_corrections
         (camera,) = scene.cameras
         shift = np.array(scene.metadata.get("sceneloom", {}).get("world_from_file", np.eye(4)))[:3, 3]
-        found += [camera.camera.fx, *(1e-6 * camera.pictures.timestamps_ns)]
+        found += [camera.camera.fx, *(1e-6 * camera.images.timestamps_ns)]
         samples = scene.samples(reference=camera.id)
         for sample in samples:
             pose = sample.poses.world_from_sensor[camera.id]
@@ -124,8 +124,8 @@ Figures = Callable[[Callable[..., Any], Path, Path, tuple[str, ...]], Any]
 def ran(call: Callable[..., Any], *words: object, codes: tuple[int, ...] = (0,)) -> Any:
     outcome = call(*words)
     assert outcome.code in codes, outcome.err
-    told = "applied: " if "--no-corrections" not in words else "left off"
-    assert told in outcome.err + outcome.out, "it says nothing of the corrections"
+    reported = "applied: " if "--no-corrections" not in words else "left off"
+    assert reported in outcome.err + outcome.out, "it says nothing of the corrections"
     return outcome
 
 
@@ -168,21 +168,21 @@ def converted_text(target: str, *words: str, text: str) -> Figures:
     return run
 
 
-def told_json(*words: str, key: str | None = None, codes: tuple[int, ...] = (0,)) -> Figures:
+def reported_json(*words: str, key: str | None = None, codes: tuple[int, ...] = (0,)) -> Figures:
     def run(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
         del out
-        told = json.loads(ran(call, *words, drive, "--json", *further, codes=codes).out)
-        return list(numbers_of(told if key is None else told[key]))
+        reported = json.loads(ran(call, *words, drive, "--json", *further, codes=codes).out)
+        return list(numbers_of(reported if key is None else reported[key]))
 
     return run
 
 
 def fused_detections(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
     lists = ("--boxes3d", drive.parent / "boxes3d.jsonl", "--boxes2d", drive.parent / "boxes2d.jsonl")
-    told = ran(
+    reported = ran(
         call, "fuse", drive, "--type", "detection", *lists, "-o", out / "o.jsonl", "--json", *further
     ).out
-    return [json.loads(told)["drives"][0]["both"]]
+    return [json.loads(reported)["drives"][0]["both"]]
 
 
 def tracked(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
@@ -210,7 +210,7 @@ def map_colours(call: Callable[..., Any], drive: Path, out: Path, further: tuple
 
 
 def drawn(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
-    call("info", drive, "--pictures", out / "drawn", *further)
+    call("info", drive, "--visualize", out / "drawn", *further)
     from PIL import Image
 
     return [float(np.asarray(Image.open(out / "drawn" / "camera_camera0.png"), np.float64).mean())]
@@ -219,14 +219,14 @@ def drawn(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, 
 def catalogued(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
     del call
     reading = {"corrections": "ignore"} if further else {}
-    read_drive(str(drive), out, {"scene": "x", "stamp": "", "checks": "none", "reading": reading})
+    read_drive(str(drive), out, {"scene": "x", "timestamp": "", "checks": "none", "reading": reading})
     table = read_draft(out, "annotations")
     return list(numbers_of(table.to_pydict()))
 
 
 def trajectory(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
-    ran(call, "convert", drive, out / "way.tum", *further)
-    return read_trajectory(out / "way.tum").positions
+    ran(call, "convert", drive, out / "trajectory.tum", *further)
+    return read_trajectory(out / "trajectory.tum").positions
 
 
 def compared_trajectory(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
@@ -246,7 +246,7 @@ def checked(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str
     del call, out
     with sceneloom.open(drive, **({"corrections": "ignore"} if further else {})) as scene:
         found = check_drive(scene, most=1)
-    assert len(found.health.corrections) == 2 * (drive.name == "mended.sfs")
+    assert len(found.health.corrections) == 2 * (drive.name == "repaired.sfs")
     return found.frames[0].camera_from_lidar.matrix
 
 
@@ -270,9 +270,9 @@ COMPUTING: dict[str, Figures] = {
     "edit project": scene_verb("edit", "project"),
     "edit deskew": scene_verb("edit", "deskew"),
     "calibrate --check": checked,
-    "calibrate --refine": told_json("calibrate", "--refine", key="transform", codes=(0, 3, 5)),
-    "report": told_json("report", "--quick", "--pictures", "0", key="fusion"),
-    "info --pictures": drawn,
+    "calibrate --refine": reported_json("calibrate", "--refine", key="transform", codes=(0, 3, 5)),
+    "report": reported_json("report", "--quick", "--images", "0", key="fusion"),
+    "info --visualize": drawn,
     "eval trajectory": compared_trajectory,
     "send": sent,
     "view": viewed,
@@ -301,16 +301,16 @@ def test_a_verb_that_computes_gives_for_a_corrected_drive_what_it_gives_for_the_
 
         def quiet(*words: object) -> Any:
             outcome = call(*words)
-            if name != "mended.sfs":  # has nothing to say
+            if name != "repaired.sfs":  # has nothing to state
                 return replace_err(outcome)
             return outcome
 
         return np.asarray(COMPUTING[verb](quiet, files / name, out, further), np.float64)
 
     right, wrong = figures("right.sfs"), figures("wrong.sfs")
-    assert right.shape != wrong.shape or np.nanmax(np.abs(right - wrong)) > 1e-2, "the figures tell nothing"
-    np.testing.assert_allclose(figures("mended.sfs"), right, rtol=2e-3, atol=2e-3)
-    np.testing.assert_allclose(figures("mended.sfs", "--no-corrections"), wrong, rtol=2e-3, atol=2e-3)
+    assert right.shape != wrong.shape or np.nanmax(np.abs(right - wrong)) > 1e-2, "the figures state nothing"
+    np.testing.assert_allclose(figures("repaired.sfs"), right, rtol=2e-3, atol=2e-3)
+    np.testing.assert_allclose(figures("repaired.sfs", "--no-corrections"), wrong, rtol=2e-3, atol=2e-3)
 
 
 def replace_err(outcome: Any) -> Any:
@@ -319,13 +319,13 @@ def replace_err(outcome: Any) -> Any:
 
 KEEPING = frozenset(
     {
-        *("info", "validate", "diff", "edit apply", "edit blur", "edit crop", "edit merge", "edit relative"),
+        *("info", "validate", "diff", "edit apply", "edit blur", "edit crop", "edit merge", "edit anonymise"),
         *("edit simplify", "edit thin", "edit to-ego", "edit to-sensor", "edit to-world"),
     }
 )
 """Verbs that read a drive, and do not compute with where its cameras are: corrections stay what they are."""
 FURTHER = frozenset(
-    {"eval tracking", "eval detection", "edit undistort", "edit lens", "catalog update", "calibrate"}
+    {"eval tracking", "eval detection", "edit undistort", "edit camera model", "catalog update", "calibrate"}
 )
 """Verbs that compute and are tested below, or under the name of one of their modes."""
 
@@ -357,7 +357,7 @@ def test_an_edit_that_does_not_compute_with_cameras_keeps_corrections_and_their_
     edit: str, call: Callable[..., Any], files: Path, tmp_path: Path
 ) -> None:
     further = {"crop": ("--start", "0"), "thin": ("--voxel", "1")}.get(edit, ())
-    outcome = call("edit", edit, files / "mended.sfs", "-o", tmp_path / "out.sfs", *further)
+    outcome = call("edit", edit, files / "repaired.sfs", "-o", tmp_path / "out.sfs", *further)
     assert outcome.code == 0, outcome.err
     with sceneloom.open(tmp_path / "out.sfs") as scene, sceneloom.open(files / "right.sfs") as right:
         assert {"mounted", "placed"} <= {annotation.id for annotation in scene.annotations}
@@ -370,7 +370,7 @@ def test_what_was_corrected_is_not_corrected_again(
     call: Callable[..., Any], files: Path, tmp_path: Path
 ) -> None:
     first, second = tmp_path / "first.sfs", tmp_path / "second.sfs"
-    assert call("fuse", files / "mended.sfs", "-o", first).code == 0
+    assert call("fuse", files / "repaired.sfs", "-o", first).code == 0
     outcome = call("fuse", first, "-o", second)
     assert (outcome.code, "correction" in outcome.err) == (0, False)
     np.testing.assert_allclose(figures_of_scene(second), figures_of_scene(first), atol=1e-5)
@@ -378,12 +378,12 @@ def test_what_was_corrected_is_not_corrected_again(
         assert [entry["id"] for entry in scene.metadata["sceneloom"]["applied"]] == ["mounted", "placed"]
 
 
-@pytest.mark.parametrize("words", [("lens", "--model", "fisheye", "--limit", "9"), ("undistort",)])
-def test_a_new_lens_stands_for_the_corrected_one(
+@pytest.mark.parametrize("words", [("camera_model", "--model", "fisheye", "--limit", "9"), ("undistort",)])
+def test_a_new_camera_model_stands_for_the_corrected_one(
     words: tuple[str, ...], call: Callable[..., Any], files: Path, tmp_path: Path
 ) -> None:
     found = []
-    for name in ("right", "mended"):
+    for name in ("right", "repaired"):
         assert call("edit", *words, files / f"{name}.sfs", "-o", tmp_path / f"{name}.sfs").code == 0
         with sceneloom.open(tmp_path / f"{name}.sfs") as scene:
             assert not scene.pending_corrections
@@ -395,9 +395,9 @@ def test_a_new_lens_stands_for_the_corrected_one(
 def test_corrections_that_are_left_off_and_cannot_be_written_are_losses(
     to: str, call: Callable[..., Any], files: Path, tmp_path: Path
 ) -> None:
-    words = ("convert", files / "mended.sfs", tmp_path / "out", "--to", to, "--no-corrections")
-    told = json.loads(call(*words, "--json").out)
-    lost = {row["field"] for row in told["fields"] if row["fate"] == "dropped"}
+    words = ("convert", files / "repaired.sfs", tmp_path / "out", "--to", to, "--no-corrections")
+    reported = json.loads(call(*words, "--json").out)
+    lost = {row["field"] for row in reported["fields"] if row["support"] == "dropped"}
     assert {"annotations.camera_calibration", "annotations.localization_adjustment"} <= {
         name for field in lost for name in (field, field.rpartition(".")[0])
     }
@@ -416,18 +416,18 @@ def test_the_library_applies_corrections_or_leaves_them_off(files: Path) -> None
             colours = fused.points.colors
             return np.array([*ego.path.positions[1], *pose.matrix.ravel(), *boxes, *colours.mean(axis=0)])
 
-    np.testing.assert_allclose(figures("mended.sfs"), figures("right.sfs"), rtol=2e-3, atol=2e-3)
-    np.testing.assert_allclose(figures("mended.sfs", "ignore"), figures("wrong.sfs"), rtol=2e-3, atol=2e-3)
+    np.testing.assert_allclose(figures("repaired.sfs"), figures("right.sfs"), rtol=2e-3, atol=2e-3)
+    np.testing.assert_allclose(figures("repaired.sfs", "ignore"), figures("wrong.sfs"), rtol=2e-3, atol=2e-3)
     assert np.abs(figures("right.sfs")[:19] - figures("wrong.sfs")[:19]).max() > 1.0
     with pytest.raises(sceneloom.SceneloomError, match="apply, ignore"):
-        sceneloom.open(files / "mended.sfs", corrections="twice")
+        sceneloom.open(files / "repaired.sfs", corrections="twice")
 
 
 def test_validate_and_info_list_corrections_and_change_nothing(call: Callable[..., Any], files: Path) -> None:
-    told = json.loads(call("info", files / "mended.sfs", "--json").out)
-    assert [entry["id"] for entry in told["corrections"]] == ["mounted", "placed"]
-    assert "camera 'camera0'" in call("info", files / "mended.sfs").out
-    findings = json.loads(call("validate", files / "mended.sfs", "--json").out)["findings"]
+    reported = json.loads(call("info", files / "repaired.sfs", "--json").out)
+    assert [entry["id"] for entry in reported["corrections"]] == ["mounted", "placed"]
+    assert "camera 'camera0'" in call("info", files / "repaired.sfs").out
+    findings = json.loads(call("validate", files / "repaired.sfs", "--json").out)["findings"]
     listed = [finding for finding in findings if finding["rule"] == "corrections-not-applied"]
     assert len(listed) == 2
     assert {finding["severity"] for finding in listed} == {"hint"}
@@ -437,7 +437,7 @@ def test_validate_and_info_list_corrections_and_change_nothing(call: Callable[..
 def test_objects_are_compared_with_corrections_unless_they_are_left_off(
     verb: str, call: Callable[..., Any], files: Path, tmp_path: Path
 ) -> None:
-    with sceneloom.open(files / "mended.sfs") as scene:
+    with sceneloom.open(files / "repaired.sfs") as scene:
         scored = [
             replace(annotation, attributes=(*annotation.attributes, AttributePath("score", (0.9,))))
             if isinstance(annotation, CuboidAnnotation)
@@ -447,10 +447,10 @@ def test_objects_are_compared_with_corrections_unless_they_are_left_off(
         sceneloom.write(replace(scene, annotations=tuple(scored)), tmp_path / "found.sfs")
     words = ("eval", verb, tmp_path / "found.sfs", files / "right.sfs", "--json")
     applied, ignored = (ran(call, *words, *further) for further in ((), ("--no-corrections",)))
-    told, told_ignored = (
-        {notice["code"] for notice in json.loads(outcome.out)["notices"]} for outcome in (applied, ignored)
+    reported, reported_ignored = (
+        {warning["code"] for warning in json.loads(outcome.out)["warnings"]} for outcome in (applied, ignored)
     )
-    assert any(code.startswith("correction-") for code in told)
-    assert told != told_ignored
+    assert any(code.startswith("correction-") for code in reported)
+    assert reported != reported_ignored
     right, wrong = (list(numbers_of(json.loads(outcome.out))) for outcome in (applied, ignored))
     assert right != wrong

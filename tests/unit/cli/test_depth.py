@@ -8,7 +8,7 @@ from PIL import Image
 
 
 @pytest.mark.parametrize("method", ["sparse", "fast", "quality"])
-def test_each_sweep_and_picture_gets_a_depth_image(call, recording, tmp_path, method):
+def test_each_sweep_and_image_gets_a_depth_image(call, recording, tmp_path, method):
     outcome = call("depth", recording, "-o", tmp_path / "out", "--method", method)
     assert outcome.code == 0, outcome.err
     images = sorted(path.name for path in (tmp_path / "out" / "camera0").iterdir())
@@ -40,9 +40,9 @@ def test_npz_files_hold_depth_and_confidence(call, recording, tmp_path):
         assert ((arrays["confidence"] > 0) == (arrays["depth"] > 0)).all()
 
 
-def test_confidence_and_pictures_go_where_they_were_asked_for(call, recording, tmp_path):
+def test_confidence_and_images_go_where_they_were_asked_for(call, recording, tmp_path):
     outcome = call(
-        "depth", recording, "-o", tmp_path / "out", "--confidence", "--pictures", tmp_path / "look", "--json"
+        "depth", recording, "-o", tmp_path / "out", "--confidence", "--visualize", tmp_path / "look", "--json"
     )
     report = json.loads(outcome.out)
     assert report["cameras"][0]["images"] == 3
@@ -53,7 +53,7 @@ def test_confidence_and_pictures_go_where_they_were_asked_for(call, recording, t
     assert len(list((tmp_path / "look" / "camera0").iterdir())) == 3
 
 
-def test_a_camera_that_is_not_there_is_told_with_those_that_are(call, recording, tmp_path):
+def test_a_camera_that_is_not_there_is_reported_with_those_that_are(call, recording, tmp_path):
     outcome = call("depth", recording, "-o", tmp_path / "out", "--camera", "roof")
     assert outcome.code == 2
     assert "'roof'" in outcome.err

@@ -41,7 +41,7 @@ def test_equal_drives_exit_with_zero(call: Call, drives: tuple[Path, Path]) -> N
     assert (outcome.code, outcome.out) == (0, "equal\n")
 
 
-def test_drives_that_differ_exit_with_one_and_say_where(call: Call, drives: tuple[Path, Path]) -> None:
+def test_drives_that_differ_exit_with_one_and_state_where(call: Call, drives: tuple[Path, Path]) -> None:
     outcome = call("diff", *drives)
     assert outcome.code == 1
     lines = outcome.out.splitlines()
@@ -62,7 +62,7 @@ def test_tolerances_let_pass(call: Call, drives: tuple[Path, Path]) -> None:
     assert call("diff", *drives, "--tolerance-m", "0.3").code == 0
 
 
-def test_wrong_usage_and_missing_drives_are_told_apart(call: Call, drives: tuple[Path, Path]) -> None:
+def test_wrong_usage_and_missing_drives_are_distinguished(call: Call, drives: tuple[Path, Path]) -> None:
     assert call("diff", *drives, "--tolerance-m", "-1").code == 2
     assert call("diff", drives[0]).code == 2
     assert call("diff", drives[0], drives[0].with_name("none.sfs")).code == 1

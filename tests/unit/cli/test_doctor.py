@@ -20,9 +20,9 @@ def test_doctor_says_what_is_there_and_ends_with_0(call):
 
 def test_doctor_ends_with_1_where_something_needed_is_broken(call, monkeypatch):
     broken = Finding(
-        group="packages", name="av", status=Status.BROKEN, said="is gone", remedy="pip install av"
+        group="packages", name="av", status=Status.BROKEN, stated="is gone", remedy="pip install av"
     )
-    good = Finding(group="packages", name="numpy", status=Status.GOOD, said="2.0")
+    good = Finding(group="packages", name="numpy", status=Status.GOOD, stated="2.0")
     monkeypatch.setattr(
         installation, "examine_installation", lambda: InstallationReport(findings=(broken, good))
     )
@@ -30,11 +30,11 @@ def test_doctor_ends_with_1_where_something_needed_is_broken(call, monkeypatch):
     assert (outcome.code, "BROKEN" in outcome.out, "pip install av" in outcome.out) == (1, True, True)
     assert "numpy" not in outcome.out
     assert "something that is needed is broken" in outcome.err
-    told = call("doctor", "--json")
-    assert (told.code, json.loads(told.out)["sound"]) == (1, False)
+    reported = call("doctor", "--json")
+    assert (reported.code, json.loads(reported.out)["sound"]) == (1, False)
 
 
-def test_the_version_is_said(call):
+def test_the_version_is_stated(call):
     outcome = call("--version")
     assert (outcome.code, outcome.out.strip()) == (0, f"sceneloom, version {__version__}")
 

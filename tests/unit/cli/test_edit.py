@@ -24,12 +24,12 @@ def test_edit_deskew_writes_the_drive_with_sweeps_of_one_moment(
         assert all(np.ptp(frame.points.timestamps_ns) == 0 for frame in scene.lidars[0].frames)
 
 
-def test_edit_deskew_by_the_imu_is_told_to_machines(call: Call, recording: Path, tmp_path: Path) -> None:
+def test_edit_deskew_by_the_imu_is_reported_to_machines(call: Call, recording: Path, tmp_path: Path) -> None:
     outcome = call("edit", "deskew", recording, "-o", tmp_path / "d.sfs", "--trajectory", "imu", "--json")
     assert outcome.code == 0
     report = json.loads(outcome.out)
     assert (report["trajectory"], report["deskewed"], report["at"]) == ("imu", 3, "middle")
-    assert "rotation-only" in [notice["code"] for notice in report["notices"]]
+    assert "rotation-only" in [warning["code"] for warning in report["warnings"]]
 
 
 def test_edit_deskew_never_replaces_unasked_and_knows_its_lidars(

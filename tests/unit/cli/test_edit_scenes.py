@@ -11,7 +11,7 @@ import pytest
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
-from sceneloom.scene import CuboidAnnotation, LocalizationAdjustment, PosePath
+from sceneloom.scene import CuboidAnnotation, LocalizationAdjustment, Poses
 from sceneloom.scene.span import time_span
 from sceneloom.simulate import CameraSpec, LidarSpec, annotate, simulate_street
 
@@ -22,12 +22,12 @@ Call = Callable[..., Any]
 def scene_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A street with every type of annotation, in a scene file."""
     target = tmp_path_factory.mktemp("edited") / "drive.sfs"
-    lenses = (
+    camera_models = (
         Camera("brown_conrady", 200, 100, 107.0, 107.0, 99.5, 47.5, (-0.12, 0.04, 0.0004, -0.0003, -0.006)),
         Camera("fisheye", 160, 100, 62.0, 62.0, 79.5, 47.5, (0.03, -0.008, 0.002, -0.0004)),
     )
     lidar = LidarSpec(elevations_deg=(-25.0, 15.0), steps=360)
-    drive = simulate_street(0, frames=3, lidar=lidar, cameras=tuple(map(CameraSpec, lenses)))
+    drive = simulate_street(0, frames=3, lidar=lidar, cameras=tuple(map(CameraSpec, camera_models)))
     sceneloom.write(annotate(drive).scene, target)
     return target
 
@@ -39,7 +39,7 @@ def second_sweep(scene_file: Path) -> str:
         return str((int(scene.lidars[0].frames.timestamps_ns[1]) - begin_ns) * 1e-9)
 
 
-def test_thin_tells_how_many_points_are_left(call: Call, recording: Path, tmp_path: Path) -> None:
+def test_thin_reports_how_many_points_are_left(call: Call, recording: Path, tmp_path: Path) -> None:
     outcome = call("edit", "thin", recording, "-o", tmp_path / "thin", "--voxel", "2")
     assert outcome.code == 0, outcome.err
     assert "thin: done in" in outcome.out
@@ -60,10 +60,10 @@ def test_thin_counts_the_points_of_sensors_that_stay_as_they_are(
         chosen = str(scene.lidars[0].id)
         assert len(scene.lidars) == 2
     thin = ("edit", "thin", two, "-o", tmp_path / "thin.sfs", "--points", "1", "--sensor", chosen)
-    told = json.loads(call(*thin, "--json").out)
-    frames = told["before"]["frames"]
-    assert told["before"]["points"] == points
-    assert points / 2 < told["after"]["points"] <= points / 2 + frames
+    reported = json.loads(call(*thin, "--json").out)
+    frames = reported["before"]["frames"]
+    assert reported["before"]["points"] == points
+    assert points / 2 < reported["after"]["points"] <= points / 2 + frames
 
 
 def test_thin_says_that_points_are_those_of_frames_that_stay(
@@ -74,7 +74,7 @@ def test_thin_says_that_points_are_those_of_frames_that_stay(
     assert " points of the frames that stay -> " in outcome.out
 
 
-def test_crop_is_told_to_machines(call: Call, scene_file: Path, tmp_path: Path) -> None:
+def test_crop_is_reported_to_machines(call: Call, scene_file: Path, tmp_path: Path) -> None:
     outcome = call(
         *("edit", "crop", scene_file, "-o", tmp_path / "crop.sfs", "--range", "15"),
         *("--start", second_sweep(scene_file)),
@@ -84,7 +84,7 @@ def test_crop_is_told_to_machines(call: Call, scene_file: Path, tmp_path: Path) 
     report = json.loads(outcome.out)
     assert (report["edit"], report["after"]["frames"]) == ("crop", 4)
     assert 0 < report["after"]["points"] < report["before"]["points"]
-    assert "sensors-left-out" in [notice["code"] for notice in report["notices"]]
+    assert "sensors-left-out" in [warning["code"] for warning in report["warnings"]]
     with sceneloom.open(tmp_path / "crop.sfs") as scene:
         away = np.concatenate([frame.points.positions for frame in scene.lidars[0].frames])
         assert [camera.id for camera in scene.cameras] == ["camera0"]
@@ -140,7 +140,7 @@ def test_parts_are_merged_to_the_whole(call: Call, scene_file: Path, tmp_path: P
     assert call("edit", "crop", scene_file, "-o", parts[0], "--stop", cut).code == 0
     assert call("edit", "crop", scene_file, "-o", parts[1], "--start", cut).code == 0
     refused = call("edit", "merge", *parts, "-o", tmp_path / "c.sfs")
-    assert (refused.code, "say `--rename`" in refused.err) == (2, True)
+    assert (refused.code, "state `--rename`" in refused.err) == (2, True)
     joined = call("edit", "merge", *parts, "-o", tmp_path / "c.sfs", "--join")
     assert joined.code == 0, joined.err
     with sceneloom.open(scene_file) as whole, sceneloom.open(tmp_path / "c.sfs") as scene:
@@ -152,7 +152,7 @@ def test_parts_are_merged_to_the_whole(call: Call, scene_file: Path, tmp_path: P
 
 
 def test_an_adjustment_in_a_file_is_applied(call: Call, scene_file: Path, tmp_path: Path) -> None:
-    lift = replace(PosePath.identity(), positions=np.array([[0.0, 0.0, 2.5]]))
+    lift = replace(Poses.identity(), positions=np.array([[0.0, 0.0, 2.5]]))
     with sceneloom.open(scene_file) as scene:
         annotations = (*scene.annotations, LocalizationAdjustment(7, lift))
         sceneloom.write(replace(scene, annotations=annotations), tmp_path / "given.sfs")

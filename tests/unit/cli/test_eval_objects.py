@@ -13,13 +13,13 @@ Call = Callable[..., Any]
 
 def line(frame: int, track: int, label: str, left: float, *, score: float | None = None) -> str:
     """A box of 60 x 50 pixels, and one in space that is a metre to the right for ten pixels."""
-    place = f"{left} 100 {left + 60} 150 1.5 1.7 4.2 {left / 10} 1.6 20 0.3"
-    return f"{frame} {track} {label} 0 0 -10 {place}" + ("" if score is None else f" {score}")
+    location = f"{left} 100 {left + 60} 150 1.5 1.7 4.2 {left / 10} 1.6 20 0.3"
+    return f"{frame} {track} {label} 0 0 -10 {location}" + ("" if score is None else f" {score}")
 
 
 @pytest.fixture
 def sides(tmp_path: Path) -> tuple[Path, Path]:
-    """Two cars over ten frames in 0000, of which one is found, in two pieces; a pedestrian in 0001, found."""
+    """Two cars over ten frames in 0000, of which one is found, in two chunks; a pedestrian in 0001, found."""
     results, truth = tmp_path / "results", tmp_path / "truth"
     for folder in (results, truth / "label_02"):
         folder.mkdir(parents=True)
@@ -46,15 +46,15 @@ def test_figures_of_tracks_are_printed_as_tables(call: Call, sides: tuple[Path, 
 
 
 def test_figures_of_tracks_are_given_to_machines(call: Call, sides: tuple[Path, Path]) -> None:
-    told = json.loads(call("eval", "tracking", *sides, "--class", "Car", "--json").out)
-    assert list(told["classes"]) == ["Car"]
-    clear = told["classes"]["Car"]["combined"]["clear"]
+    reported = json.loads(call("eval", "tracking", *sides, "--class", "Car", "--json").out)
+    assert list(reported["classes"]) == ["Car"]
+    clear = reported["classes"]["Car"]["combined"]["clear"]
     counts = {name: clear[name] for name in ("tp", "fn", "fp", "idsw", "frag", "mt", "pt", "ml")}
     assert counts == {"tp": 10, "fn": 10, "fp": 0, "idsw": 1, "frag": 0, "mt": 1, "pt": 0, "ml": 1}
     assert clear["mota"] == pytest.approx(1 - 11 / 20)
-    identity = told["classes"]["Car"]["combined"]["identity"]
+    identity = reported["classes"]["Car"]["combined"]["identity"]
     assert (identity["idtp"], identity["idf1"]) == (5, pytest.approx(10 / 30))
-    assert len(told["classes"]["Car"]["combined"]["hota"]["curves"]["hota"]) == 19
+    assert len(reported["classes"]["Car"]["combined"]["hota"]["curves"]["hota"]) == 19
 
 
 @pytest.mark.parametrize("similarity", ["2d", "bev", "3d", "distance"])
@@ -62,9 +62,9 @@ def test_every_similarity_calls_equal_tracks_equal(
     call: Call, sides: tuple[Path, Path], similarity: str
 ) -> None:
     truth = sides[1]
-    told = json.loads(call("eval", "tracking", truth, truth, "--similarity", similarity, "--json").out)
+    reported = json.loads(call("eval", "tracking", truth, truth, "--similarity", similarity, "--json").out)
     for label in ("car", "pedestrian"):
-        combined = told["classes"][label]["combined"]
+        combined = reported["classes"][label]["combined"]
         assert combined["hota"]["hota"] == pytest.approx(1, abs=1e-9)
         assert combined["clear"]["mota"] == combined["identity"]["idf1"] == 1
 
@@ -81,8 +81,8 @@ def test_figures_of_detections_are_printed_as_tables(call: Call, sides: tuple[Pa
 
 def test_figures_of_detections_are_given_to_machines(call: Call, sides: tuple[Path, Path]) -> None:
     arguments = ("--class", "car", "--similarity", "bev", "--threshold", "0.3", "--json")
-    told = json.loads(call("eval", "detection", *sides, *arguments).out)
-    (one,) = told["classes"]["car"]
+    reported = json.loads(call("eval", "detection", *sides, *arguments).out)
+    (one,) = reported["classes"]["car"]
     assert (one["similarity"], one["least_overlap"]) == ("bev", 0.3)
     scores = one["difficulties"]["hard"]
     assert (scores["precision"], scores["recall"], scores["true_objects"]) == (1.0, 0.5, 20)
@@ -94,18 +94,18 @@ def test_figures_of_detections_are_given_to_machines(call: Call, sides: tuple[Pa
 def test_curves_are_drawn_and_not_replaced_unasked(
     call: Call, sides: tuple[Path, Path], tmp_path: Path, verb: str
 ) -> None:
-    picture = tmp_path / "curves.png"
-    assert call("eval", verb, *sides, "-o", picture).code == 0
-    with Image.open(picture) as drawn:
+    image = tmp_path / "curves.png"
+    assert call("eval", verb, *sides, "-o", image).code == 0
+    with Image.open(image) as drawn:
         assert min(drawn.size) > 400
         assert len(set(drawn.convert("L").resize((60, 40)).tobytes())) > 10, "something is drawn"
-    again = call("eval", verb, *sides, "-o", picture)
+    again = call("eval", verb, *sides, "-o", image)
     assert again.code == 1
     assert "--overwrite" in again.err
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "stated"),
     [
         (
             lambda results, truth: (results / "0001.txt").unlink(),
@@ -132,20 +132,20 @@ def test_curves_are_drawn_and_not_replaced_unasked(
     ],
 )
 def test_what_cannot_be_compared_exits_with_one_and_says_why(
-    call: Call, sides: tuple[Path, Path], change: Callable[[Path, Path], None], said: str
+    call: Call, sides: tuple[Path, Path], change: Callable[[Path, Path], None], stated: str
 ) -> None:
     change(*sides)
     outcome = call("eval", "tracking", *sides)
     assert outcome.code == 1
-    assert said in outcome.err
+    assert stated in outcome.err
 
 
 def test_chosen_sequences_need_no_others(call: Call, sides: tuple[Path, Path]) -> None:
     results, truth = sides
     (results / "0001.txt").unlink()
     for name in ("0000", "0"):
-        told = json.loads(call("eval", "tracking", results, truth, "--sequence", name, "--json").out)
-        assert told["sequences"] == ["0000"]
+        reported = json.loads(call("eval", "tracking", results, truth, "--sequence", name, "--json").out)
+        assert reported["sequences"] == ["0000"]
     for name, called in (("0099", "0099"), ("", "''")):
         missing = call("eval", "tracking", results, truth, "--sequence", name)
         assert missing.code == 2
@@ -157,11 +157,11 @@ def test_empty_results_are_all_missed(call: Call, sides: tuple[Path, Path]) -> N
     for path in results.iterdir():
         path.write_text("")
     for verb in ("tracking", "detection"):
-        told = json.loads(call("eval", verb, results, truth, "--class", "car", "--json").out)
+        reported = json.loads(call("eval", verb, results, truth, "--class", "car", "--json").out)
         if verb == "tracking":
-            assert told["classes"]["car"]["combined"]["clear"]["fn"] == 20
+            assert reported["classes"]["car"]["combined"]["clear"]["fn"] == 20
         else:
-            assert [one["difficulties"]["easy"]["ap40"] for one in told["classes"]["car"]] == [0, 0, 0]
+            assert [one["difficulties"]["easy"]["ap40"] for one in reported["classes"]["car"]] == [0, 0, 0]
 
 
 def test_results_after_the_last_frame_of_the_truth_are_remarked(call: Call, sides: tuple[Path, Path]) -> None:
@@ -194,8 +194,8 @@ def test_two_files_are_compared_whatever_their_names(
 ) -> None:
     results, truth = sides
     one = (results / "0000.txt").rename(tmp_path / "mine.txt")
-    told = json.loads(call("eval", "tracking", one, truth / "label_02" / "0000.txt", "--json").out)
-    assert told["classes"]["car"]["combined"]["clear"]["tp"] == 10
+    reported = json.loads(call("eval", "tracking", one, truth / "label_02" / "0000.txt", "--json").out)
+    assert reported["classes"]["car"]["combined"]["clear"]["tp"] == 10
 
 
 def test_files_of_frames_are_the_object_benchmark(call: Call, tmp_path: Path) -> None:
@@ -204,8 +204,8 @@ def test_files_of_frames_are_the_object_benchmark(call: Call, tmp_path: Path) ->
         for frame in range(3):
             text = "Car 0.00 0 -1.5 100 100 200 180 1.5 1.7 4.2 1.0 1.6 20.0 0.3" + score
             (tmp_path / name / f"{frame:06d}.txt").write_text(text + "\n")
-    told = json.loads(call("eval", "detection", tmp_path / "results", tmp_path / "label_2", "--json").out)
-    for one in told["classes"]["car"]:
+    reported = json.loads(call("eval", "detection", tmp_path / "results", tmp_path / "label_2", "--json").out)
+    for one in reported["classes"]["car"]:
         assert one["difficulties"]["easy"]["true_objects"] == 3
         assert one["difficulties"]["easy"]["max_f1"] == 1
 

@@ -44,7 +44,7 @@ def test_a_terminal_hears_once_of_compiling_and_not_when_kernels_are_kept(monkey
     assert not capsys.readouterr().err
 
 
-def test_nothing_is_said_but_on_a_terminal(monkeypatch, capsys, kernels):
+def test_nothing_is_stated_but_on_a_terminal(monkeypatch, capsys, kernels):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: False)
     with telling_of_compiling():
         assert kernels().added(2, 3) == 7

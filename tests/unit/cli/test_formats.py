@@ -30,7 +30,7 @@ def test_a_template_is_written_once(call: Call, tmp_path: Path) -> None:
     assert call("formats", "--template", path, "--overwrite").code == 0
 
 
-def test_whoever_has_a_folder_that_nothing_reads_is_told_of_the_template(call: Call, tmp_path: Path) -> None:
+def test_whoever_has_a_folder_that_nothing_reads_is_reported_the_template(call: Call, tmp_path: Path) -> None:
     outcome = call("info", tmp_path)
     assert (outcome.code, "sceneloom formats --template FOLDER/rig.toml --from FOLDER" in outcome.err) == (
         1,
@@ -48,9 +48,9 @@ def test_a_look_into_a_folder_names_what_is_in_it(call: Call, tmp_path: Path) ->
     outcome = call("formats", "--template", tmp_path / "rig.toml", "--from", tmp_path)
     assert outcome.code == 0
     (sensor,) = tomllib.loads((tmp_path / "rig.toml").read_text())["sensors"]
-    assert (sensor["id"], sensor["files"], sensor["lens"]["width"]) == ("front", "front/*.png", 8)
-    told = call("info", tmp_path)
-    assert (told.code, "still to be filled in" in told.err) == (1, True)
+    assert (sensor["id"], sensor["files"], sensor["camera_model"]["width"]) == ("front", "front/*.png", 8)
+    reported = call("info", tmp_path)
+    assert (reported.code, "still to be filled in" in reported.err) == (1, True)
 
 
 @pytest.mark.parametrize("option", [("--from", "."), ("--overwrite",)])

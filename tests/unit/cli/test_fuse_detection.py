@@ -1,4 +1,4 @@
-"""`sceneloom fuse --type detection`, and `track` of what it wrote, on simulated drives and made-up folders."""
+"""`sceneloom fuse --type detection`, and `track` of what it wrote, on simulated drives and synthetic folders."""
 
 import json
 import shutil
@@ -22,19 +22,19 @@ def drive(tmp_path_factory):
     folder = tmp_path_factory.mktemp("drive")
     camera = CameraSpec(Camera("pinhole", 320, 200, 180.0, 180.0, 159.5, 99.5))
     drive = simulate_street(1, frames=3, lidar=LidarSpec(beams=16, steps=240), cameras=(camera,))
-    sceneloom.write(drive.scene, folder / "recording", pictures="png")
-    in_space, in_pictures = detect_3d(drive), detect_2d(drive)
+    sceneloom.write(drive.scene, folder / "recording", images="png")
+    in_space, in_images = detect_3d(drive), detect_2d(drive)
     for name, reports, record in (
         ("boxes3d.jsonl", in_space, boxes_3d_record),
-        ("boxes2d.jsonl", in_pictures, boxes_2d_record),
+        ("boxes2d.jsonl", in_images, boxes_2d_record),
     ):
         lines = [format_json(record(report.boxes, sensor_id=0, seq=k)) for k, report in enumerate(reports)]
         (folder / name).write_text("\n".join(lines))
-    return folder, [report.boxes for report in in_space], [report.boxes for report in in_pictures]
+    return folder, [report.boxes for report in in_space], [report.boxes for report in in_images]
 
 
 def test_objects_of_a_drive_are_records_of_table_10(call, drive, tmp_path):
-    folder, in_space, in_pictures = drive
+    folder, in_space, in_images = drive
     files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
     out = tmp_path / "objects.jsonl"
     outcome = call("fuse", folder / "recording", "--type", "detection", *files, "-o", out, "--json")
@@ -42,7 +42,7 @@ def test_objects_of_a_drive_are_records_of_table_10(call, drive, tmp_path):
     records = [parse_json(line) for line in out.read_text().splitlines()]
     sides = [json.loads(line) for line in (tmp_path / "objects.frames.jsonl").read_text().splitlines()]
     assert len(records) == len(sides) == len(in_space)
-    for record, boxes, seen in zip(records, in_space, in_pictures, strict=True):
+    for record, boxes, seen in zip(records, in_space, in_images, strict=True):
         assert record.timestamp.nanoseconds == boxes.timestamp_ns
         # each box is in one object, and no object is of none
         assert sorted(n for n in record.box_3d_ids if n is not None) == list(range(len(boxes)))
@@ -70,7 +70,7 @@ def test_lines_of_a_batch_name_the_boxes_and_detectors_of_their_drives(call, dri
     how = ("--type", "detection", *seen, "--suffix", ".jsonl", "--workers", 1)
     done = call("batch", "fuse", "--list", tmp_path / "list", *how, "-o", tmp_path / "out")
     assert done.code == 0, done.err
-    assert "not read by fuse: what the lists say for --truth\n" in done.err
+    assert "not read by fuse: what the lists state for --truth\n" in done.err
     files = ("--boxes3d", folder / "boxes3d.jsonl", *seen)
     call("fuse", folder / "recording", "--type", "detection", *files, "-o", tmp_path / "alone.jsonl")
     assert (tmp_path / "out" / "recording.jsonl").read_bytes() == (tmp_path / "alone.jsonl").read_bytes()
@@ -78,14 +78,12 @@ def test_lines_of_a_batch_name_the_boxes_and_detectors_of_their_drives(call, dri
 
 @pytest.mark.parametrize("numbered", [False, True], ids=["by times", "by numbers of frames"])
 def test_a_part_of_a_drive_has_the_boxes_of_its_time(call, drive, tmp_path, numbered):
-    folder, _, in_pictures = drive
+    folder, _, in_images = drive
     seen = folder / "boxes2d.jsonl"
     if numbered:
         (seen := tmp_path / "car" / "seen.txt").parent.mkdir()
         rows = [
-            (k, *corners, 0.9)
-            for k, boxes in enumerate(in_pictures)
-            for corners in boxes.corners_xyxy.tolist()
+            (k, *corners, 0.9) for k, boxes in enumerate(in_images) for corners in boxes.corners_xyxy.tolist()
         ]
         seen.write_text("".join(",".join(map(str, row)) + "\n" for row in rows))
     files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", seen)
@@ -142,7 +140,7 @@ def test_records_name_their_camera_or_the_command_does(call, tmp_path):
     camera = Camera("pinhole", 320, 200, 180.0, 180.0, 159.5, 99.5)
     cameras = (CameraSpec(camera), CameraSpec(camera, camera_mount(yaw_deg=60.0)))
     drive = simulate_street(1, frames=2, lidar=LidarSpec(beams=8, steps=90), cameras=cameras)
-    sceneloom.write(drive.scene, tmp_path / "drive", pictures="png")
+    sceneloom.write(drive.scene, tmp_path / "drive", images="png")
     reports = {one.id: detect_2d(drive, one.id) for one in drive.scene.cameras}
     words = []
     for number, (name, found) in enumerate(reports.items(), start=1):  # the lidar is number 0
@@ -180,7 +178,7 @@ def test_a_folder_of_kittis_sequences_gives_two_files_each(call, tmp_path, track
     assert outcome.code == 0, outcome.err
     assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["0001.frames.jsonl", "0001.jsonl"]
     (record, *_) = (parse_json(line) for line in (tmp_path / "out" / "0001.jsonl").read_text().splitlines())
-    # the box of the sweep that no picture's detector looked for keeps its probability: 1 / (1 + exp(-2))
+    # the box of the sweep that no image's detector looked for keeps its probability: 1 / (1 + exp(-2))
     assert record.class_names == ("Pedestrian",)
     assert call("track", tmp_path / "out", "-o", tmp_path / "tracked").code == 0
 
@@ -196,7 +194,7 @@ def test_fused_objects_are_kittis_text_on_request(call, tmp_path, tracking_texts
     found = read_labels(tmp_path / "out" / "0001.txt")
     assert found.frames.tolist() == [0, 1]
     assert found.types == ("Pedestrian", "Car")
-    # what one detector alone found stays as it told it
+    # what one detector alone found stays as it reported it
     np.testing.assert_allclose(found.sizes_hwl[0], [1.8, 0.6, 0.8], atol=1e-6)
     np.testing.assert_allclose(found.bottoms[0], [-1.0, 1.5, 8.0], atol=1e-6)
     assert found.rotations_y[0] == pytest.approx(0.0, abs=1e-6)
@@ -222,7 +220,7 @@ def test_kittis_text_is_not_written_of_other_drives(call, drive, tmp_path):
 
 @pytest.fixture
 def tracking_texts():
-    """Two frames, people in sweeps and cars in pictures."""
+    """Two frames, people in sweeps and cars in images."""
     return {
         "calib/0001.txt": "P2: 700 0 600 0 0 700 180 0 0 0 1 0\nR_rect 1 0 0 0 1 0 0 0 1\n"
         "Tr_velo_cam 0 -1 0 0 0 0 -1 0 1 0 0 0\nTr_imu_velo 1 0 0 0 0 1 0 0 0 0 1 0\n",
@@ -233,7 +231,7 @@ def tracking_texts():
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "told"),
+    ("words", "code", "reported"),
     [
         ((), 2, "no boxes; name files of them with --boxes3d, --boxes2d or both"),
         (("--boxes3d", "gone.jsonl"), 1, "gone.jsonl"),
@@ -254,13 +252,13 @@ def tracking_texts():
         (("--boxes3d", "{boxes3d}", "--depth", "x"), 2, "--depth does not count here"),
     ],
 )
-def test_what_cannot_be_fused_is_told(call, drive, tmp_path, words, code, told):
+def test_what_cannot_be_fused_is_reported(call, drive, tmp_path, words, code, reported):
     folder, _, _ = drive
     given = [
         word.format(boxes2d=folder / "boxes2d.jsonl", boxes3d=folder / "boxes3d.jsonl") for word in words
     ]
     outcome = call("fuse", folder / "recording", "--type", "detection", "-o", tmp_path / "out.jsonl", *given)
-    assert (outcome.code, told in outcome.err) == (code, True), outcome.err
+    assert (outcome.code, reported in outcome.err) == (code, True), outcome.err
     assert not list(tmp_path.glob("out*"))
 
 
@@ -295,10 +293,10 @@ def test_lists_of_boxes_are_of_one_drive_of_a_data_set(call, drive, tmp_path):
             shutil.copytree(path, path.with_name("0001"))
         elif path.stem == "0000":
             shutil.copy(path, path.with_name(f"0001{path.suffix}"))
-    said = ("track", tmp_path / "set", "--boxes3d", folder / "boxes3d.jsonl", "-o", tmp_path / "out.jsonl")
-    outcome = call(*said)
+    stated = ("track", tmp_path / "set", "--boxes3d", folder / "boxes3d.jsonl", "-o", tmp_path / "out.jsonl")
+    outcome = call(*stated)
     assert (outcome.code, "choose one with `--sequence NAME`" in outcome.err) == (2, True), outcome.err
-    outcome = call(*said, "--sequence", "0001")
+    outcome = call(*stated, "--sequence", "0001")
     assert outcome.code == 0, outcome.err
     assert (tmp_path / "out.jsonl").read_text()
 
@@ -306,10 +304,10 @@ def test_lists_of_boxes_are_of_one_drive_of_a_data_set(call, drive, tmp_path):
 def test_options_of_detections_need_the_type(call, drive, tmp_path):
     folder, _, _ = drive
     outcome = call("fuse", folder / "recording", "--boxes3d", "x", "-o", tmp_path / "out.sfs")
-    assert (outcome.code, "say --type detection with it" in outcome.err) == (2, True)
+    assert (outcome.code, "state --type detection with it" in outcome.err) == (2, True)
 
 
-def test_results_whose_other_file_is_missing_are_told(call, drive, tmp_path):
+def test_results_whose_other_file_is_missing_are_reported(call, drive, tmp_path):
     folder, _, _ = drive
     files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
     assert (

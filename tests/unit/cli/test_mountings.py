@@ -1,4 +1,4 @@
-"""Where sensors sit and look, in words: told so that a wrong extrinsic is seen before anything is fused."""
+"""Where sensors sit and look, in words: reported so that a wrong extrinsic is seen before anything is fused."""
 
 import json
 import shutil
@@ -24,7 +24,7 @@ from sceneloom.scene import (
 )
 from sceneloom.scene.ego import ego_axes
 
-LENS = Camera("pinhole", 8, 6, 6.0, 6.0, 3.5, 2.5)
+CAMERA_MODEL = Camera("pinhole", 8, 6, 6.0, 6.0, 3.5, 2.5)
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Columns: the optical frame's right, down and forward on an ego of x ahead, y left, z up."""
 
@@ -36,16 +36,16 @@ def mount(rotation: np.ndarray) -> RigidTransform:
 
 
 def camera(rotation: np.ndarray) -> CameraSensor:
-    return CameraSensor("c", LazyFrames.of([], []), LENS, mount=mount(rotation))
+    return CameraSensor("c", LazyFrames.of([], []), CAMERA_MODEL, mount=mount(rotation))
 
 
 @pytest.mark.parametrize(
     ("yaw_deg", "words"),
     [(0, "ahead"), (50, "ahead left"), (90, "left"), (-90, "right"), (180, "back"), (-140, "back right")],
 )
-def test_a_camera_is_told_by_the_way_it_looks(yaw_deg, words):
-    turned = Rotation.from_euler("z", yaw_deg, degrees=True).as_matrix() @ OPTICAL
-    assert mounting_text(camera(turned)) == f"mounted on the ego at (1.50, -0.25, 2.00) m, looks {words}"
+def test_a_camera_is_known_by_the_trajectory_it_looks(yaw_deg, words):
+    rotated = Rotation.from_euler("z", yaw_deg, degrees=True).as_matrix() @ OPTICAL
+    assert mounting_text(camera(rotated)) == f"mounted on the ego at (1.50, -0.25, 2.00) m, looks {words}"
 
 
 def test_an_extrinsic_of_the_wrong_way_shows_itself():
@@ -53,9 +53,9 @@ def test_an_extrinsic_of_the_wrong_way_shows_itself():
 
 
 def test_a_quaternion_of_the_wrong_order_shows_itself():
-    turned = Rotation.from_euler("z", 90, degrees=True).as_matrix() @ OPTICAL
-    assert "looks left" in mounting_text(camera(turned))
-    wrong = Rotation.from_quat(np.roll(Rotation.from_matrix(turned).as_quat(), 1)).as_matrix()
+    rotated = Rotation.from_euler("z", 90, degrees=True).as_matrix() @ OPTICAL
+    assert "looks left" in mounting_text(camera(rotated))
+    wrong = Rotation.from_quat(np.roll(Rotation.from_matrix(rotated).as_quat(), 1)).as_matrix()
     assert "looks left" not in mounting_text(camera(wrong))
 
 
@@ -63,7 +63,7 @@ def test_a_quaternion_of_the_wrong_order_shows_itself():
     ("euler_deg", "words"),
     [((0, 0, 90), "its x axis points left"), ((180, 0, 0), "upside down"), ((90, 0, 0), "lying on its side")],
 )
-def test_a_lidar_is_told_by_how_it_is_turned(euler_deg, words):
+def test_a_lidar_is_known_by_how_it_is_rotated(euler_deg, words):
     rotation = Rotation.from_euler("xyz", euler_deg, degrees=True).as_matrix()
     assert mounting_text(LidarSensor("l", LazyFrames.of([], []), mount=mount(rotation))).endswith(
         f", {words}"
@@ -76,11 +76,11 @@ def test_a_lidar_that_is_the_ego_says_no_more_than_that():
     assert mounting_text(LidarSensor("l", LazyFrames.of([], []))) is None
 
 
-def test_info_tells_where_each_sensor_looks(call: Callable[..., Any], recording: Path) -> None:
+def test_info_reports_where_each_sensor_looks(call: Callable[..., Any], recording: Path) -> None:
     assert "looks ahead" in call("info", recording).out
 
 
-def test_fuse_remarks_a_camera_that_sees_no_point(
+def test_fuse_notes_a_camera_that_sees_no_point(
     call: Callable[..., Any], recording: Path, tmp_path: Path
 ) -> None:
     drive = tmp_path / "drive"
@@ -91,21 +91,21 @@ def test_fuse_remarks_a_camera_that_sees_no_point(
     (drive / "calibration.json").write_text(json.dumps(calibration))
     assert "looks up" in call("info", drive).out
     outcome = call("fuse", drive, "-o", tmp_path / "a.sfs")
-    assert "no point falls into the pictures of camera0" in outcome.err
+    assert "no point falls into the images of camera0" in outcome.err
     assert "no point falls" not in call("fuse", recording, "-o", tmp_path / "b.sfs").err
 
 
-def drive_of(turn: Rotation, *, format: str = "recording", metres: float = 20.0, **fields: Any) -> Scene:
-    """A vehicle that goes east on a level road; `turn` takes its body into the ego's frame."""
+def drive_of(rotation: Rotation, *, format: str = "recording", metres: float = 20.0, **fields: Any) -> Scene:
+    """A vehicle that goes east on a level road; `rotation` takes its body into the ego's frame."""
     count = 11
     times = np.arange(count, dtype=np.int64) * 10**8
     positions = np.linspace([0.0, 0, 0], [metres, 0, 0], count)
-    world_from_ego = np.tile(turn.inv().as_quat(), (count, 1))
-    ways = {"groundTruth": Trajectory("groundTruth", times, positions, world_from_ego)}
-    return Scene((), trajectories=ways, format=format, **fields)
+    world_from_ego = np.tile(rotation.inv().as_quat(), (count, 1))
+    trajectories = {"groundTruth": Trajectory("groundTruth", times, positions, world_from_ego)}
+    return Scene((), trajectories=trajectories, format=format, **fields)
 
 
-TURNS = {
+ROTATIONS = {
     "x ahead": Rotation.identity(),
     "y ahead": Rotation.from_euler("z", 90, degrees=True),
     "back": Rotation.from_euler("z", 180, degrees=True),
@@ -115,47 +115,49 @@ TURNS = {
 LOOKS = {0: "ahead", 90: "left", -90: "right", 180: "back", 45: "ahead left"}
 
 
-def worded(scene: Scene, turn: Rotation, yaw_deg: float) -> str | None:
+def worded(scene: Scene, rotation: Rotation, yaw_deg: float) -> str | None:
     body_from_camera = Rotation.from_euler("z", yaw_deg, degrees=True).as_matrix() @ OPTICAL
-    return mounting_text(camera(turn.as_matrix() @ body_from_camera), ego_axes(scene))
+    return mounting_text(camera(rotation.as_matrix() @ body_from_camera), ego_axes(scene))
 
 
-@pytest.mark.parametrize("name", TURNS)
+@pytest.mark.parametrize("name", ROTATIONS)
 @pytest.mark.parametrize("yaw_deg", LOOKS)
-def test_in_a_recording_motion_and_the_world_s_up_say_where_a_camera_looks(name: str, yaw_deg: float) -> None:
-    turn = TURNS[name]
-    assert str(worded(drive_of(turn), turn, yaw_deg)).endswith(f"m, looks {LOOKS[yaw_deg]}")
+def test_in_a_recording_motion_and_the_world_s_up_state_where_a_camera_looks(
+    name: str, yaw_deg: float
+) -> None:
+    rotation = ROTATIONS[name]
+    assert str(worded(drive_of(rotation), rotation, yaw_deg)).endswith(f"m, looks {LOOKS[yaw_deg]}")
 
 
-def test_the_accelerometer_and_the_forward_axis_of_the_calibration_say_it_of_a_device_that_stands() -> None:
-    turn = TURNS["odd"]
-    gravity = turn.apply([0.0, 0.0, 9.81])
+def test_the_accelerometer_and_the_forward_axis_of_the_calibration_state_it_of_a_device_that_stands() -> None:
+    rotation = ROTATIONS["odd"]
+    gravity = rotation.apply([0.0, 0.0, 9.81])
     imu = ImuSensor("imu", {"accelerometer": VectorSamples([0, 1], [gravity, gravity])})
-    told = {"recording": {"calibration": {"imuForward": turn.apply([1.0, 0, 0]).tolist()}}}
-    scene = Scene((imu,), metadata=told, format="recording")
-    assert str(worded(scene, turn, 90)).endswith("looks left")
-    assert str(worded(scene, turn, 0)).endswith("looks ahead")
+    reported = {"recording": {"calibration": {"imuForward": rotation.apply([1.0, 0, 0]).tolist()}}}
+    scene = Scene((imu,), metadata=reported, format="recording")
+    assert str(worded(scene, rotation, 90)).endswith("looks left")
+    assert str(worded(scene, rotation, 0)).endswith("looks ahead")
 
 
 @pytest.mark.parametrize("metres", [0.0, 0.3])
 def test_a_recording_that_says_nothing_of_its_axes_is_not_interpreted(metres: float) -> None:
-    scene = drive_of(TURNS["x ahead"], metres=metres)
-    assert str(worded(scene, TURNS["x ahead"], 0)).endswith("looks ahead if the ego's x axis is ahead")
+    scene = drive_of(ROTATIONS["x ahead"], metres=metres)
+    assert str(worded(scene, ROTATIONS["x ahead"], 0)).endswith("looks ahead if the ego's x axis is ahead")
 
 
 def test_where_the_format_says_that_x_is_ahead_driving_backwards_and_bends_change_nothing() -> None:
     for degrees in (180, 20):
-        turn = Rotation.from_euler("z", degrees, degrees=True)
-        axes = ego_axes(drive_of(turn, format="nuscenes"))
+        rotation = Rotation.from_euler("z", degrees, degrees=True)
+        axes = ego_axes(drive_of(rotation, format="nuscenes"))
         np.testing.assert_allclose(axes.body_from_ego, np.eye(3), atol=1e-12)
         assert axes.known
-    assert str(worded(drive_of(TURNS["y ahead"], format="pandaset"), TURNS["y ahead"], 90)).endswith(
+    assert str(worded(drive_of(ROTATIONS["y ahead"], format="pandaset"), ROTATIONS["y ahead"], 90)).endswith(
         "looks left"
     )
 
 
 def test_huge_and_missing_numbers_leave_the_axes_as_they_are_defined() -> None:
-    scene = drive_of(TURNS["x ahead"], metres=1e300)
+    scene = drive_of(ROTATIONS["x ahead"], metres=1e300)
     assert not ego_axes(scene).known
     imu = ImuSensor("imu", {"accelerometer": VectorSamples([0, 1], [[np.nan] * 3, [1e300] * 3])})
     assert not ego_axes(Scene((imu,), format="recording")).known

@@ -1,4 +1,4 @@
-"""Inputs that options name: a pipe, a device or an endless file in their place is an error at once."""
+"""Inputs that options name: a pipe, a device or an static file in their location is an error at once."""
 
 import os
 import shutil

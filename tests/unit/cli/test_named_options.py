@@ -1,4 +1,4 @@
-"""What messages, remedies and help tell a person to type can be typed."""
+"""What messages, remedies and help report a person to type can be typed."""
 
 import ast
 import re
@@ -85,4 +85,4 @@ def call_is_known(call: str) -> bool:
 def test_a_call_with_an_option_of_another_verb_would_be_found():
     assert call_is_known("edit crop --start 3")
     assert not call_is_known("salvage --fix out")
-    assert not call_is_known("mend drive")
+    assert not call_is_known("repair drive")

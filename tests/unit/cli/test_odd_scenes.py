@@ -156,7 +156,7 @@ def all_points_at_the_end_of_float32(header: Header) -> None:
 
 
 @odd
-def all_points_in_one_place(header: Header) -> None:
+def all_points_at_one_position(header: Header) -> None:
     for frame in sensor(header, "lidar")["frames"]:
         frame["points"]["positions"][:] = 0
 
@@ -353,8 +353,8 @@ def center_of_cuboid(column: int, *values: float) -> Callable[[Header], object]:
 
 ODD["a_cuboid_at_1e15"] = center_of_cuboid(3, 1e15, 1e15)
 ODD["a_cuboid_from_end_to_end_of_float64"] = center_of_cuboid(3, -1.7e308, 1.7e308)
-ODD["a_cuboid_turned_by_1e300"] = center_of_cuboid(8, 1e300, 0.0)
-ODD["a_cuboid_turned_by_1.7e308"] = center_of_cuboid(7, 1.7e308, 1.7e308)
+ODD["a_cuboid_rotated_by_1e300"] = center_of_cuboid(8, 1e300, 0.0)
+ODD["a_cuboid_rotated_by_1.7e308"] = center_of_cuboid(7, 1.7e308, 1.7e308)
 ODD["a_cuboid_in_the_camera"] = center_of_cuboid(3, 0.0, 0.5)
 
 
@@ -438,14 +438,14 @@ def activations_at_the_ends_of_int64(header: Header) -> None:
 def corrected_by(shift: float, later: int) -> Callable[[Header], object]:
     def change(header: Header) -> None:
         poses = {"timestamps": [0], "values": [[shift, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]}
-        lens = deepcopy(sensor(header, "camera")["intrinsics"])
+        camera_model = deepcopy(sensor(header, "camera")["intrinsics"])
         header["annotations"] += [
             {
                 "id": "mounted",
                 "type": "camera_calibration",
                 "sensor_id": "camera",
                 "poses": poses,
-                "intrinsics": lens,
+                "intrinsics": camera_model,
                 "time_offset": later,
             },
             {"id": "placed", "type": "localization_adjustment", "poses": poses},
@@ -499,21 +499,21 @@ def an_image_without_size(header: Header) -> None:
 
 
 @odd
-def a_lens_of_a_huge_image(header: Header) -> None:
+def a_camera_model_of_a_huge_image(header: Header) -> None:
     sensor(header, "camera")["intrinsics"].update(width=1_000_000_000, height=1_000_000_000)
 
 
-def lens_of(**fields: Any) -> Callable[[Header], object]:
+def camera_model_of(**fields: Any) -> Callable[[Header], object]:
     return lambda header: sensor(header, "camera")["intrinsics"].update(fields)
 
 
-ODD["a_lens_without_focal_length"] = lens_of(fx=0.0, fy=0.0)
-ODD["a_lens_of_1e300_px"] = lens_of(fx=1e300, fy=1e300)
-ODD["a_lens_centred_at_1.7e308"] = lens_of(cx=1.7e308, cy=-1.7e308)
-ODD["a_lens_of_huge_coefficients"] = lens_of(
+ODD["a_camera_model_without_focal_length"] = camera_model_of(fx=0.0, fy=0.0)
+ODD["a_camera_model_of_1e300_px"] = camera_model_of(fx=1e300, fy=1e300)
+ODD["a_camera_model_centred_at_1.7e308"] = camera_model_of(cx=1.7e308, cy=-1.7e308)
+ODD["a_camera_model_of_huge_coefficients"] = camera_model_of(
     distortion={"model": "brown_conrady", "params": [1e300, 1e300, 1.0, 1.0, 1e300]}
 )
-ODD["a_fisheye_of_huge_coefficients"] = lens_of(
+ODD["a_fisheye_of_huge_coefficients"] = camera_model_of(
     distortion={"model": "fisheye", "params": [-1e300, 1e300, 1e10, 1e300]}
 )
 
@@ -632,7 +632,7 @@ def spelled(value: str, where: Callable[[Header], tuple[Any, Any]]) -> Callable[
 for _value in ("nan", "infinity"):
     ODD[f"{_value}_in_a_pose"] = spelled(_value, lambda h: (sensor(h, "ego")["poses"]["values"][1], 0))
     ODD[f"{_value}_in_a_cuboid"] = spelled(_value, lambda h: (cuboid(h)["path"]["values"][0], 3))
-    ODD[f"{_value}_in_a_lens"] = spelled(_value, lambda h: (sensor(h, "camera")["intrinsics"], "fx"))
+    ODD[f"{_value}_in_a_camera_model"] = spelled(_value, lambda h: (sensor(h, "camera")["intrinsics"], "fx"))
     ODD[f"{_value}_in_a_time"] = spelled(_value, lambda h: (sensor(h, "lidar")["frames"][0], "timestamp"))
 
 
@@ -640,14 +640,14 @@ SCENE = ("-o", "OUT.sfs")
 LISTS = ("--boxes3d", "BOXES3D", "--boxes2d", "BOXES2D")
 CASES: dict[str, tuple[str, ...]] = {
     "info": ("DRIVE",),
-    "info --pictures": ("DRIVE", "--pictures", "OUT"),
-    "fuse": ("DRIVE", *SCENE, "--pictures", "OUT.drawn", "--depth", "OUT.depths"),
+    "info --visualize": ("DRIVE", "--visualize", "OUT"),
+    "fuse": ("DRIVE", *SCENE, "--visualize", "OUT.drawn", "--depth", "OUT.depths"),
     "fuse --type detection": ("DRIVE", "--type", "detection", *LISTS, "-o", "OUT.jsonl"),
-    "track": ("DRIVE", *LISTS, *SCENE, "--format", "sfs", "--pictures", "OUT.drawn"),
+    "track": ("DRIVE", *LISTS, *SCENE, "--format", "sfs", "--visualize", "OUT.drawn"),
     "track --offline": ("DRIVE", *LISTS, "-o", "OUT.jsonl", "--format", "jsonl"),
-    "colour": ("DRIVE", *SCENE, "--pictures", "OUT.drawn", "--remove-moving"),
+    "colour": ("DRIVE", *SCENE, "--visualize", "OUT.drawn", "--remove-moving"),
     "colour --per-sweep": ("DRIVE", "--per-sweep", "OUT.sfs"),
-    "depth": ("DRIVE", "-o", "OUT", "--method", "quality", "--pictures", "OUT.drawn"),
+    "depth": ("DRIVE", "-o", "OUT", "--method", "quality", "--visualize", "OUT.drawn"),
     "depth --method sparse": ("DRIVE", "-o", "OUT", "--form", "npz", "--method", "sparse"),
     "view": ("DRIVE", "--save", "OUT.rrd"),
     "view --as-measured": ("DRIVE", "--save", "OUT.rrd", "--as-measured", "--colour-by", "height"),
@@ -671,7 +671,7 @@ CASES: dict[str, tuple[str, ...]] = {
         "--colour-by",
         "ring",
     ),
-    "info --pictures --at": ("DRIVE", "--pictures", "OUT", "--at", "0.01", "--no-corrections"),
+    "info --visualize --at": ("DRIVE", "--visualize", "OUT", "--at", "0.01", "--no-corrections"),
     "diff of the same": ("DRIVE", "DRIVE"),
     "batch fuse": ("DRIVE", "-o", "OUT", "--workers", "1"),
     "batch convert": ("DRIVE", "-o", "OUT", "--workers", "1", "--to", "kitti-tracking"),
@@ -684,10 +684,10 @@ CASES: dict[str, tuple[str, ...]] = {
     "edit crop --range": ("DRIVE", *SCENE, "--frame", "sensor", "--range", "9"),
     "edit crop --stop": ("DRIVE", *SCENE, "--stop", "0.05"),
     "edit thin": ("DRIVE", *SCENE, "--voxel", "0.5"),
-    "edit lens": ("DRIVE", *SCENE, "--model", "fisheye", "--limit", "9"),
+    "edit camera model": ("DRIVE", *SCENE, "--model", "fisheye", "--limit", "9"),
     "edit simplify": ("DRIVE", *SCENE),
-    "edit relative": ("DRIVE", *SCENE, "--fixes", "shift"),
-    "edit relative --dates": ("DRIVE", *SCENE, "--dates", "shift"),
+    "edit anonymise": ("DRIVE", *SCENE, "--fixes", "shift"),
+    "edit anonymise --dates": ("DRIVE", *SCENE, "--dates", "shift"),
     "edit blur": ("DRIVE", *SCENE, "--label", "car"),
     "edit count": ("DRIVE", *SCENE, "--activations", "--labeled-points"),
     "edit project": ("DRIVE", *SCENE, "--activations", "--lidar", "lidar"),
@@ -701,7 +701,7 @@ CASES: dict[str, tuple[str, ...]] = {
     "eval trajectory": ("DRIVE", "SOUND", "--plot", "OUT.png"),
     "eval trajectory --align": ("SOUND", "DRIVE", "--align", "sim3"),
     "sync": ("DRIVE",),
-    "calibrate": ("DRIVE", "--pictures", "OUT"),
+    "calibrate": ("DRIVE", "--visualize", "OUT"),
     "calibrate --refine": ("DRIVE", "--refine", *SCENE),
     "calibrate --conventions": ("DRIVE", "--conventions"),
     "calibrate --hand-eye": ("DRIVE", "--hand-eye"),
@@ -803,7 +803,7 @@ def fault_of(
     tmp_path: Path,
     inline: None,
 ) -> Callable[[str, str], str | None]:
-    """Say what is wrong with the end of a verb on an odd scene; None where nothing is."""
+    """Report what is wrong with the end of a verb on an odd scene; None where nothing is."""
 
     def run(case: str, name: str) -> str | None:
         folder = tmp_path / f"{len(list(tmp_path.iterdir()))}"
@@ -826,8 +826,8 @@ def fault_of(
                         return f"{other}: {asked}"
         except Exception:  # noqa: BLE001 - whatever it is, it is the answer
             return traceback.format_exc(limit=-4)
-        said = outcome.err.splitlines()
-        error = next((line for line in said if line.startswith("sceneloom: ")), None)
+        stated = outcome.err.splitlines()
+        error = next((line for line in stated if line.startswith("sceneloom: ")), None)
         if error is not None and outcome.code in (1, 2):
             if outcome.code == 1 and "drive.sfs" not in error:
                 return f"it names no file: {outcome}"
@@ -851,7 +851,7 @@ FOUND = (
     ("view", "activations_at_the_ends_of_int64"),
     ("convert --to recording", "times_at_the_upper_end_of_int64"),
     ("convert --to recording", "times_at_both_ends_of_int64"),
-    ("convert --to recording", "a_lens_of_a_huge_image"),
+    ("convert --to recording", "a_camera_model_of_a_huge_image"),
     ("convert --to nuscenes", "nan_in_a_cuboid"),
     ("validate", "poses_at_both_ends_of_float64"),
     ("report", "times_at_the_upper_end_of_int64"),
@@ -902,13 +902,13 @@ LEFT_OUT = (
     ("view", "a_cuboid_of_1e300_m", "cuboid moments", 4),
     ("view", "a_pose_of_ego_at_1e+300", "ego poses", 1),
     ("view", "huge_shapes", "shapes", 1),
-    ("view", "huge_shapes", "boxes in pictures", 1),
+    ("view", "huge_shapes", "boxes in images", 1),
     ("view", "keypoints_that_no_camera_sees", "named points", 1),
     ("fuse", "a_point_of_nan", "points", 3),
     ("colour", "a_point_of_nan", "points", 1),
     ("depth", "a_point_of_nan", "points", 1),
-    ("info --pictures --at", "only_points_of_nan", "points", 60),
-    ("info --pictures", "a_cuboid_from_end_to_end_of_float64", "annotations", 4),
+    ("info --visualize --at", "only_points_of_nan", "points", 60),
+    ("info --visualize", "a_cuboid_from_end_to_end_of_float64", "annotations", 4),
 )
 
 
@@ -932,18 +932,21 @@ def test_what_an_image_or_a_view_cannot_show_is_counted(
     words = [given.get(word, word.replace("OUT", str(tmp_path / "out"))) for word in CASES[case]]
     outcome = call(*words_of(case), *words, "--json")
     assert outcome.code == 0, outcome
-    told = json.loads(outcome.out)
-    notices = [*told.get("notices", ()), *(one for d in told.get("drives", ()) for one in d["notices"])]
-    found = [one for one in notices if one["code"] in {"not-drawn", "beyond-the-viewer"}]
+    reported = json.loads(outcome.out)
+    warnings = [
+        *reported.get("warnings", ()),
+        *(one for d in reported.get("drives", ()) for one in d["warnings"]),
+    ]
+    found = [one for one in warnings if one["code"] in {"not-drawn", "beyond-the-viewer"}]
     counted = {
-        one["message"].split(" whose")[0] if one["place"] == "images" else one["place"]: one["count"]
+        one["message"].split(" whose")[0] if one["location"] == "images" else one["location"]: one["count"]
         for one in found
     }
     assert counted[kind] == count
     assert "not finite" in found[0]["message"]
 
 
-@pytest.mark.parametrize("case", ["view", "fuse", "info --pictures", "track"])
+@pytest.mark.parametrize("case", ["view", "fuse", "info --visualize", "track"])
 def test_of_a_sound_scene_nothing_is_left_out(
     call: Callable[..., Any],
     encode_sfs: Callable[..., bytes],
@@ -994,21 +997,21 @@ def of_all_annotations() -> Header:
     return header
 
 
-def numbers_in(node: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """The places of all numbers in a header."""
+def numbers_in(node: Any, location: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """The locations of all numbers in a header."""
     if isinstance(node, dict | list):
         for key, value in node.items() if isinstance(node, dict) else enumerate(node):
-            yield from numbers_in(value, (*place, key))
+            yield from numbers_in(value, (*location, key))
     elif isinstance(node, int | float) and not isinstance(node, bool):
-        yield place
+        yield location
 
 
-def with_token(node: Any, place: tuple[Any, ...]) -> Any:
-    """A copy with the token at a place."""
-    if not place:
+def with_token(node: Any, location: tuple[Any, ...]) -> Any:
+    """A copy with the token at a location."""
+    if not location:
         return TOKEN
     changed = node.copy()
-    changed[place[0]] = with_token(node[place[0]], place[1:])
+    changed[location[0]] = with_token(node[location[0]], location[1:])
     return changed
 
 
@@ -1023,21 +1026,23 @@ def test_what_is_no_finite_number_is_an_error_in_every_field_of_a_header(
 ) -> None:
     header, path = of_all_annotations(), tmp_path / "drive.sfs"
     fields: dict[tuple[Any, ...], tuple[Any, ...]] = {}
-    for place in numbers_in(header):
-        if "attributes" in place and "values" in place:
+    for location in numbers_in(header):
+        if "attributes" in location and "values" in location:
             continue  # they are anything
-        fields.setdefault(tuple(key for k, key in enumerate(place) if k == 1 or isinstance(key, str)), place)
+        fields.setdefault(
+            tuple(key for k, key in enumerate(location) if k == 1 or isinstance(key, str)), location
+        )
     assert len(fields) > 40
     path.write_bytes(encode_sfs(header))
     known = {(one.rule, one.path) for one in sceneloom.validate(path, frames=False).findings}
     passed = {}
-    for number, place in enumerate(fields.values()):
+    for number, location in enumerate(fields.values()):
         spelling = NO_NUMBERS[number % len(NO_NUMBERS)]
-        path.write_bytes(spelled_as(encode_sfs(with_token(header, place)), spelling))
+        path.write_bytes(spelled_as(encode_sfs(with_token(header, location)), spelling))
         findings = sceneloom.validate(path, frames=False).findings
         new = [one for one in findings if one.severity == "error" and (one.rule, one.path) not in known]
         if not any(NUMBER.search(one.message) for one in new):
-            passed[place] = spelling
+            passed[location] = spelling
     assert passed == {}
 
 
@@ -1060,16 +1065,16 @@ def test_no_verb_breaks_on_what_is_no_finite_number(
     header, path = of_all_annotations(), tmp_path / "drive.sfs"
     words = [word.replace("OUT", str(tmp_path / "out")) for word in further]
     faults = {}
-    for place in numbers_in(header):
-        path.write_bytes(spelled_as(encode_sfs(with_token(header, place)), spelling))
+    for location in numbers_in(header):
+        path.write_bytes(spelled_as(encode_sfs(with_token(header, location)), spelling))
         with bounded():
             outcome = call(verb, path, *words)
-        said = outcome.out + outcome.err
+        stated = outcome.out + outcome.err
         # `info` looks at no values of annotations, and those of attributes are anything
-        passed = verb == "info" or (verb == "convert" and "attributes" in place)
-        named = "drive.sfs" in said and not re.search(UNFORESEEN, said)
+        passed = verb == "info" or (verb == "convert" and "attributes" in location)
+        named = "drive.sfs" in stated and not re.search(UNFORESEEN, stated)
         if outcome.code not in ({0, 1} if passed else {1}) or not named:
-            faults[place] = outcome
+            faults[location] = outcome
     assert faults == {}
 
 
@@ -1077,7 +1082,7 @@ def test_only_programs_and_not_imports_change_how_numpy_warns() -> None:
     script = (
         "import warnings, numpy as np; before = list(warnings.filters), np.geterr(); "
         "import sceneloom, sceneloom.cli.main, sceneloom.batch.working, sceneloom.view; "
-        "told = [f for f in warnings.filters if f not in before[0] and 'encountered' in str(f[1])]; "
-        "assert told == [], told; assert np.geterr() == before[1]"
+        "reported = [f for f in warnings.filters if f not in before[0] and 'encountered' in str(f[1])]; "
+        "assert reported == [], reported; assert np.geterr() == before[1]"
     )
     subprocess.run([sys.executable, "-c", script], check=True)

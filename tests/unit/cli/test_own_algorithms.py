@@ -19,8 +19,8 @@ import numpy as np
 import helper_beside
 from sceneloom.colouring import fuse_by_projection
 
-def red(points_world, requests, visibility, *, way=None):
-    found = fuse_by_projection(points_world, requests, visibility, way=way)
+def red(points_world, requests, visibility, *, trajectory=None):
+    found = fuse_by_projection(points_world, requests, visibility, trajectory=trajectory)
     seen = found.camera_index < 255
     return replace(found, colors=np.where(seen[:, None], helper_beside.RED, found.colors))
 
@@ -47,8 +47,8 @@ def file(tmp_path):
     return path
 
 
-def green(points_world, requests, visibility, *, way=None):
-    found = fuse_by_projection(points_world, requests, visibility, way=way)
+def green(points_world, requests, visibility, *, trajectory=None):
+    found = fuse_by_projection(points_world, requests, visibility, trajectory=trajectory)
     colors = found.colors.copy()
     colors[found.camera_index < 255] = [0, 255, 0]
     return replace(found, colors=colors)
@@ -94,7 +94,7 @@ def test_the_command_line_takes_a_function_of_a_file(call, recording, tmp_path, 
     [
         ("{file}:nothing", r"no function 'nothing' in the file; it has boxes, red, short"),
         ("{file}:number", "number is a int; expected a function"),
-        ("{file}:short", r"expected a function \(points_world, requests, visibility, \*, way=None\)"),
+        ("{file}:short", r"expected a function \(points_world, requests, visibility, \*, trajectory=None\)"),
         ("{file}x/none.py:red", "no such file; expected FILE.py:FUNCTION"),
         ("{broken}:red", "it cannot be loaded: ZeroDivisionError: division by zero"),
         ("{leaving}:red", "it cannot be loaded: SystemExit: 3"),
@@ -106,32 +106,32 @@ def test_what_cannot_be_an_algorithm_is_named_as_bad_usage(call, recording, tmp_
     broken, leaving = tmp_path / "broken.py", tmp_path / "leaving.py"
     broken.write_text("1 / 0\n", "utf-8")
     leaving.write_text("raise SystemExit(3)\n", "utf-8")
-    said = chosen.format(file=file, broken=broken, leaving=leaving)
-    done = call("fuse", recording, "-o", tmp_path / "a.sfs", "--algorithm", said)
+    stated = chosen.format(file=file, broken=broken, leaving=leaving)
+    done = call("fuse", recording, "-o", tmp_path / "a.sfs", "--algorithm", stated)
     assert done.code == 2
     assert "Traceback" not in done.err
     with pytest.raises(OptionError, match=message):
-        algorithm(FusionType.SENSOR_DATA, chosen_algorithm(FusionType.SENSOR_DATA, said))
+        algorithm(FusionType.SENSOR_DATA, chosen_algorithm(FusionType.SENSOR_DATA, stated))
 
 
-def raising(points_world, requests, visibility, *, way=None):
+def raising(points_world, requests, visibility, *, trajectory=None):
     return points_world["no such"]
 
 
 def returning(value):
-    def function(points_world, requests, visibility, *, way=None):
+    def function(points_world, requests, visibility, *, trajectory=None):
         return value
 
     return function
 
 
-def shortened(points_world, requests, visibility, *, way=None):
-    found = fuse_by_projection(points_world, requests, visibility, way=way)
+def shortened(points_world, requests, visibility, *, trajectory=None):
+    found = fuse_by_projection(points_world, requests, visibility, trajectory=trajectory)
     return replace(found, colors=found.colors[1:])
 
 
-def without_views(points_world, requests, visibility, *, way=None):
-    return replace(fuse_by_projection(points_world, requests, visibility, way=way), views=())
+def without_views(points_world, requests, visibility, *, trajectory=None):
+    return replace(fuse_by_projection(points_world, requests, visibility, trajectory=trajectory), views=())
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ def without_views(points_world, requests, visibility, *, way=None):
         (raising, OptionError, r"algorithm raising: IndexError: .*test_own_algorithms.py, line \d+"),
         (returning(None), OptionError, "returned a NoneType; expected sceneloom.colouring.ColouredPoints"),
         (shortened, ArrayError, r"algorithm shortened: colors"),
-        (without_views, OptionError, r"0 views of \d pictures; expected one of each"),
+        (without_views, OptionError, r"0 views of \d images; expected one of each"),
         (7, OptionError, "algorithm 7: a int; expected a function"),
         (lambda points: None, OptionError, "expected a function"),
     ],

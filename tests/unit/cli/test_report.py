@@ -11,9 +11,9 @@ def test_a_page_and_its_numbers(call, recording, tmp_path):
     assert outcome.code == 0, outcome.err
     assert outcome.out.startswith("drive: ")
     assert f"page: {page}" in outcome.out
-    told = json.loads(numbers.read_text("utf-8"))
-    assert told["validation"]["frames_read"] is True
-    assert told["provenance"]["hashed"] == "folder"
+    reported = json.loads(numbers.read_text("utf-8"))
+    assert reported["validation"]["frames_read"] is True
+    assert reported["provenance"]["hashed"] == "folder"
     assert "</html>" in page.read_text("utf-8")
 
 
@@ -24,7 +24,7 @@ def test_numbers_alone_are_printed(call, recording, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_drive_whose_lines_are_broken_is_told_to_be_faulty(call, recording, tmp_path):
+def test_a_drive_whose_lines_are_broken_is_reported_to_be_faulty(call, recording, tmp_path):
     import shutil
 
     broken = tmp_path / "drive"

@@ -38,10 +38,10 @@ def logged(tmp_path_factory):
     return tmp_path_factory.mktemp("log") / "session.mcap"
 
 
-def run(*arguments, code=0, told=""):
+def run(*arguments, code=0, reported=""):
     done = CliRunner().invoke(program, [str(argument) for argument in arguments])
     assert done.exit_code == code, (done.output, done.exception)
-    assert told in done.stderr
+    assert reported in done.stderr
     return done.stdout
 
 
@@ -61,11 +61,11 @@ def sent(drive, address, request):
     return name
 
 
-def test_what_was_sent_is_told(drive, address):
-    told = run("send", drive, address, "--rate", 0, "--session", "told", "-q")
-    assert "3 image" in told
-    assert "refused: none" in told
-    assert "lidar" in told
+def test_what_was_sent_is_reported(drive, address):
+    reported = run("send", drive, address, "--rate", 0, "--session", "reported", "-q")
+    assert "3 image" in reported
+    assert "refused: none" in reported
+    assert "lidar" in reported
 
 
 def test_results_without_an_output_are_lines_of_json(address, sent):
@@ -77,19 +77,19 @@ def test_results_without_an_output_are_lines_of_json(address, sent):
     assert "image_data" not in lines[0]
 
 
-def test_sensor_data_become_a_folder_with_depths_pictures_and_points(address, sent, tmp_path):
+def test_sensor_data_become_a_folder_with_depths_images_and_points(address, sent, tmp_path):
     out = tmp_path / "out"
     with FusionClient(address, session=sent) as client:
         client.set_property("result_queue_length", 10)
-    told = json.loads(
+    reported = json.loads(
         run("get", address, "--type", "sensor", "-o", out, "--session", sent, "--count", 2, "--json")
     )
-    assert told["results"] == 2
+    assert reported["results"] == 2
     lines = [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()]
     with Image.open(out / lines[0]["depth"]) as image:
         depth = np.array(image)
     assert (depth.shape, depth.dtype, depth.max() > 0) == ((64, 96), np.uint16, True)
-    with Image.open(out / lines[1]["picture"]) as image:
+    with Image.open(out / lines[1]["image"]) as image:
         assert image.size == (96, 64)
     with np.load(out / lines[0]["points"]) as points:
         assert set(points) >= {"x", "y", "z", "r", "g", "b"}
@@ -126,9 +126,9 @@ def test_a_log_is_sent_once_more(drive, tmp_path, logged):
         first = run("get", server.address, "--type", "detection", "--session", "rig")
     assert compare(log)
     with running_server(ServerSettings()) as server:
-        told = json.loads(run("send", log, server.address, "--rate", 0, "--json", "-q"))
-        assert told["sent"]["points"] == 3
-        assert told["refused"] == {}
+        reported = json.loads(run("send", log, server.address, "--rate", 0, "--json", "-q"))
+        assert reported["sent"]["points"] == 3
+        assert reported["refused"] == {}
         assert run("get", server.address, "--type", "detection", "--session", "rig") == first
         run("send", log, server.address, "--start", 1, code=2)
 
@@ -148,8 +148,8 @@ def test_nobody_there_and_a_half_certificate_end_with_their_codes(drive, tmp_pat
 
 @pytest.mark.parametrize("address", ["nonsense", "host:", ":50051", "host:port", "a b:1"])
 @pytest.mark.parametrize("verb", [("get", "--type", "sensor"), ("send", "drive"), ("conformance",)])
-def test_an_address_without_a_port_is_told_at_once(verb, address):
-    run(*verb, address, code=2, told="expected HOST:PORT")
+def test_an_address_without_a_port_is_reported_at_once(verb, address):
+    run(*verb, address, code=2, reported="expected HOST:PORT")
 
 
 @pytest.mark.parametrize("form", [[], ["--json"], ["-o", "x.jsonl"]])

@@ -32,36 +32,36 @@ OPTIONS = [
 WITHOUT_A_RESULT = {"completion"}
 """Verbs that print a text for a program, and nothing about it."""
 
-FLAG, TEXT, NUMBER, WHOLE, CHOICE, PLACE = "flag", "text", "number", "whole number", "choice", "place"
+FLAG, TEXT, NUMBER, WHOLE, CHOICE, LOCATION = "flag", "text", "number", "whole number", "choice", "location"
 
 MEANINGS = {
     "--altitude": (CHOICE, "What a recording's altitudes are above"),
     "--annotations-in": (CHOICE, "The frame of the annotations"),
-    "--assume-model": (FLAG, "Compute with lenses whose formulas nothing confirms"),
-    "--boxes2d": (PLACE, "Boxes found in pictures"),
-    "--boxes3d": (PLACE, "Boxes found in the sweeps"),
-    "--ca": (PLACE, "PEM file: who signed the service's certificate"),
+    "--assume-model": (FLAG, "Compute with camera models whose formulas nothing confirms"),
+    "--boxes2d": (LOCATION, "Boxes found in images"),
+    "--boxes3d": (LOCATION, "Boxes found in the sweeps"),
+    "--ca": (LOCATION, "PEM file: who signed the service's certificate"),
     "--camera-shift": (CHOICE, "What becomes of a recording's `imuToCameraShiftSeconds`"),
     "--class": (TEXT, "A class to evaluate"),
-    "--client-cert": (PLACE, "PEM file: a certificate to show"),
-    "--client-key": (PLACE, "PEM file: its key"),
+    "--client-cert": (LOCATION, "PEM file: a certificate to show"),
+    "--client-key": (LOCATION, "PEM file: its key"),
     "--euler-order": (TEXT, "Order of the boxes' rotations"),
     "--euler-unit": (CHOICE, "Unit of the boxes' angles"),
     "--image-index": (CHOICE, "Which image of a video a recording's `frames` line means"),
-    "--heading": (CHOICE, "Derive orientations"),
+    "--orientation-from": (CHOICE, "Derive orientations"),
     "--json": (FLAG, "Print "),
     "--label": (TEXT, ""),
     "--lenient": (FLAG, "Skip what is broken"),
     "--lidar": (TEXT, ""),
     "--camera": (TEXT, ""),
     "--sensor": (TEXT, "The only sensors"),
-    "--output": (PLACE, ""),
+    "--output": (LOCATION, ""),
     "--overwrite": (FLAG, "Replace "),
     "--points-frame": (CHOICE, "The frame of lidar points"),
     "--profile": (CHOICE, "`scale`: "),
     "--quiet": (FLAG, ""),
-    "--read-as": (TEXT, "The drive's format"),
-    "--read-with": (TEXT, "An option of the drive's format"),
+    "--input-format": (TEXT, "The drive's format"),
+    "--input-option": (TEXT, "An option of the drive's format"),
     "--sequence": (TEXT, ""),
     "--session": (TEXT, "The rig"),
     "--start": (NUMBER, "Begin S seconds after the first time stamp"),
@@ -69,7 +69,7 @@ MEANINGS = {
     "--tangential": (CHOICE, "What p1 and p2"),
     "--threads": (WHOLE, "Threads that share the work"),
     "--time-unit": (CHOICE, "Unit of all times"),
-    "--token-file": (PLACE, "File with the token"),
+    "--token-file": (LOCATION, "File with the token"),
     "--tolerance-deg": (NUMBER, ""),
     "--tolerance-m": (NUMBER, ""),
     "--trajectory": (TEXT, ""),
@@ -96,7 +96,7 @@ def takes(option: click.Option) -> str:
         "finite",
     }:
         return NUMBER
-    return PLACE if isinstance(kind, click.Path) or kind.name == "target" else TEXT
+    return LOCATION if isinstance(kind, click.Path) or kind.name == "target" else TEXT
 
 
 @pytest.mark.parametrize("name", MEANINGS)
@@ -105,7 +105,7 @@ def test_an_option_means_the_same_on_every_verb_that_has_it(name):
     found = [(verb, option) for verb, option, called in OPTIONS if called == name]
     assert found, f"no verb has {name}"
     for verb, option in found:
-        # a further drive's folder, and a picture of a curve, are places too, whatever they are made of
+        # a further drive's folder, and an image of a curve, are locations too, whatever they are made of
         assert takes(option) == kind, f"{verb} {name} takes a {takes(option)}"
         assert (option.help or "").startswith(begins), f"{verb} {name}: {option.help}"
 
@@ -120,7 +120,7 @@ def test_every_option_has_help_that_is_a_sentence(verb):
 
 
 @pytest.mark.parametrize("verb", sorted(set(VERBS) - WITHOUT_A_RESULT))
-def test_every_verb_prints_for_machines_and_can_be_quiet_or_say_more(verb):
+def test_every_verb_prints_for_machines_and_can_be_quiet_or_state_more(verb):
     names = {name for on, _, name in OPTIONS if on == verb}
     assert {"--json", "--quiet", "-q", "--verbose", "-v"} <= names
 
@@ -129,7 +129,7 @@ def test_short_names_stand_for_one_long_name_each():
     for verb, option, name in OPTIONS:
         if name in SHORT and not (
             name == "-o" and verb.startswith("eval ")
-        ):  # which writes nothing but a picture
+        ):  # which writes nothing but an image
             assert SHORT[name] in option.opts, f"{verb} {name}"
 
 
@@ -139,9 +139,11 @@ def test_what_is_piped_or_asked_to_be_plain_has_no_colours_and_no_bar(call, reco
     monkeypatch.setenv("NO_COLOR", "1")
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     plain = call(*words, tmp_path / "plain.sfs")
-    for told in (piped, plain):
-        assert told.code == 0, told.err
-        assert not re.search(r"\x1b\[[0-9;]*[1-9][0-9]*m", told.out + told.err)  # marks that set a colour
+    for reported in (piped, plain):
+        assert reported.code == 0, reported.err
+        assert not re.search(
+            r"\x1b\[[0-9;]*[1-9][0-9]*m", reported.out + reported.err
+        )  # marks that set a colour
     assert "\r" not in piped.err
 
 
@@ -160,5 +162,5 @@ def test_a_drive_that_is_broken_is_answered_with_what_to_do_next(call, recording
     assert "next:" not in call("info", tmp_path / "none").err
     poses = tmp_path / "poses.txt"
     poses.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
-    without_times = call("convert", poses, tmp_path / "way.tum")
+    without_times = call("convert", poses, tmp_path / "trajectory.tum")
     assert ("`--from-times FILE`" in without_times.err, "next:" in without_times.err) == (True, False)

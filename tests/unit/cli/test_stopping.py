@@ -1,4 +1,4 @@
-"""A program that is told to end leaves nothing half written and says how it ended."""
+"""A program that is reported to end leaves nothing half written and says how it ended."""
 
 import os
 import signal

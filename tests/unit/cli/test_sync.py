@@ -20,8 +20,8 @@ def late(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("clocks") / "late"
     blind = LidarSpec(beams=1, steps=4, elevations_deg=(-1.0, 1.0))
     scene = simulate_street(4, frames=200, lidar=blind, cameras=()).scene
-    way = scene.trajectories["groundTruth"]
-    moved = replace(way, timestamps_ns=way.timestamps_ns + 30_000_000)
+    trajectory = scene.trajectories["groundTruth"]
+    moved = replace(trajectory, timestamps_ns=trajectory.timestamps_ns + 30_000_000)
     sensors = tuple(s for s in scene.sensors if s.id == "imu")
     sceneloom.write(
         replace(scene, sensors=sensors, annotations=(), trajectories={"groundTruth": moved}), folder
@@ -34,11 +34,11 @@ def test_sync_prints_a_table(call: Call, late: Path) -> None:
     assert outcome.code == 0
     assert "1 stream off, against imu" in outcome.out
     row = next(line for line in outcome.out.splitlines() if "groundTruth" in line)
-    assert row.split()[1:3] == ["imu", "turning"]
+    assert row.split()[1:3] == ["imu", "rotating"]
     assert row.endswith("off")
 
 
-def test_sync_tells_machines(call: Call, late: Path) -> None:
+def test_sync_reports_machines(call: Call, late: Path) -> None:
     outcome = call("sync", late, "--json", "--reference", "groundTruth")
     report = json.loads(outcome.out)
     estimate = report["comparisons"][0]["estimate"]

@@ -1,4 +1,4 @@
-"""`sceneloom track` on a small made-up folder of KITTI's tracking benchmark."""
+"""`sceneloom track` on a small synthetic folder of KITTI's tracking benchmark."""
 
 import json
 from pathlib import Path
@@ -21,17 +21,17 @@ SIZE_HWL = (1.5, 1.6, 4.0)
 PEOPLE_HWL = (1.8, 0.6, 0.8)
 
 
-def places(frame: int) -> dict[str, tuple[float, float, float]]:
+def locations(frame: int) -> dict[str, tuple[float, float, float]]:
     """Where the middle of the bottom of a car and a person is in the camera's frame: both stand in the world."""
     return {"Car": (3.0, 1.6, 25.0 - SPEED * frame), "Pedestrian": (-4.0, 1.6, 15.0 - SPEED * frame)}
 
 
-def outline(place, size_hwl) -> tuple[float, float, float, float]:
-    """The box in the picture of a box whose length lies along x of the camera, by its eight corners."""
+def outline(location, size_hwl) -> tuple[float, float, float, float]:
+    """The box in the image of a box whose length lies along x of the camera, by its eight corners."""
     h, w, length = size_hwl
     corners = (
         np.array([[x, y, z] for x in (-length / 2, length / 2) for y in (-h, 0) for z in (-w / 2, w / 2)])
-        + place
+        + location
     )
     u, v = FOCAL * corners[:, 0] / corners[:, 2] + CX, FOCAL * corners[:, 1] / corners[:, 2] + CY
     return u.min(), v.min(), u.max(), v.max()
@@ -48,10 +48,10 @@ def folder(tmp_path: Path) -> Path:
     for label, number, size in (("Car", 2, SIZE_HWL), ("Pedestrian", 1, PEOPLE_HWL)):
         two, three = "", ""
         for k in range(FRAMES):
-            place = places(k)[label]
-            box = ",".join(f"{value:.4f}" for value in outline(place, size))
+            location = locations(k)[label]
+            box = ",".join(f"{value:.4f}" for value in outline(location, size))
             two += f"{k},{box},0.98\n"
-            numbers = ",".join(map(str, (*size, *place)))
+            numbers = ",".join(map(str, (*size, *location)))
             three += f"{k},{number},{box},6.0,{numbers},0.0,0.0\n"
         texts[f"det2d_x/{label}/0003.txt"], texts[f"det3d_y/{label}/0003.txt"] = two, three
     for name, text in texts.items():
@@ -77,9 +77,9 @@ def test_what_stands_has_one_track_whose_boxes_are_where_it_is(call, folder, tmp
     for label, size in (("Car", SIZE_HWL), ("Pedestrian", PEOPLE_HWL)):
         own = rows[label]
         assert len(set(found.track_ids[own].tolist())) == 1
-        assert len(own) >= FRAMES - 2  # a tracker may wait for a second box before it tells of an object
+        assert len(own) >= FRAMES - 2  # a tracker may wait for a second box before it reports an object
         for row in own.tolist():
-            truth = places(int(found.frames[row]))[label]
+            truth = locations(int(found.frames[row]))[label]
             # 0.3 m, 4 px: what a filter and typical errors of detectors may move a perfect box
             np.testing.assert_allclose(found.bottoms[row], truth, atol=0.3)
             np.testing.assert_allclose(found.corners_xyxy[row], outline(truth, size), atol=4.0)
@@ -91,12 +91,12 @@ def test_projected_boxes_are_the_outlines_of_those_in_space(call, folder, tmp_pa
     found, _ = results(tmp_path / "out")
     for k in range(len(found)):
         h, w, length = found.sizes_hwl[k]
-        turn, (x, y, z) = found.rotations_y[k], found.bottoms[k]
+        rotation, (x, y, z) = found.rotations_y[k], found.bottoms[k]
         corners = [
             (
-                x + np.cos(turn) * i * length + np.sin(turn) * j * w,
+                x + np.cos(rotation) * i * length + np.sin(rotation) * j * w,
                 y - up,
-                z - np.sin(turn) * i * length + np.cos(turn) * j * w,
+                z - np.sin(rotation) * i * length + np.cos(rotation) * j * w,
             )
             for i in (-0.5, 0.5)
             for j in (-0.5, 0.5)
@@ -104,7 +104,7 @@ def test_projected_boxes_are_the_outlines_of_those_in_space(call, folder, tmp_pa
         ]
         seen = np.array(corners)
         u, v = FOCAL * seen[:, 0] / seen[:, 2] + CX, FOCAL * seen[:, 1] / seen[:, 2] + CY
-        # 0.2 px: how closely edges are followed; no box is at the border of the picture
+        # 0.2 px: how closely edges are followed; no box is at the border of the image
         np.testing.assert_allclose(found.corners_xyxy[k], [u.min(), v.min(), u.max(), v.max()], atol=0.2)
 
 
@@ -119,7 +119,7 @@ def test_projected_boxes_are_the_outlines_of_those_in_space(call, folder, tmp_pa
         ("det2d_x/Pedestrian", "det3d_y/Pedestrian"),
     ],
 )
-def test_what_is_missing_is_told_and_the_rest_is_tracked(call, folder, tmp_path, gone):
+def test_what_is_missing_is_reported_and_the_rest_is_tracked(call, folder, tmp_path, gone):
     for name in gone:
         for file in (folder / name).rglob("*.txt"):
             file.unlink()
@@ -139,7 +139,7 @@ def test_empty_lists_give_an_empty_file(call, folder, tmp_path):
 
 
 @pytest.mark.parametrize("offline", [(), ("--offline",)])
-def test_lines_of_json_tell_the_world(call, folder, tmp_path, offline):
+def test_lines_of_json_report_the_world(call, folder, tmp_path, offline):
     assert call("track", folder, "-o", tmp_path / "out", "--format", "jsonl", *offline).code == 0
     lines = [json.loads(line) for line in (tmp_path / "out" / "0003.jsonl").read_text().splitlines()]
     assert [line["timestamp_ns"] for line in lines] == [k * 100_000_000 for k in range(FRAMES)]
@@ -183,17 +183,17 @@ def test_scenes_are_written_for_scales_library_on_request(call, folder, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "reported"),
     [
         (("-o", "x", "--profile", "scale"), "--profile: only of scenes, but 'kitti' is written"),
         (("-o", "x.sfs"), "x.sfs: a folder is written, a file for each drive"),
         (("-o", "x.txt", "--format", "jsonl"), "expected a name without '.txt'"),
     ],
 )
-def test_what_does_not_go_with_the_form_is_refused(call, folder, tmp_path, monkeypatch, words, told):
+def test_what_does_not_go_with_the_form_is_refused(call, folder, tmp_path, monkeypatch, words, reported):
     monkeypatch.chdir(tmp_path)
     outcome = call("track", folder, *words)
-    assert (outcome.code, told in outcome.err) == (2, True), outcome.err
+    assert (outcome.code, reported in outcome.err) == (2, True), outcome.err
     assert [path.name for path in tmp_path.iterdir()] == [folder.name]
 
 
@@ -204,7 +204,7 @@ def test_an_output_is_not_overwritten_unasked(call, folder, tmp_path):
     assert call("track", folder, "-o", tmp_path / "out", "--overwrite").code == 0
 
 
-def test_a_faulty_list_is_told_with_its_line_and_nothing_is_written(call, folder, tmp_path):
+def test_a_faulty_list_is_reported_with_its_line_and_nothing_is_written(call, folder, tmp_path):
     (folder / "det2d_x/Car/0003.txt").write_text("0,1,1,9,9,0.5\n0,1,car\n")
     outcome = call("track", folder, "-o", tmp_path / "out")
     assert outcome.code == 1
@@ -220,8 +220,8 @@ def test_several_detectors_are_a_question(call, folder, tmp_path):
     assert call("track", folder, "-o", tmp_path / "out", "--det2d", "x").code == 0
 
 
-def test_pictures_of_each_sequence_are_drawn_on_request(call, folder, tmp_path):
-    outcome = call("track", folder, "-o", tmp_path / "out", "--pictures", tmp_path / "look")
+def test_images_of_each_sequence_are_drawn_on_request(call, folder, tmp_path):
+    outcome = call("track", folder, "-o", tmp_path / "out", "--visualize", tmp_path / "look")
     assert outcome.code == 0, outcome.err
     drawn = sorted(
         path.relative_to(tmp_path / "look").as_posix() for path in (tmp_path / "look").rglob("*.png")

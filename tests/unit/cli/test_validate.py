@@ -25,7 +25,7 @@ def test_findings_stand_under_their_rule_with_the_remedy_once(call, faulty):
     lines = done.out.splitlines()
     assert lines[0].startswith(f"{faulty}: sfs, profile sfs: not passed, 1 error")
     start = lines.index("errors")
-    assert lines[start + 1] == "  quaternion-norm: 1 time, --fix mends it"
+    assert lines[start + 1] == "  quaternion-norm: 1 time, --fix repairs it"
     assert lines[start + 2].startswith("    sensors[0].poses.values[1]: a quaternion of norm 2; expected 1")
     assert lines[start + 3].startswith("    → Normalise")
 
@@ -40,7 +40,7 @@ def test_the_result_as_json_has_every_finding(call, faulty):
 
 
 def test_fixing_writes_and_passes(call, faulty, tmp_path):
-    target = tmp_path / "mended.sfs"
+    target = tmp_path / "repaired.sfs"
     done = call("validate", faulty, "--fix", target)
     assert done.code == 0
     assert "fixed\n  quaternion-norm: sensors[0].poses.values[1]" in done.out
@@ -50,19 +50,19 @@ def test_fixing_writes_and_passes(call, faulty, tmp_path):
     assert call("validate", faulty, "--fix", target, "--overwrite").code == 0
 
 
-def test_what_cannot_be_written_is_said(call, tmp_path):
+def test_what_cannot_be_written_is_stated(call, tmp_path):
     path = tmp_path / "torn.sfs"
     path.write_bytes(b'{"version": ')
-    done = call("validate", path, "--fix", tmp_path / "mended.sfs")
+    done = call("validate", path, "--fix", tmp_path / "repaired.sfs")
     assert done.code == 1
     assert "nothing was written" in done.err
 
 
-def test_what_is_found_is_told_also_where_nothing_of_a_recording_is_left_to_write(call, tmp_path):
+def test_what_is_found_is_reported_also_where_nothing_of_a_recording_is_left_to_write(call, tmp_path):
     drive = tmp_path / "drive"
     drive.mkdir()
     (drive / "data.jsonl").write_text('[{"groundTruth":{"position":{"x":0,"y":0,"z":0}},"time":0}\n')
-    target = tmp_path / "mended"
+    target = tmp_path / "repaired"
     done = call("validate", drive, "--fix", target)
     assert done.code == 1
     assert "broken-lines: 1 time\n    data.jsonl: line 1: " in done.out
@@ -72,12 +72,12 @@ def test_what_is_found_is_told_also_where_nothing_of_a_recording_is_left_to_writ
 
 def test_strict_lets_warnings_fail(call, recording):
     assert call("validate", recording, "--quick").code == 0
-    without_way = call("validate", recording, "--strict", "--ignore", "picture-plain")
-    assert without_way.code in (0, 1)
-    assert without_way.code == ("warning" in without_way.out.splitlines()[0])
+    without_trajectory = call("validate", recording, "--strict", "--ignore", "image-plain")
+    assert without_trajectory.code in (0, 1)
+    assert without_trajectory.code == ("warning" in without_trajectory.out.splitlines()[0])
 
 
-def test_hints_are_left_out_where_quiet_is_said(call, faulty):
+def test_hints_are_left_out_where_quiet_is_stated(call, faulty):
     only = ("--rule", "reading-assumed")
     assert "reading-assumed" in call("validate", faulty, *only).out
     assert "reading-assumed" not in call("validate", faulty, *only, "--quiet").out
@@ -103,22 +103,22 @@ def test_an_unknown_rule_is_bad_usage(call, faulty):
 
 
 def test_what_is_written_is_not_called_by_the_form_that_it_was_made_from(call, recording, tmp_path):
-    mended = call("validate", recording, "--fix", tmp_path / "mended.sfs")
-    assert mended.out.startswith(f"{tmp_path / 'mended.sfs'}: profile sfs: passed")
-    back = call("validate", tmp_path / "mended.sfs", "--fix", tmp_path / "back")
+    repaired = call("validate", recording, "--fix", tmp_path / "repaired.sfs")
+    assert repaired.out.startswith(f"{tmp_path / 'repaired.sfs'}: profile sfs: passed")
+    back = call("validate", tmp_path / "repaired.sfs", "--fix", tmp_path / "back")
     assert back.out.startswith(f"{tmp_path / 'back'}: recording: passed")
 
 
 def test_what_the_target_keeps_aside_is_not_called_lost(call, recording, tmp_path):
-    mended = call("validate", recording, "--fix", tmp_path / "mended.sfs").out
-    lost, _, aside = mended.partition("\nkept aside\n")
+    repaired = call("validate", recording, "--fix", tmp_path / "repaired.sfs").out
+    lost, _, aside = repaired.partition("\nkept aside\n")
     assert "trajectories[]: " not in lost
     assert "  trajectories[]: the format knows odometry sensors only; it is in metadata.sceneloom." in aside
 
 
 def test_a_target_whose_suffix_belongs_to_no_format_is_bad_usage(call, recording, faulty, tmp_path):
     for source in (recording, faulty):
-        done = call("validate", source, "--fix", tmp_path / "mended.xyz")
+        done = call("validate", source, "--fix", tmp_path / "repaired.xyz")
         assert done.code == 2
-        assert "mended.xyz: suffix '.xyz' belongs to no format; expected one of: sfs (.sfs)" in done.err
-        assert not (tmp_path / "mended.xyz").exists()
+        assert "repaired.xyz: suffix '.xyz' belongs to no format; expected one of: sfs (.sfs)" in done.err
+        assert not (tmp_path / "repaired.xyz").exists()

@@ -37,11 +37,11 @@ def test_info_as_json_counts_what_is_there(call: Call, recording: Path) -> None:
     assert json.loads(call("info", recording / "data.jsonl", "--json").out)["size_bytes"] == size
 
 
-def test_info_as_json_names_the_pictures_that_it_drew(call: Call, tmp_path: Path) -> None:
+def test_info_as_json_names_the_images_that_it_drew(call: Call, tmp_path: Path) -> None:
     drive = simulate_street(3, frames=2, lidar=LidarSpec(beams=8, steps=90), cameras=())
     sceneloom.write(drive.scene, tmp_path / "street.sfs")
-    words = ("--pictures", tmp_path / "look", "--json")
-    drawn = json.loads(call("info", tmp_path / "street.sfs", *words).out)["pictures"]
+    words = ("--visualize", tmp_path / "look", "--json")
+    drawn = json.loads(call("info", tmp_path / "street.sfs", *words).out)["images"]
     assert sorted(map(Path, drawn)) == sorted((tmp_path / "look").iterdir())
     assert call("info", tmp_path / "street.sfs", *words).code == 1  # they are there already
 
@@ -55,7 +55,7 @@ def test_fuse_writes_and_reports(call: Call, recording: Path, tmp_path: Path) ->
     assert (tmp_path / "d.sfs").is_file()
 
 
-def test_fuse_for_people_says_frames_points_share_and_place(
+def test_fuse_for_people_says_frames_points_share_and_location(
     call: Call, recording: Path, tmp_path: Path
 ) -> None:
     outcome = call("fuse", recording, "-o", tmp_path / "d.sfs")
@@ -67,9 +67,9 @@ def test_fuse_for_people_says_frames_points_share_and_place(
 
 
 def test_what_is_kept_aside_is_not_called_lost(call: Call, recording: Path, tmp_path: Path) -> None:
-    remarks = call("fuse", recording, "-o", tmp_path / "d.sfs", "--verbose").err.splitlines()
-    assert any(remark.startswith("kept aside: sensors[imu]") for remark in remarks)
-    assert not any(remark.startswith("lost: sensors[imu]") for remark in remarks)
+    notes = call("fuse", recording, "-o", tmp_path / "d.sfs", "--verbose").err.splitlines()
+    assert any(note.startswith("kept aside: sensors[imu]") for note in notes)
+    assert not any(note.startswith("lost: sensors[imu]") for note in notes)
 
 
 def test_a_scene_file_has_the_suffix_of_its_format(call: Call, recording: Path, tmp_path: Path) -> None:
@@ -101,14 +101,14 @@ def test_formats_lists_what_can_be_read_and_written(call: Call) -> None:
 
 def test_formats_says_what_one_of_them_holds(call: Call) -> None:
     held = json.loads(call("formats", "tum", "--json").out)
-    assert held["trajectories.positions"] == {"fate": "kept", "how": ""}
-    assert held["sensors.lidar.id"]["fate"] == "dropped"
+    assert held["trajectories.positions"] == {"support": "kept", "how": ""}
+    assert held["sensors.lidar.id"]["support"] == "dropped"
     assert "dropped (" in call("formats", "tum").out
     unknown = call("formats", "nope")
     assert (unknown.code, "no format or form 'nope'; there are sfs" in unknown.err) == (2, True)
 
 
-def test_demo_keeps_a_recording_a_scene_and_pictures(
+def test_demo_keeps_a_recording_a_scene_and_images(
     call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     camera = CameraSpec(Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5))
@@ -117,29 +117,29 @@ def test_demo_keeps_a_recording_a_scene_and_pictures(
     outcome = call("demo", "--keep", tmp_path / "kept", "--frames", "2")
     assert outcome.code == 0
     kept = {path.name for path in (tmp_path / "kept").iterdir()}
-    assert kept == {"drive", "drive.sfs", "depth", "pictures"}
+    assert kept == {"drive", "drive.sfs", "depth", "images"}
     assert "sceneloom info" in outcome.out
     shown = next(line.split()[2] for line in outcome.out.splitlines() if line.startswith("look at "))
     assert Path(shown).is_file()
-    assert "remarks on what these files cannot hold of the drive" in outcome.err
+    assert "notes on what these files cannot hold of the drive" in outcome.err
     again = call("demo", "--keep", tmp_path / "kept", "--frames", "2")
     assert (again.code, "--overwrite" in again.err) == (1, True)
 
 
 def test_demo_looks_at_all_its_outputs_before_it_makes_one(call: Call, tmp_path: Path) -> None:
-    (tmp_path / "pictures").mkdir()
-    (tmp_path / "pictures" / "mine.png").write_text("mine")
+    (tmp_path / "images").mkdir()
+    (tmp_path / "images" / "mine.png").write_text("mine")
     outcome = call("demo", "--keep", tmp_path, "--frames", "2")
     assert (outcome.code, "--overwrite" in outcome.err) == (1, True)
-    assert [path.name for path in tmp_path.iterdir()] == ["pictures"]
+    assert [path.name for path in tmp_path.iterdir()] == ["images"]
 
 
 @pytest.mark.parametrize(
     ("target", "option", "takes"),
     [
         ("a.sfs", ("--origin", "1", "2", "3"), "writing a scene file takes --profile, --time-unit"),
-        ("a", ("--profile", "scale"), "writing a recording takes --pictures"),
-        ("a.tum", ("--pictures", "png"), "writing a trajectory takes --to-optical, --origin"),
+        ("a", ("--profile", "scale"), "writing a recording takes --images"),
+        ("a.tum", ("--images", "png"), "writing a trajectory takes --to-optical, --origin"),
         (
             "a.sfs",
             ("--from-rate", "10"),
@@ -147,7 +147,7 @@ def test_demo_looks_at_all_its_outputs_before_it_makes_one(call: Call, tmp_path:
         ),
     ],
 )
-def test_an_option_that_the_format_does_not_take_is_named_as_it_was_said(
+def test_an_option_that_the_format_does_not_take_is_named_as_it_was_stated(
     call: Call, recording: Path, tmp_path: Path, target: str, option: tuple[str, ...], takes: str
 ) -> None:
     outcome = call("convert", recording, tmp_path / target, *option)
@@ -158,7 +158,7 @@ def test_an_option_that_the_format_does_not_take_is_named_as_it_was_said(
 
 @pytest.mark.parametrize(
     ("option", "value", "needed"),
-    [("--depth-form", "npz", "--depth"), ("--pictures-every", "2", "--pictures")],
+    [("--depth-format", "npz", "--depth"), ("--visualize-every", "2", "--visualize")],
 )
 def test_an_option_that_would_do_nothing_is_bad_usage(
     call: Call, recording: Path, tmp_path: Path, option: str, value: str, needed: str
@@ -175,7 +175,7 @@ def test_every_verb_explains_itself(call: Call, verb: str) -> None:
     assert "--json" in outcome.out
 
 
-def test_info_tells_the_first_time_to_the_nanosecond(call: Call, recording: Path, tmp_path: Path) -> None:
+def test_info_reports_the_first_time_to_the_nanosecond(call: Call, recording: Path, tmp_path: Path) -> None:
     folder = tmp_path / "drive"
     shutil.copytree(recording, folder)
     lines = [json.loads(line) for line in (folder / "data.jsonl").read_text().splitlines()]
@@ -190,12 +190,12 @@ def test_info_tells_the_first_time_to_the_nanosecond(call: Call, recording: Path
 def test_only_the_first_skipped_frames_are_listed(call: Call, recording: Path, tmp_path: Path) -> None:
     folder = tmp_path / "drive"
     shutil.copytree(recording, folder)
-    for picture in (folder / "frames1").iterdir():
-        picture.write_bytes(picture.read_bytes()[:120])
+    for image in (folder / "frames1").iterdir():
+        image.write_bytes(image.read_bytes()[:120])
     arguments = ("fuse", folder, "-o", tmp_path / "d.sfs", "--lenient", "--overwrite")
     outcome = call(*arguments)
     assert outcome.code == 0
-    assert "3 sweeps or pictures skipped" in outcome.out
+    assert "3 sweeps or images skipped" in outcome.out
     assert outcome.err.count("skipped: ") == 3
     assert "skipped: " not in call(*arguments, "--quiet").err
 
@@ -229,14 +229,14 @@ def test_a_folder_whose_name_is_no_unicode_is_read_and_fused(
 def test_info_refuses_a_time_to_draw_where_nothing_is_drawn(call, recording):
     refused = call("info", recording, "--at", "1")
     assert refused.code == 2
-    assert "--pictures" in refused.err
+    assert "--visualize" in refused.err
 
 
 @pytest.mark.parametrize(
     "arguments",
     [
         ("convert", "DRIVE", "DRIVE/again"),
-        ("validate", "DRIVE", "--quick", "--fix", "DRIVE/mended"),
+        ("validate", "DRIVE", "--quick", "--fix", "DRIVE/repaired"),
         ("sync", "DRIVE", "--apply", "DRIVE/in-step"),
         ("edit", "crop", "DRIVE", "-o", "DRIVE/cropped", "--start", "0"),
         ("edit", "deskew", "DRIVE", "-o", "DRIVE/deskewed"),
@@ -251,10 +251,10 @@ def test_no_recording_is_made_inside_the_one_that_is_read(call, recording, argum
     assert sorted(recording.rglob("*")) == before
 
 
-def test_pictures_may_lie_in_the_recording_that_they_show(call, recording, tmp_path):
+def test_images_may_lie_in_the_recording_that_they_show(call, recording, tmp_path):
     drive = tmp_path / "drive"
     shutil.copytree(recording, drive)
-    assert call("fuse", drive, "--pictures", drive / "look", "-o", drive / "fused.sfs").code == 0
+    assert call("fuse", drive, "--visualize", drive / "look", "-o", drive / "fused.sfs").code == 0
     assert call("info", drive).code == 0
 
 
@@ -263,7 +263,7 @@ def test_pictures_may_lie_in_the_recording_that_they_show(call, recording, tmp_p
     [
         ("convert", "DRIVE", "-"),
         ("fuse", "DRIVE", "-o", "-"),
-        ("info", "DRIVE", "--pictures", "-"),
+        ("info", "DRIVE", "--visualize", "-"),
         ("validate", "DRIVE", "--fix", "-"),
         ("edit", "crop", "DRIVE", "-o", "-", "--start", "0"),
     ],
@@ -286,10 +286,12 @@ def test_a_dash_is_no_name_of_an_output(call, recording, tmp_path, monkeypatch, 
         ("fuse", ("-o", "OUT.sfs"), "fusing"),
     ],
 )
-def test_json_tells_where_the_time_went(
+def test_json_reports_where_the_time_went(
     call: Call, recording: Path, tmp_path: Path, verb: str, words: tuple[str, ...], stage: str
 ) -> None:
-    told = call(verb, recording, *(word.replace("OUT", str(tmp_path / "out")) for word in words), "--json")
-    stages = json.loads(told.out)["stages"]
+    reported = call(
+        verb, recording, *(word.replace("OUT", str(tmp_path / "out")) for word in words), "--json"
+    )
+    stages = json.loads(reported.out)["stages"]
     assert {"opening", stage} <= stages.keys()
     assert all(seconds >= 0.0 for seconds in stages.values())

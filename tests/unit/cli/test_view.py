@@ -14,7 +14,7 @@ def test_a_view_is_saved_and_summed_up(call, recording, tmp_path):
     target = tmp_path / "drive.rrd"
     outcome = call("view", recording, "--save", target, "--no-findings", "--every", "2")
     assert outcome.code == 0, outcome.err
-    assert "2 pictures" in outcome.out
+    assert "2 images" in outcome.out
     assert "2 sweeps" in outcome.out
     assert f"rerun {target}" in outcome.out
     assert target.read_bytes()[:3] == b"RRF"  # what files of Rerun begin with
@@ -40,7 +40,7 @@ def test_the_summary_is_json_for_machines(call, recording, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "reported"),
     [
         (("--save", "OUT.rrd", "--web"), "one of them"),
         (("--save", "OUT.txt"), ".rrd"),
@@ -49,10 +49,10 @@ def test_the_summary_is_json_for_machines(call, recording, tmp_path):
         (("--save", "OUT.rrd", "--start", "99"), "no frame"),
     ],
 )
-def test_what_cannot_be_followed_is_told(call, recording, tmp_path, words, told):
+def test_what_cannot_be_followed_is_reported(call, recording, tmp_path, words, reported):
     outcome = call("view", recording, *(word.replace("OUT", str(tmp_path / "out")) for word in words))
     assert outcome.code in (1, 2)
-    assert told in outcome.err
+    assert reported in outcome.err
     assert list(tmp_path.iterdir()) == []
 
 

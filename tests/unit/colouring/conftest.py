@@ -20,12 +20,12 @@ REACH = 120.0
 
 @dataclass(frozen=True)
 class StreetView:
-    """Points of a sweep in a picture and the truth about them.
+    """Points of a sweep in an image and the truth about them.
 
     Attributes:
         camera, world_from_camera: the camera.
         lidar_world: (3,), from where the points were measured.
-        points_world: (N, 3), with range noise; all fall into the picture.
+        points_world: (N, 3), with range noise; all fall into the image.
         seen: (N,), whether nothing stands between the point's origin and the camera.
         counted: (N,), whether the point lies 2 px or more from any outline.
     """
@@ -80,8 +80,8 @@ def cast(
         for number, (bx, by, bz, *size, yaw) in enumerate(bodies[0], 1):
             towards = rays_towards(origin, rays, np.array([bx, by, bz]), np.linalg.norm(size) / 2)
             c, s = np.cos(yaw), np.sin(yaw)
-            turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
-            start, along = turn @ (origin - (bx, by, bz)), turn @ rays[towards].T
+            rotation = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+            start, along = rotation @ (origin - (bx, by, bz)), rotation @ rays[towards].T
             half = np.array(size)[:, None] / 2
             enter, leave = (-half - start[:, None]) / along, (half - start[:, None]) / along
             near, far = np.minimum(enter, leave).max(axis=0), np.maximum(enter, leave).min(axis=0)
@@ -111,12 +111,14 @@ def lidar_rays(elevations_deg: Sequence[float], azimuth_deg: float) -> np.ndarra
 
 
 def far_from_outlines(look: Callable[[np.ndarray], np.ndarray], pixels: np.ndarray) -> np.ndarray:
-    """Which pixels see one and the same thing in all directions up to 2 px; `look` tells what pixels (N, 2) see."""
+    """Which pixels see one and the same thing in all directions up to 2 px; `look` reports what pixels (N, 2) see."""
     steps = [(du, dv) for du in range(-2, 3) for dv in range(-2, 3) if du * du + dv * dv <= 4]
     around = np.floor(pixels + 0.5).astype(int)[:, None] + steps
     # as one number each: rows of two are sorted many times as slowly
-    needed, places = np.unique(around[..., 0] * 2**20 + around[..., 1] + 2**10, return_inverse=True)
-    hits = look(np.stack([needed // 2**20, needed % 2**20 - 2**10], axis=1))[places.reshape(len(pixels), -1)]
+    needed, locations = np.unique(around[..., 0] * 2**20 + around[..., 1] + 2**10, return_inverse=True)
+    hits = look(np.stack([needed // 2**20, needed % 2**20 - 2**10], axis=1))[
+        locations.reshape(len(pixels), -1)
+    ]
     return (hits == hits[:, :1]).all(axis=1)
 
 
@@ -134,7 +136,7 @@ def view_street(
     noise: float = 0.02,
     seed: int = 0,
 ) -> StreetView:
-    """Look ahead into the street; `lidar_above` is the lidar's place from the camera (forward, left, up).
+    """Look ahead into the street; `lidar_above` is the lidar's location from the camera (forward, left, up).
 
     The lines lie evenly from `top_deg` downward, or at `elevations_deg`.
     """
@@ -145,8 +147,8 @@ def view_street(
     ranges, _ = cast(bodies, origin, rays)
     rays, ranges = rays[np.isfinite(ranges)], ranges[np.isfinite(ranges)]
     noisy = ranges + np.random.default_rng(seed + 1).normal(scale=noise, size=len(ranges))
-    turn = np.array([[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]])
-    world_from_camera = RigidTransform((turn @ CAMERA_FROM_BODY).T, center)
+    rotation = np.array([[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]])
+    world_from_camera = RigidTransform((rotation @ CAMERA_FROM_BODY).T, center)
     pixels, inside = project(camera, world_from_camera.inverse().apply(origin + rays * noisy[:, None]))
     apart = (origin + rays * ranges[:, None] - center)[inside]
     distances = np.linalg.norm(apart, axis=1)

@@ -1,11 +1,11 @@
-"""Colours of several pictures become one: between pixels, by weight, without ghosts, with their provenance."""
+"""Colours of several images become one: between pixels, by weight, without ghosts, with their provenance."""
 
 import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring import BlendSettings, VisibilitySettings, blend_colours, view_points
-from sceneloom.colouring.provenance import NO_PICTURE_NS
+from sceneloom.colouring.provenance import NO_IMAGE_NS
 from sceneloom.colouring.weights import near_outlines, view_weights
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
@@ -18,7 +18,7 @@ def looking(x: float = 0.0) -> RigidTransform:
     return RigidTransform(np.eye(3), np.array([x, 0.0, 0.0]))
 
 
-def picture(level: int) -> np.ndarray:
+def image(level: int) -> np.ndarray:
     return np.full((81, 101, 3), level, np.uint8)
 
 
@@ -49,29 +49,29 @@ def test_colours_are_taken_between_the_pixels():
     np.testing.assert_allclose(blended.colors, wanted, atol=0.51)  # rounding to levels
 
 
-def test_the_picture_that_shows_a_point_away_from_its_border_counts():
+def test_the_image_that_shows_a_point_away_from_its_border_counts():
     points = np.array(
         [[2.4, 0.0, 5.0]]
     )  # 98 px: at the border of the first, 49 px from the axis of the second
-    views = [view(points, picture(10)), view(points, picture(200), x=1.2, camera_id="b", timestamp_ns=7)]
+    views = [view(points, image(10)), view(points, image(200), x=1.2, camera_id="b", timestamp_ns=7)]
     blended = blend_colours(points, views, [3, 5], settings=BlendSettings(mode="best"))
     assert blended.colors.tolist() == [[200, 200, 200]]
     assert blended.sources.camera_index.tolist() == [5]
-    assert blended.sources.pictures_ns.tolist() == [7]
+    assert blended.sources.images_ns.tolist() == [7]
     np.testing.assert_allclose(blended.sources.pixels, [[74.0, 40.0]], atol=1e-4)
 
 
 def test_the_mean_holds_only_colours_that_agree_with_the_best_one():
     points = np.array([[0.0, 0.0, 5.0]])
-    near = [view(points, picture(100)), view(points, picture(110), camera_id="b")]
-    far = view(points, picture(250), camera_id="c", x=0.5)
+    near = [view(points, image(100)), view(points, image(110), camera_id="b")]
+    far = view(points, image(250), camera_id="c", x=0.5)
     assert blend_colours(points, near, [0, 1]).colors.tolist() == [[105, 105, 105]]
     assert blend_colours(points, [*near, far], [0, 1, 2]).colors.tolist() == [[105, 105, 105]]
 
 
-def test_a_point_measured_long_before_a_picture_takes_the_colour_of_the_other_one():
+def test_a_point_measured_long_before_an_image_takes_the_colour_of_the_other_one():
     points, times = np.array([[0.0, 0.0, 5.0]]), np.array([0])
-    views = [view(points, picture(10), timestamp_ns=200_000_000), view(points, picture(200), camera_id="b")]
+    views = [view(points, image(10), timestamp_ns=200_000_000), view(points, image(200), camera_id="b")]
     blended = blend_colours(points, views, [0, 1], timestamps_ns=times, settings=BlendSettings(mode="best"))
     assert blended.colors.tolist() == [[200, 200, 200]]
 
@@ -79,7 +79,7 @@ def test_a_point_measured_long_before_a_picture_takes_the_colour_of_the_other_on
 def test_a_surface_seen_along_itself_takes_the_colour_of_the_camera_that_faces_it():
     points = np.array([[1.0, 0.0, 5.0]])
     along = np.array([[0.98058, 0.0, -0.19612]], np.float32)  # at a right angle to the first line of sight
-    views = [view(points, picture(10)), view(points, picture(200), x=3.0, camera_id="b")]
+    views = [view(points, image(10)), view(points, image(200), x=3.0, camera_id="b")]
     settings = BlendSettings(mode="best")
     facing = blend_colours(points, views, [0, 1], normals_world=along, settings=settings)
     assert facing.colors.tolist() == [[200, 200, 200]]
@@ -88,16 +88,16 @@ def test_a_surface_seen_along_itself_takes_the_colour_of_the_camera_that_faces_i
 
 def test_gains_multiply_colours_and_are_cut_off_at_white():
     points = np.array([[0.0, 0.0, 5.0]])
-    blended = blend_colours(points, [view(points, picture(100))], [4], gains={4: np.array([0.5, 1.0, 3.0])})
+    blended = blend_colours(points, [view(points, image(100))], [4], gains={4: np.array([0.5, 1.0, 3.0])})
     assert blended.colors.tolist() == [[50, 100, 255]]
 
 
-def test_points_that_no_picture_shows_stay_white_and_name_no_picture():
+def test_points_that_no_image_shows_stay_white_and_name_no_image():
     points = np.array([[0.0, 0.0, -5.0], [np.nan, 0.0, 1.0]])
-    blended = blend_colours(points, [view(points, picture(10))], [0])
+    blended = blend_colours(points, [view(points, image(10))], [0])
     assert (blended.colors == 255).all()
     assert (blended.sources.camera_index == 255).all()
-    assert (blended.sources.pictures_ns == NO_PICTURE_NS).all()
+    assert (blended.sources.images_ns == NO_IMAGE_NS).all()
     assert np.isnan(blended.sources.pixels).all()
     assert blend_colours(points, [], []).colors.shape == (2, 3)
 
@@ -106,7 +106,7 @@ def test_points_beside_an_outline_are_trusted_less():
     u = np.arange(20, 81, 2.0)
     z = np.where(u < 50, 5.0, 12.0)  # a wall that ends before a farther one
     points = np.stack([(u - 50) / 100 * z, np.zeros(len(u)), z], axis=1)
-    seen = view(points, picture(100))
+    seen = view(points, image(100))
     beside = near_outlines(seen)
     assert beside[np.abs(u - 49) < 2].all()
     assert not beside[np.abs(u - 50) > 8].any()
@@ -117,7 +117,7 @@ def test_points_beside_an_outline_are_trusted_less():
 def test_a_road_seen_at_a_grazing_angle_is_no_outline():
     z, x = (axis.ravel() for axis in np.meshgrid(np.linspace(5, 60, 60), np.linspace(-2, 2, 9)))
     points = np.stack([x, np.full(len(z), 1.6), z], axis=1)
-    assert not near_outlines(view(points, picture(100))).any()
+    assert not near_outlines(view(points, image(100))).any()
 
 
 @pytest.mark.parametrize("wrong", [{"mode": "mean"}, {"even_distance": 0.0}, {"border_share": 2.0}])
@@ -129,6 +129,6 @@ def test_settings_that_mean_nothing_are_refused(wrong):
 def test_an_index_is_needed_for_each_view():
     points = np.array([[0.0, 0.0, 5.0]])
     with pytest.raises(OptionError, match="0 camera indices for 1 views"):
-        blend_colours(points, [view(points, picture(1))], [])
+        blend_colours(points, [view(points, image(1))], [])
     with pytest.raises(OptionError, match="index 255"):
-        blend_colours(points, [view(points, picture(1))], [255])
+        blend_colours(points, [view(points, image(1))], [255])

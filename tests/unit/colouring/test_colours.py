@@ -70,7 +70,7 @@ def test_the_nearest_pixel_gives_the_colour():
 
 def test_the_most_central_view_counts_in_units_of_half_the_diagonal():
     small, large = plain((1, 1, 1), (30, 40)), plain((2, 2, 2), (300, 400))
-    # 5 px off the centre of the small picture are a fifth of its half diagonal, 40 px of the large one 0.16.
+    # 5 px off the centre of the small image are a fifth of its half diagonal, 40 px of the large one 0.16.
     views = [make_view([0], [(24.5, 14.5)], small), make_view([0], [(239.5, 149.5)], large)]
     assert colour_points(1, views, [7, 8])[1].tolist() == [8]
     views = [make_view([0], [(24.5, 14.5)], small), make_view([0], [(259.5, 149.5)], large)]
@@ -112,7 +112,7 @@ def test_many_views_agree_with_a_choice_made_point_by_point():
         assert (colors[k].tolist(), camera_index[k]) == expected
 
 
-def test_pictures_in_any_memory_order_are_taken():
+def test_images_in_any_memory_order_are_taken():
     rgb = np.random.default_rng(2).integers(0, 255, (4, 6, 3), np.uint8)
     upside_down = np.ascontiguousarray(rgb[::-1])[::-1]
     upside_down.flags.writeable = False

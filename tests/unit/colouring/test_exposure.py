@@ -1,4 +1,4 @@
-"""Exposures of cameras told from surfaces that two pictures show."""
+"""Exposures of cameras distinguished from surfaces that two images show."""
 
 import numpy as np
 import pytest
@@ -9,14 +9,14 @@ from sceneloom.pipeline import iter_fused
 from sceneloom.simulate import CameraSpec, ExposureSpec, LidarSpec, camera_mount, simulate_street
 
 FRAMES = 6
-LENS = Camera("pinhole", 400, 260, 260.0, 260.0, 199.5, 129.5)
+CAMERA_MODEL = Camera("pinhole", 400, 260, 260.0, 260.0, 199.5, 129.5)
 
 
 def rig(*yaws_deg: float, stops: float = 0.5):
     """Cameras that look in these directions, each with an automatic of its own."""
     cameras = [
         CameraSpec(
-            LENS,
+            CAMERA_MODEL,
             camera_mount(yaw_deg=yaw),
             exposure=ExposureSpec(drift_stops=stops),
             supersampling=2,
@@ -45,7 +45,7 @@ def test_exposures_of_cameras_are_recovered_within_two_percent(overlapping):
     for k in range(FRAMES):
         evened = [
             drive.truth.exposure(f"camera{c}", k)
-            * gains.at(c, int(drive.scene.cameras[c].pictures.timestamps_ns[k]))
+            * gains.at(c, int(drive.scene.cameras[c].images.timestamps_ns[k]))
             for c in range(2)
         ]
         np.testing.assert_allclose(evened[0] / evened[1], 1.0, atol=0.02)
@@ -55,7 +55,7 @@ def test_exposures_of_cameras_are_recovered_within_two_percent(overlapping):
 def test_the_mean_brightness_stays(overlapping):
     _, gains, _ = overlapping
     logs = np.concatenate([gains.log_gains[c] for c in range(2)])
-    # the mean is weighted by points, which pictures do not have alike
+    # the mean is weighted by points, which images do not have alike
     np.testing.assert_allclose(logs.mean(axis=0), 0.0, atol=0.05)
 
 
@@ -89,7 +89,7 @@ def test_cameras_that_never_show_the_same_are_named_and_keep_their_brightness():
         np.testing.assert_allclose(gains.log_gains[camera].mean(axis=0), 0.0, atol=0.05)
 
 
-def test_black_pictures_and_no_pictures_give_no_factors():
+def test_black_images_and_no_images_give_no_factors():
     links = ExposureLinks()
     assert links.solve().at(0, 0) is None
     drive = rig(0.0, 45.0, stops=0.0)

@@ -1,4 +1,4 @@
-"""Labels of pictures onto points and back: single pixels, votes, the same visibility."""
+"""Labels of images onto points and back: single pixels, votes, the same visibility."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def test_points_take_the_label_of_their_nearest_pixel_and_of_no_other():
     assert painted.tolist() == [20 * 60 + 10, 21 * 60 + 11, 0, 39 * 60 + 59]
 
 
-def test_most_pictures_decide_and_of_equally_many_the_better_one():
+def test_most_images_decide_and_of_equally_many_the_better_one():
     points = np.array([[0.0, 0.0, 5.0]])
     views = [view(points), view(points, x=1.5, camera_id="b"), view(points, x=-1.5, camera_id="c")]
     assert paint_labels(points, views, [labels(1), labels(2), labels(2)]).tolist() == [2]

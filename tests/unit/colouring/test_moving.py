@@ -1,9 +1,9 @@
-"""Points on what moved: other rays pass through their places, or an annotated box holds them."""
+"""Points on what moved: other rays pass through their locations, or an annotated box holds them."""
 
 import numpy as np
 import pytest
 
-from sceneloom.colouring.lidar_way import LidarWay
+from sceneloom.colouring.lidar_trajectory import LidarTrajectory
 from sceneloom.colouring.moving import LAGS, MovingPoints
 from sceneloom.colouring.moving_boxes import MovingBoxes
 from sceneloom.geometry.rotations import matrix_from_quaternion
@@ -19,11 +19,11 @@ def judged(drive, cleans):
     for k, (frame, clean) in enumerate(zip(drive.scene.lidars[0].frames, cleans, strict=True)):
         times = frame.points.timestamps_ns
         ends = drive.truth.world_from_ego(np.array([times.min(), times.max()]))
-        turns = matrix_from_quaternion(ends.quaternions_xyzw)
-        eyes = ends.positions + turns @ drive.scene.lidars[0].mount.translation
+        rotations = matrix_from_quaternion(ends.quaternions_xyzw)
+        eyes = ends.positions + rotations @ drive.scene.lidars[0].mount.translation
         fractions = (times - times.min()).astype(np.float32) / np.float32(np.ptp(times))
-        way = LidarWay(eyes, fractions)
-        found.update(finder.add(k, clean.positions_world.astype(np.float32), way))
+        trajectory = LidarTrajectory(eyes, fractions)
+        found.update(finder.add(k, clean.positions_world.astype(np.float32), trajectory))
     found.update(finder.flush())
     return found
 
@@ -38,21 +38,21 @@ def test_most_of_what_moves_is_found_and_almost_nothing_that_stands(traffic):
     cleans = [traffic.truth.clean_points_world(k) for k in range(FRAMES)]
     found = judged(traffic, cleans)
     assert sorted(found) == list(range(FRAMES))
-    right = wrong = moving = standing = 0
+    right = wrong = moving = stationary = 0
     for k, marked in found.items():
         truth = np.linalg.norm(cleans[k].velocities, axis=1) > 0.5
         right, moving = right + (marked & truth).sum(), moving + truth.sum()
-        wrong, standing = wrong + (marked & ~truth).sum(), standing + (~truth).sum()
+        wrong, stationary = wrong + (marked & ~truth).sum(), stationary + (~truth).sum()
     assert moving > 3000
     assert right > 0.6 * moving
-    assert wrong < 0.003 * standing
+    assert wrong < 0.003 * stationary
 
 
 def test_sweeps_come_back_in_their_order_and_wait_no_longer_than_they_must():
     finder = MovingPoints()
-    way = LidarWay(np.zeros((2, 3)), np.zeros(1, np.float32))
+    trajectory = LidarTrajectory(np.zeros((2, 3)), np.zeros(1, np.float32))
     wall = np.array([[10.0, 0.0, 0.0]], np.float32)
-    order = [[load for load, _ in finder.add(k, wall, way)] for k in range(LAGS[-1] + 3)]
+    order = [[load for load, _ in finder.add(k, wall, trajectory)] for k in range(LAGS[-1] + 3)]
     assert order[: LAGS[-1]] == [[]] * LAGS[-1]
     assert order[LAGS[-1] :] == [[0], [1], [2]]
     assert [load for load, _ in finder.flush()] == list(range(3, LAGS[-1] + 3))
@@ -68,8 +68,8 @@ def test_where_it_is_not_known_from_where_was_measured_nothing_moves():
 def test_a_cloud_of_one_point_and_one_of_none_are_judged():
     finder = MovingPoints()
     for count in (1, 0):
-        way = LidarWay(np.zeros((2, 3)), np.zeros(count, np.float32))
-        list(finder.add(count, np.full((count, 3), np.nan, np.float32), way))
+        trajectory = LidarTrajectory(np.zeros((2, 3)), np.zeros(count, np.float32))
+        list(finder.add(count, np.full((count, 3), np.nan, np.float32), trajectory))
     assert [marked.tolist() for _, marked in finder.flush()] == [[False], []]
 
 

@@ -14,7 +14,7 @@ def test_planes_have_their_normals_near_and_far():
         found = estimate_normals(flat + 0.01 * random.normal(size=flat.shape), np.zeros(3))
         known = np.linalg.norm(found, axis=1) > 0
         assert known.mean() > 0.7
-        # noise of 1 cm over cubes of 0.4 m and more turns a plane by a few degrees
+        # noise of 1 cm over cubes of 0.4 m and more rotates a plane by a few degrees
         assert np.median(np.abs(found[known] @ normal)) > np.cos(np.radians(4))
 
 

@@ -17,8 +17,11 @@ def scan_lines(across_deg, along_deg, angle_deg=0.0, jitter=0.02):
     random = np.random.default_rng(0)
     right, down = np.meshgrid(np.arange(-15, 15, along_deg), np.arange(-12, 12, across_deg))
     right = right + random.normal(scale=jitter, size=right.shape)
-    turn = np.radians(angle_deg)
-    rotated = right * np.cos(turn) - down * np.sin(turn), right * np.sin(turn) + down * np.cos(turn)
+    rotation = np.radians(angle_deg)
+    rotated = (
+        right * np.cos(rotation) - down * np.sin(rotation),
+        right * np.sin(rotation) + down * np.cos(rotation),
+    )
     return np.radians([axis.ravel() for axis in rotated]).astype(np.float32)
 
 
@@ -104,7 +107,7 @@ def test_surfaces_pass_the_camera_at_its_height_above_the_ground(height, expecte
     directions, inverse_ranges = ground_and_wall(height, spacing_deg=spacing_deg, noise=0.0)
     neighbours = look_around(directions, inverse_ranges)
     measured = measure_surface_distance(neighbours, directions, inverse_ranges, 0.075, 0.005)
-    # The ground in the picture is met at up to 25 degrees, whose cosine is 0.91, and directions are rounded to float32.
+    # The ground in the image is met at up to 25 degrees, whose cosine is 0.91, and directions are rounded to float32.
     assert 0.99 * expected < measured < expected / 0.9
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring import LidarWay, ViewRequest, VisibilitySettings, fuse_by_projection
+from sceneloom.colouring import LidarTrajectory, ViewRequest, VisibilitySettings, fuse_by_projection
 from sceneloom.geometry.rigid import RigidTransform
 
 CAMERA = Camera("brown_conrady", 320, 200, 200.0, 200.0, 159.5, 99.5, (-0.1, 0.02, 5e-4, -3e-4, 1e-3, 0.05))
@@ -25,7 +25,7 @@ def cloud():
 
 
 def request(number):
-    turned = RigidTransform.from_quaternion(
+    rotated = RigidTransform.from_quaternion(
         np.array([0.1 * number, 0, 0]), np.array([0, math.sin(number / 20), 0, math.cos(number / 20)])
     )
     rgb = np.random.default_rng(number).integers(0, 255, (200, 320, 3), np.uint8)
@@ -34,24 +34,28 @@ def request(number):
         camera_index=number,
         camera=CAMERA,
         timestamp_ns=0,
-        world_from_camera=turned,
+        world_from_camera=rotated,
         rgb=rgb,
     )
 
 
-@pytest.mark.parametrize("pictures", [1, 2, 5])
+@pytest.mark.parametrize("images", [1, 2, 5])
 @pytest.mark.parametrize("threads", [2, 3])
-@pytest.mark.parametrize("known_way", [False, True])
+@pytest.mark.parametrize("known_trajectory", [False, True])
 @pytest.mark.parametrize("enabled", [False, True])
-def test_fusion_gives_the_same_to_the_bit_with_any_number_of_threads(pictures, threads, known_way, enabled):
+def test_fusion_gives_the_same_to_the_bit_with_any_number_of_threads(
+    images, threads, known_trajectory, enabled
+):
     points = cloud()
-    way = LidarWay(np.array([[0, -0.8, 0], [0.2, -0.8, 0.1]]), np.linspace(0, 1, COUNT, dtype=np.float32))
+    trajectory = LidarTrajectory(
+        np.array([[0, -0.8, 0], [0.2, -0.8, 0.1]]), np.linspace(0, 1, COUNT, dtype=np.float32)
+    )
     alone, shared = (
         fuse_by_projection(
             points,
-            [request(number) for number in range(pictures)],
+            [request(number) for number in range(images)],
             VisibilitySettings(enabled=enabled, threads=size),
-            way=way if known_way else None,
+            trajectory=trajectory if known_trajectory else None,
         )
         for size in (1, threads)
     )

@@ -14,7 +14,7 @@ COARSE = np.concatenate([np.arange(-14.0, -4.0, 1.0), FINE, np.arange(4.0, 14.0,
 
 
 def lines_at(across_deg, angle_deg=90.0, along_deg=0.2):
-    """Directions (2, M) on lines at places across them, shuffled, and unit inverse ranges."""
+    """Directions (2, M) on lines at locations across them, shuffled, and unit inverse ranges."""
     across, along = np.meshgrid(np.radians(across_deg), np.radians(np.arange(-20, 20, along_deg)))
     along = along + np.radians(0.07) * np.arange(len(across_deg))
     c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
@@ -39,7 +39,7 @@ def test_parts_have_the_spacing_and_the_axis_of_their_lines(angle_deg):
     fine = np.abs(np.degrees(across)) < 3
     for spacing_deg, inside in ((0.25, fine), (1.0, np.abs(np.degrees(across)) > 5.5)):
         held = max(parts, key=lambda part: part.members[inside].mean())
-        # In tiles at the corners of the view too few points are drawn to tell.
+        # In tiles at the corners of the view too few points are drawn to report.
         assert held.members[inside].mean() > 0.75
         # Cells of 0.1 degrees, and neighbours up to 45 degrees aside.
         assert math.degrees(held.lines.across) == pytest.approx(spacing_deg, abs=0.25)

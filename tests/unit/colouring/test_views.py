@@ -16,9 +16,9 @@ PLAIN = VisibilitySettings(enabled=False)
 
 
 def view(points_world, camera=CAMERA, visibility=PLAIN, rgb=None):
-    picture = np.zeros((camera.height, camera.width, 3), np.uint8) if rgb is None else rgb
+    image = np.zeros((camera.height, camera.width, 3), np.uint8) if rgb is None else rgb
     return view_points(
-        points_world, camera, POSE, picture, camera_id="c", timestamp_ns=7, visibility=visibility
+        points_world, camera, POSE, image, camera_id="c", timestamp_ns=7, visibility=visibility
     )
 
 
@@ -30,10 +30,10 @@ def cloud(count=4000, seed=0):
 def projected_by_opencv(points_world):
     points = POSE.inverse().apply(points_world)
     matrix = np.array([[CAMERA.fx, 0, CAMERA.cx], [0, CAMERA.fy, CAMERA.cy], [0, 0, 1]])
-    lens = np.array(CAMERA.coefficients)
-    pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, lens)[0][:, 0]
+    camera_model = np.array(CAMERA.coefficients)
+    pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, camera_model)[0][:, 0]
     inside = (pixels >= -0.5).all(axis=1) & (pixels < [CAMERA.width - 0.5, CAMERA.height - 0.5]).all(axis=1)
-    # Beyond this angle the polynomial of the lens folds the world back into the picture.
+    # Beyond this angle the polynomial of the camera model folds the world back into the image.
     ahead = (points[:, 2] > 0) & (np.hypot(points[:, 0], points[:, 1]) < 0.9 * points[:, 2])
     return np.flatnonzero(inside & ahead), pixels, points[:, 2]
 
@@ -90,7 +90,7 @@ class TestFewPoints:
         assert fused.depth_image.max() == pytest.approx(5.0)
         assert (fused.depth_image > 0).sum() == 1
 
-    def test_points_that_are_not_finite_are_in_no_picture(self, visibility):
+    def test_points_that_are_not_finite_are_in_no_image(self, visibility):
         points = cloud(300)
         points[::3] = [math.nan, 0, 0]
         points[1::3, 1] = math.inf
@@ -98,13 +98,13 @@ class TestFewPoints:
         assert len(fused.point_ids) > 0
         assert (fused.point_ids % 3 == 2).all()
 
-    def test_a_picture_of_one_pixel_works(self, visibility):
+    def test_an_image_of_one_pixel_works(self, visibility):
         camera = Camera("pinhole", 1, 1, 10.0, 10.0, 0.0, 0.0)
         fused = view(POSE.apply(np.array([[0, 0, 9.0], [0.01, 0, 3.0], [5, 0, 3]])), camera, visibility)
         assert fused.point_ids.tolist() == [0, 1]
         assert fused.depth_image.tolist() == [[3.0]]
 
-    def test_points_behind_the_camera_are_in_no_picture(self, visibility):
+    def test_points_behind_the_camera_are_in_no_image(self, visibility):
         assert (
             len(view(POSE.apply(np.array([[0, 0, -5.0], [0, 0, 0]])), visibility=visibility).point_ids) == 0
         )
@@ -153,11 +153,11 @@ def test_points_of_another_shape_or_type_are_refused(points):
         view(points)
 
 
-def test_a_picture_of_another_size_is_refused():
+def test_an_image_of_another_size_is_refused():
     with pytest.raises(ArrayError, match=r"view\.rgb"):
         view(cloud(5), rgb=np.zeros((640, 480, 3), np.uint8))
 
 
-def test_an_unknown_lens_is_refused():
+def test_an_unknown_camera_model_is_refused():
     with pytest.raises(CalibrationError, match="mirror"):
         view(cloud(5), Camera("mirror", 640, 480, 500.0, 500.0, 320.0, 240.0))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring import LidarWay
+from sceneloom.colouring import LidarTrajectory
 from sceneloom.colouring.views import view_points
 from sceneloom.colouring.visibility import VisibilitySettings, find_visible
 from sceneloom.errors import ArrayError, OptionError
@@ -29,10 +29,10 @@ SET_UPS = {
     "32 beams": (KITTI, {"beams": 32, "pitch_deg": 1.0, "top_deg": 5.0}),
     "coarse azimuths": (KITTI, {"azimuth_deg": 0.35}),
     "noisy ranges": (KITTI, {"noise": 0.04}),
-    "long lens": (TELE, {}),
-    "wide lens": (WIDE, {}),
-    "distorting lens": (BARREL, {}),
-    "fisheye lens": (FISHEYE, {}),
+    "long camera model": (TELE, {}),
+    "wide camera model": (WIDE, {}),
+    "distorting camera model": (BARREL, {}),
+    "fisheye camera model": (FISHEYE, {}),
 }
 
 
@@ -42,13 +42,13 @@ SPARSE = {
         KITTI,
         {"beams": 16, "pitch_deg": 2.0, "top_deg": 5.0, "lidar_above": (0.0, 0.8, 0.1)},
     ),
-    "32 beams, long lens": (TELE, {"beams": 32, "pitch_deg": 1.25, "top_deg": 5.0}),
+    "32 beams, long camera model": (TELE, {"beams": 32, "pitch_deg": 1.25, "top_deg": 5.0}),
     "32 beams beside": (
         BARREL,
         {"beams": 32, "pitch_deg": 1.25, "top_deg": 5.0, "lidar_above": (0.0, 0.8, 0.1)},
     ),
 }
-"""Lidars that leave so much open that it takes their place to tell what is hidden."""
+"""Lidars that leave so much open that it takes their location to report what is hidden."""
 
 
 FINE_IN_THE_MIDDLE = (
@@ -67,9 +67,9 @@ UNEVEN = {
 }
 
 
-def view(street_view, settings=None, *, known_way=False):
+def view(street_view, settings=None, *, known_trajectory=False):
     count = len(street_view.points_world)
-    way = LidarWay(np.tile(street_view.lidar_world, (2, 1)), np.zeros(count, np.float32))
+    trajectory = LidarTrajectory(np.tile(street_view.lidar_world, (2, 1)), np.zeros(count, np.float32))
     camera = street_view.camera
     rgb = np.zeros((camera.height, camera.width, 3), np.uint8)
     return view_points(
@@ -80,7 +80,7 @@ def view(street_view, settings=None, *, known_way=False):
         camera_id="front",
         timestamp_ns=0,
         visibility=settings,
-        way=way if known_way else None,
+        trajectory=trajectory if known_trajectory else None,
     )
 
 
@@ -112,7 +112,7 @@ def test_hidden_points_are_found_and_visible_ones_kept(street, name):
 def test_knowing_from_where_the_lidar_measured_helps_sparse_lidars_as_well(street, name):
     camera, kwargs = (SET_UPS | SPARSE)[name]
     street_view = street(camera, **kwargs)
-    hidden_passed, visible_lost = shares(street_view, view(street_view, known_way=True))
+    hidden_passed, visible_lost = shares(street_view, view(street_view, known_trajectory=True))
     assert hidden_passed < 0.03
     # Beside every edge a spacing of the scan lines is in doubt: of 16 or 32 lines that is more of all that is seen.
     assert visible_lost < (0.05 if name in SPARSE else 0.03)
@@ -122,15 +122,15 @@ def test_knowing_from_where_the_lidar_measured_helps_sparse_lidars_as_well(stree
 def test_where_lines_lie_far_apart_points_hide_with_a_longer_reach(street, name):
     camera, kwargs = UNEVEN[name]
     street_view = street(camera, elevations_deg=FINE_IN_THE_MIDDLE, azimuth_deg=0.2, **kwargs)
-    hidden_passed, visible_lost = shares(street_view, view(street_view, known_way=True))
+    hidden_passed, visible_lost = shares(street_view, view(street_view, known_trajectory=True))
     assert hidden_passed < 0.03
     # Lines 1 and 4 degrees apart leave open where things end, as those of sparse lidars do.
     assert visible_lost < 0.05
     # One reach for all would be that of the dense lines, which most points lie on.
     of_dense = VisibilitySettings(window_deg=0.33, near_deg=0.19)
-    assert shares(street_view, view(street_view, of_dense, known_way=True))[0] > 5 * hidden_passed
+    assert shares(street_view, view(street_view, of_dense, known_trajectory=True))[0] > 5 * hidden_passed
     of_sparse = VisibilitySettings(window_deg=1.35, near_deg=1.05)
-    assert shares(street_view, view(street_view, of_sparse, known_way=True))[1] > 2 * visible_lost
+    assert shares(street_view, view(street_view, of_sparse, known_trajectory=True))[1] > 2 * visible_lost
 
 
 def test_what_the_lidar_saw_as_near_to_an_edge_as_the_camera_does_is_not_hidden(street):
@@ -138,21 +138,21 @@ def test_what_the_lidar_saw_as_near_to_an_edge_as_the_camera_does_is_not_hidden(
     assert street_view.seen[street_view.counted].mean() > 0.999
     settings = VisibilitySettings(surface_distance=1.2)
     lost = [
-        shares_lost(street_view, view(street_view, settings, known_way=known_way))
-        for known_way in (False, True)
+        shares_lost(street_view, view(street_view, settings, known_trajectory=known_trajectory))
+        for known_trajectory in (False, True)
     ]
     # What opposite neighbours hide does not ask the lidar.
     assert lost[1] < 0.5 * lost[0]
 
 
-def test_the_place_of_the_lidar_is_taken_at_the_time_of_each_point(street):
+def test_the_position_of_the_lidar_is_taken_at_the_time_of_each_point(street):
     street_view = street(KITTI, lidar_above=(0.0, 0.8, 0.1))
     count = len(street_view.points_world)
     away, at_home = street_view.lidar_world - (0, 1.6, 0), street_view.lidar_world
     wide, fractions = VisibilitySettings(near_deg=0.5), np.ones(count, np.float32)
     matrix, ids = street_view.world_from_camera.inverse().matrix, np.arange(count)
     found = [
-        find_visible(street_view.points_world, ids, matrix, wide, way=LidarWay(ends, fractions))
+        find_visible(street_view.points_world, ids, matrix, wide, trajectory=LidarTrajectory(ends, fractions))
         for ends in (np.stack([away, at_home]), np.stack([at_home, at_home]), np.stack([at_home, away]))
     ]
     np.testing.assert_array_equal(found[0], found[1])
@@ -161,10 +161,10 @@ def test_the_place_of_the_lidar_is_taken_at_the_time_of_each_point(street):
 
 def test_a_way_of_another_cloud_is_refused(street):
     street_view = street(KITTI)
-    way = LidarWay(np.zeros((2, 3)), np.zeros(3, np.float32))
+    trajectory = LidarTrajectory(np.zeros((2, 3)), np.zeros(3, np.float32))
     ids = np.arange(len(street_view.points_world))
-    with pytest.raises(ArrayError, match=r"way\.fractions"):
-        find_visible(street_view.points_world, ids, np.eye(4), VisibilitySettings(), way=way)
+    with pytest.raises(ArrayError, match=r"trajectory\.fractions"):
+        find_visible(street_view.points_world, ids, np.eye(4), VisibilitySettings(), trajectory=trajectory)
 
 
 def test_a_plain_z_buffer_finds_almost_nothing(street):

@@ -60,8 +60,8 @@ def test_each_cube_gives_one_point_with_the_means_of_its_points(tmp_path, most_c
         np.testing.assert_allclose(point["color"], np.average(colors, axis=0, weights=weights), rtol=1e-5)
         best = held[int(weights.argmax())]
         assert (point["weight"], point["time_ns"]) == (best["weight"], best["time_ns"])
-        said, counts = np.unique([row["label"] for row in held], return_counts=True)
-        assert point["label"] == said[counts.argmax()]
+        stated, counts = np.unique([row["label"] for row in held], return_counts=True)
+        assert point["label"] == stated[counts.argmax()]
     assert list(tmp_path.iterdir()) == []
 
 

@@ -86,14 +86,14 @@ def test_one_point_stays_one_point(method):
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
-def test_depths_that_are_none_are_refused_with_their_place(method, value):
+def test_depths_that_are_none_are_refused_with_their_location(method, value):
     sparse = np.zeros((120, 160), np.float32)
     sparse[7, 9] = value
     with pytest.raises(ArrayError, match=r"sparse\[7, 9\]"):
         complete_depth(sparse, CAMERA, method=method)
 
 
-def test_a_picture_of_another_size_than_the_camera_is_refused():
+def test_an_image_of_another_size_than_the_camera_is_refused():
     with pytest.raises(ArrayError, match=r"rgb: \(120, 161, 3\)"):
         complete_depth(np.zeros((120, 160), np.float32), CAMERA, np.zeros((120, 161, 3), np.uint8))
     with pytest.raises(ArrayError, match=r"sparse: \(119, 160\)"):
@@ -111,7 +111,7 @@ def test_a_depth_image_without_its_camera_is_refused():
 
 
 def two_walls(edge=80, near=6.0, far=20.0):
-    """A near wall left of an edge and a far one right of it, and their picture."""
+    """A near wall left of an edge and a far one right of it, and their image."""
     truth = np.full((120, 160), far, np.float32)
     truth[:, :edge] = near
     rgb = np.full((120, 160, 3), 60, np.uint8)
@@ -119,21 +119,21 @@ def two_walls(edge=80, near=6.0, far=20.0):
     return truth, rgb
 
 
-def test_quality_puts_a_jump_where_the_picture_has_its_edge():
+def test_quality_puts_a_jump_where_the_image_has_its_edge():
     truth, rgb = two_walls()
-    # samples eight columns apart leave the place of the edge open: they end 4 px before it and begin 4 px behind it
+    # samples eight columns apart leave the position of the edge open: they end 4 px before it and begin 4 px behind it
     sparse = scanned(truth, slice(5, None, 10), slice(4, None, 8))
     dense = complete_depth(sparse, CAMERA, rgb)
     rows = slice(10, 110)
     half = (6.0 + 20.0) / 2
     jumps = np.argmax(dense.depths[rows] > half, axis=1)
     assert np.abs(jumps - 80).max() <= 1
-    # beyond three pixels nothing of the other wall is left but what no edge of a picture is believed for
+    # beyond three pixels nothing of the other wall is left but what no edge of an image is believed for
     assert np.abs(dense.depths[rows, 60:76] - 6).max() < 0.02
     assert np.abs(dense.depths[rows, 85:100] - 20).max() < 0.02
 
 
-def test_quality_without_a_picture_puts_the_jump_between_the_samples():
+def test_quality_without_an_image_puts_the_jump_between_the_samples():
     truth, _ = two_walls()
     dense = complete_depth(scanned(truth, slice(5, None, 10), slice(4, None, 8)), CAMERA)
     jumps = np.argmax(dense.depths[10:110] > 13.0, axis=1)
@@ -153,12 +153,12 @@ def test_the_confidence_falls_at_a_jump_and_beyond_the_last_samples(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_black_picture_changes_nothing_of_a_plane(method):
+def test_a_black_image_changes_nothing_of_a_plane(method):
     truth = plane(*SLANTED["wall"])
     black = np.zeros((120, 160, 3), np.uint8)
-    with_picture = complete_depth(scanned(truth), CAMERA, black, method=method)
+    with_image = complete_depth(scanned(truth), CAMERA, black, method=method)
     without = complete_depth(scanned(truth), CAMERA, method=method)
-    np.testing.assert_array_equal(with_picture.depths, without.depths)
+    np.testing.assert_array_equal(with_image.depths, without.depths)
 
 
 def test_depths_below_a_confidence_are_taken_away():

@@ -1,11 +1,11 @@
-"""Objects that a picture knows alone."""
+"""Objects that an image knows alone."""
 
 import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import unproject
-from sceneloom.detections.camera_only import EDGES, place_by_height
+from sceneloom.detections.camera_only import EDGES, position_by_height
 from sceneloom.detections.classes import KINDS, numbers_of, table_rows
 from sceneloom.geometry.rigid import RigidTransform
 
@@ -16,12 +16,12 @@ CAMERA_FROM_LIDAR = RigidTransform(
 
 
 def placed(*corners, label="pedestrian"):
-    return place_all(CAMERA, np.array(corners, np.float64), label)
+    return position_all(CAMERA, np.array(corners, np.float64), label)
 
 
-def place_all(camera, corners, label):
+def position_all(camera, corners, label):
     kinds = table_rows(numbers_of([label] * len(corners), [])[0])
-    return place_by_height(camera, CAMERA_FROM_LIDAR, corners, np.arange(len(corners)), kinds)
+    return position_by_height(camera, CAMERA_FROM_LIDAR, corners, np.arange(len(corners)), kinds)
 
 
 def test_a_person_is_where_their_height_says():
@@ -48,7 +48,7 @@ def test_what_the_border_cuts_is_less_certain():
 
 
 def test_without_boxes_there_is_nothing():
-    assert len(place_all(CAMERA, np.zeros((0, 4)), "car").centers) == 0
+    assert len(position_all(CAMERA, np.zeros((0, 4)), "car").centers) == 0
 
 
 @pytest.mark.parametrize("label", ["car", "dragon", ""])
@@ -58,10 +58,10 @@ def test_every_class_has_a_size(label):
     assert np.isfinite(found.center_covariances).all()
 
 
-def test_what_the_lens_has_no_rays_for_is_not_known():
+def test_what_the_camera_model_has_no_rays_for_is_not_known():
     bent = Camera("brown_conrady", 1000, 600, 500.0, 500.0, 499.5, 299.5, (-0.5, 0.0, 0.0, 0.0, 0.0))
     corners = np.array([[400.0, 100.0, 500.0, 200.0], [-3e4, -2e4, -2.9e4, -1.9e4]])
-    found = place_all(bent, corners[::-1].copy(), "car")
+    found = position_all(bent, corners[::-1].copy(), "car")
     assert found.rows.tolist() == [1]
     assert np.isfinite(found.centers).all()
 
@@ -69,7 +69,7 @@ def test_what_the_lens_has_no_rays_for_is_not_known():
 def test_only_the_boxes_asked_for_are_placed():
     corners = np.array([[400.0, 100.0, 500.0, 200.0], [10.0, 20.0, 30.0, 90.0], [700.0, 100.0, 720.0, 300.0]])
     kinds = table_rows(numbers_of(["car", "bus", "pedestrian"], [])[0])
-    found = place_by_height(CAMERA, CAMERA_FROM_LIDAR, corners, np.array([2, 0]), kinds)
+    found = position_by_height(CAMERA, CAMERA_FROM_LIDAR, corners, np.array([2, 0]), kinds)
     assert found.rows.tolist() == [2, 0]
     np.testing.assert_array_equal(found.centers[0], placed(corners[2]).centers[0])
     np.testing.assert_array_equal(found.centers[1], placed(corners[0], label="car").centers[0])
@@ -102,7 +102,7 @@ def slowly_placed(camera, camera_from_lidar, box, label):
     return lidar_from_camera.apply(distance * middle), covariance
 
 
-def test_places_are_those_of_the_formulas_for_bent_lenses_and_turned_cameras():
+def test_locations_are_those_of_the_formulas_for_bent_camera_models_and_rotated_cameras():
     generator = np.random.default_rng(5)
     bent = Camera("brown_conrady", 1000, 600, 500.0, 510.0, 480.0, 310.0, (-0.1, 0.02, 5e-4, -3e-4, 1e-3))
     how = RigidTransform.from_quaternion(generator.normal(size=3), generator.normal(size=4))
@@ -110,7 +110,7 @@ def test_places_are_those_of_the_formulas_for_bent_lenses_and_turned_cameras():
     corners[::7, 1] = 0.5
     labels = generator.choice(list(KINDS), 60).tolist()
     kinds = table_rows(numbers_of(labels, [])[0])
-    found = place_by_height(bent, how, corners, np.arange(60), kinds)
+    found = position_by_height(bent, how, corners, np.arange(60), kinds)
     assert len(found.rows) == 60
     slowly = [slowly_placed(bent, how, box, label) for box, label in zip(corners, labels, strict=True)]
     # the chord between rays and their cross product round differently

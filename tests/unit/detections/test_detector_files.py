@@ -1,4 +1,4 @@
-"""Files that say what detectors are like."""
+"""Files that state what detectors are like."""
 
 from dataclasses import asdict
 
@@ -45,16 +45,16 @@ def flat(value):
 def test_surer_scores_never_make_an_object_of_the_package_s_detectors_less_likely(name):
     for own in find_detectors(name).classes.values():
         assert own.sweep.slope >= 0.0
-        assert own.picture.slope >= 0.0
-        assert min(own.both.sweep, own.both.picture, own.both.overlap) >= 0.0
-        assert own.sight.weak_recall_2d <= own.sight.recall_2d
+        assert own.image.slope >= 0.0
+        assert min(own.both.sweep, own.both.image, own.both.overlap) >= 0.0
+        assert own.visibility.weak_recall_2d <= own.visibility.recall_2d
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "place"),
+    ("old", "new", "location"),
     [
         ('otherwise = "car"', 'otherwise = "cart"', "otherwise: 'cart'"),
-        ("prior = 0.1", "prior = 0.0", "classes.car.sight.prior: 0.0"),
+        ("prior = 0.1", "prior = 0.0", "classes.car.visibility.prior: 0.0"),
         ("slope = 1.0", "slope = nan", "classes.car.sweep.slope: nan"),
         ("slope = 1.0", "slop = 1.0", "slope"),
         ("degrees_of_freedom = inf", "degrees_of_freedom = 2.0", "degrees_of_freedom: 2.0"),
@@ -62,20 +62,20 @@ def test_surer_scores_never_make_an_object_of_the_package_s_detectors_less_likel
         ("classes.van.", "classes.unicorn.", "classes.unicorn: no known class"),
     ],
 )
-def test_a_wrong_file_is_told_with_its_place(tmp_path, old, new, place):
+def test_a_wrong_file_is_reported_with_its_location(tmp_path, old, new, location):
     assert old in TEXT
     path = tmp_path / "wrong.toml"
     path.write_text(TEXT.replace(old, new), "utf-8")
     with pytest.raises(DataError, match=str(path)) as caught:
         read_detectors(path)
-    assert place in str(caught.value)
+    assert location in str(caught.value)
 
 
-def test_unknown_detectors_are_told_with_the_known_ones():
+def test_unknown_detectors_are_reported_with_the_known_ones():
     with pytest.raises(OptionError, match=r"detectors 'kiti'; expected one of .*independent"):
         find_detectors("kiti")
 
 
-def test_a_file_that_is_not_there_is_told(tmp_path):
+def test_a_file_that_is_not_there_is_reported(tmp_path):
     with pytest.raises(DataError, match=r"none\.toml"):
         find_detectors(str(tmp_path / "none.toml"))

@@ -6,7 +6,7 @@ import pytest
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections import DetectionPair
 from sceneloom.detections.fitting.examples import LabelledPair
-from sceneloom.detections.fitting.existence_fit import fit_told
+from sceneloom.detections.fitting.existence_fit import fit_reported
 from sceneloom.detections.fitting.fit import FitSettings, fit_detectors
 from sceneloom.detections.fitting.regression import fit_deviations, fit_odds, weighted_quantile
 from sceneloom.detections.projection import fuse_by_projection
@@ -60,26 +60,28 @@ def test_the_quantile_of_even_weights_is_numpy_s():
     )
 
 
-def told_and_verdicts(slope, base):
+def reported_and_verdicts(slope, base):
     """Scores, and boxes of which as many are true as a logistic function says."""
     generator = np.random.default_rng(3)
-    told = generator.normal(2.0, 3.0, 20_000)
-    return told, (generator.random(20_000) < 1 / (1 + np.exp(-(base + slope * told)))).astype(np.int64)
+    reported = generator.normal(2.0, 3.0, 20_000)
+    return reported, (generator.random(20_000) < 1 / (1 + np.exp(-(base + slope * reported)))).astype(
+        np.int64
+    )
 
 
 def test_scores_are_held_from_where_on_nearly_all_boxes_are_true():
-    told, verdicts = told_and_verdicts(1.0, -2.0)
-    high = fit_told(told, verdicts).high
-    low, most = np.quantile(told[verdicts == 1], (0.65, 0.99))
+    reported, verdicts = reported_and_verdicts(1.0, -2.0)
+    high = fit_reported(reported, verdicts).high
+    low, most = np.quantile(reported[verdicts == 1], (0.65, 0.99))
     assert low + 0.3 < high < most - 0.3
     # the share of true ones above a score rises with it
-    assert verdicts[told >= high].mean() == pytest.approx(0.99, abs=1e-3)
+    assert verdicts[reported >= high].mean() == pytest.approx(0.99, abs=1e-3)
 
 
 @pytest.mark.parametrize(("slope", "base", "share"), [(1.0, 4.0, 0.65), (0.0, 0.5, 0.99)])
 def test_scores_are_held_within_those_of_most_true_boxes(slope, base, share):
-    told, verdicts = told_and_verdicts(slope, base)
-    assert fit_told(told, verdicts).high == pytest.approx(np.quantile(told[verdicts == 1], share))
+    reported, verdicts = reported_and_verdicts(slope, base)
+    assert fit_reported(reported, verdicts).high == pytest.approx(np.quantile(reported[verdicts == 1], share))
 
 
 def outline(center):
@@ -92,18 +94,18 @@ def outline(center):
 def example(seed):
     """Six cars seen by both, of which the camera misses some, and three false boxes of the sweep."""
     generator = np.random.default_rng(seed)
-    places = np.column_stack([generator.uniform(15, 45, 6), np.linspace(-10, 10, 6), np.full(6, -1.0)])
-    false = places[:3] + np.array([0.0, 2.0, 6.0])
-    centers = np.vstack([places + SIGMAS * generator.normal(size=(6, 3)), false])
+    locations = np.column_stack([generator.uniform(15, 45, 6), np.linspace(-10, 10, 6), np.full(6, -1.0)])
+    false = locations[:3] + np.array([0.0, 2.0, 6.0])
+    centers = np.vstack([locations + SIGMAS * generator.normal(size=(6, 3)), false])
     # the logarithm of the odds is twice as sure as it should be: 2 x, of which half is true
     scores = np.concatenate([generator.normal(3.0, 2.0, 6), generator.normal(-3.0, 2.0, 3)])
     three = Boxes3D(
         0, centers, np.tile(CAR, (9, 1)), np.zeros(9), scores, ("Car",) * 9, score_form=ScoreForm.LOGIT
     )
-    shown = np.array([outline(place) for place in places]) + generator.normal(size=(6, 4))
+    shown = np.array([outline(location) for location in locations]) + generator.normal(size=(6, 4))
     kept = generator.random(6) < RECALL_2D
     two = Boxes2D(0, shown[kept], np.full(int(kept.sum()), 0.9), ("car",) * int(kept.sum()))
-    truth = Boxes3D(0, places, np.tile(CAR, (6, 1)), np.zeros(6), np.ones(6), ("Car",) * 6)
+    truth = Boxes3D(0, locations, np.tile(CAR, (6, 1)), np.zeros(6), np.ones(6), ("Car",) * 6)
     pair = DetectionPair(three, two, CAMERA, CAMERA_FROM_LIDAR)
     return LabelledPair(pair, truth, np.ones(6, bool), np.zeros(6, bool), np.zeros((0, 4)), f"{seed % 5}")
 
@@ -117,8 +119,8 @@ def fitted():
 def test_what_detectors_find_is_found_again(fitted):
     car = fitted.classes["car"]
     assert fitted.otherwise == "car"
-    assert car.sight.recall_2d == pytest.approx(RECALL_2D, abs=0.05)
-    assert car.sight.weak_recall_2d <= car.sight.recall_2d
+    assert car.visibility.recall_2d == pytest.approx(RECALL_2D, abs=0.05)
+    assert car.visibility.weak_recall_2d <= car.visibility.recall_2d
     assert car.sweep.slope > 0.3
 
 
@@ -126,15 +128,15 @@ def test_new_boxes_lie_in_the_regions_that_are_promised(fitted):
     settings = ProjectionSettings(detectors=fitted)
     squares = []
     for seed in range(1000, 1060):
-        told = example(seed)
-        fused = fuse_by_projection(told.pair, settings=settings)
-        errors = fused.centers[:6] - told.truth.centers
+        reported = example(seed)
+        fused = fuse_by_projection(reported.pair, settings=settings)
+        errors = fused.centers[:6] - reported.truth.centers
         covariances = fused.center_covariances[:6]
         squares += [
             error @ np.linalg.solve(own, error) for error, own in zip(errors, covariances, strict=True)
         ]
         assert fused.degrees_of_freedom == fitted.degrees_of_freedom
-    # the promise lies between a Student's 9.7 and a Gaussian's 7.8; 360 boxes tell 95 % to 1.2 %
+    # the promise lies between a Student's 9.7 and a Gaussian's 7.8; 360 boxes report 95 % to 1.2 %
     assert 0.92 < np.mean(np.array(squares) < 8.7) < 0.985
 
 
@@ -146,6 +148,6 @@ def test_objects_that_only_the_sweep_has_are_less_likely_and_all_scores_are_prob
         assert (fused.yaw_variances > 0).all()
 
 
-def test_too_few_boxes_are_told():
+def test_too_few_boxes_are_reported():
     with pytest.raises(OptionError, match="expected 200 or more"):
         fit_detectors([example(0)], name="few")

@@ -1,4 +1,4 @@
-"""Tests of objects that a picture shows and the points of a sweep place."""
+"""Tests of objects that an image shows and the points of a sweep location."""
 
 from dataclasses import replace
 
@@ -63,7 +63,7 @@ def test_an_object_is_behind_the_points_in_the_middle_of_its_box():
         np.concatenate([a_wall(14.0), a_wall(5.0, count=60)]),  # most of its box shows something nearer
     ],
 )
-def test_points_that_do_not_tell_leave_an_object_where_its_height_puts_it(points):
+def test_points_that_do_not_report_leave_an_object_where_its_height_puts_it(points):
     fused, by_height = fuse_by_projection(pair_of(points)), fuse_by_projection(pair_of(None))
     assert fused.by_points.tolist() == [False]
     np.testing.assert_array_equal(fused.centers, by_height.centers)
@@ -135,7 +135,7 @@ def errors():
     return np.array(found)
 
 
-def test_points_tell_distances_several_times_better_than_heights(errors):
+def test_points_report_distances_several_times_better_than_heights(errors):
     assert len(errors) > 15
     assert np.median(errors[:, 1]) < np.median(errors[:, 2]) / 4.0
 

@@ -12,7 +12,7 @@ from sceneloom.detections.results import NO_BOX
 from sceneloom.detections.settings import tables_of
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.kernels import existence_odds as columns
+from sceneloom.kernels import existence_probability as columns
 from sceneloom.scene.detections import Boxes2D, Boxes3D
 
 CAMERA = Camera("pinhole", 1000, 600, 500.0, 500.0, 499.5, 299.5)
@@ -20,7 +20,7 @@ CAR, PERSON = (4.0, 2.0, 1.6), (0.8, 0.65, 1.72)
 
 
 def looking(degrees, *, aside=0.0):
-    """`camera_from_lidar` of a camera that is turned to the left by so much and stands so far to the left [m]."""
+    """`camera_from_lidar` of a camera that is rotated to the left by so much and stands so far to the left [m]."""
     angle = np.radians(degrees)
     ahead, left = np.array([np.cos(angle), np.sin(angle), 0]), np.array([-np.sin(angle), np.cos(angle), 0])
     rotation = np.array([-left, [0, 0, -1], ahead])
@@ -51,7 +51,7 @@ def outline(camera_from_lidar, center, size=CAR):
     return box
 
 
-def picture(camera_from_lidar, *centers, label="car", size=CAR, score=0.8):
+def image(camera_from_lidar, *centers, label="car", size=CAR, score=0.8):
     corners = np.array([outline(camera_from_lidar, center, size) for center in centers]).reshape(-1, 4)
     return Boxes2D(9, corners, np.full(len(corners), score), (label,) * len(corners))
 
@@ -59,11 +59,11 @@ def picture(camera_from_lidar, *centers, label="car", size=CAR, score=0.8):
 NOTHING = Boxes2D.empty(9)
 
 
-def views(boxes_3d, **pictures):
-    """What each camera's picture gives: by name how the camera lies, and its boxes."""
+def views(boxes_3d, **images):
+    """What each camera's image gives: by name how the camera lies, and its boxes."""
     return {
         name: fuse_by_projection(DetectionPair(boxes_3d, boxes_2d, CAMERA, camera_from_lidar))
-        for name, (camera_from_lidar, boxes_2d) in pictures.items()
+        for name, (camera_from_lidar, boxes_2d) in images.items()
     }
 
 
@@ -74,18 +74,18 @@ def log_odds(share):
 BOTH_SEE, ONLY_LEFT = (20.0, 7.0, -0.5), (10.0, 14.0, -0.5)
 
 
-def test_a_box_of_the_sweep_is_one_object_to_which_each_picture_adds_its_evidence():
+def test_a_box_of_the_sweep_is_one_object_to_which_each_image_adds_its_evidence():
     boxes = sweep((*BOTH_SEE, 0.6), (*ONLY_LEFT, 0.7), (-15, 0, 0, 0.5))
     found = views(
         boxes,
-        front=(FRONT, picture(FRONT, BOTH_SEE)),
-        left=(LEFT, picture(LEFT, ONLY_LEFT, BOTH_SEE)),
+        front=(FRONT, image(FRONT, BOTH_SEE)),
+        left=(LEFT, image(LEFT, ONLY_LEFT, BOTH_SEE)),
     )
     merged = merge_views(boxes, found)
     assert merged.objects.rows_3d.tolist() == [0, 1, 2]
     assert merged.rows["front"].tolist() == merged.rows["left"].tolist() == [0, 1, 2]
     assert merged.cameras.tolist()[1:] == [1, NO_BOX]
-    # a camera that looks back at the first two cars tells nothing of them
+    # a camera that looks back at the first two cars states nothing of them
     of_sweep = log_odds(views(boxes, back=(BACK, NOTHING))["back"].scores[:2])
     front, left = (log_odds(found[name].scores[:2]) for name in ("front", "left"))
     np.testing.assert_allclose(
@@ -95,9 +95,9 @@ def test_a_box_of_the_sweep_is_one_object_to_which_each_picture_adds_its_evidenc
     assert merged.objects.scores[0] > max(found["front"].scores[0], found["left"].scores[0])
 
 
-def test_a_picture_that_does_not_show_a_place_changes_nothing_and_one_that_misses_it_does():
+def test_an_image_that_does_not_show_a_location_changes_nothing_and_one_that_misses_it_does():
     boxes = sweep((*BOTH_SEE, 0.6))
-    seen = {"front": (FRONT, picture(FRONT, BOTH_SEE))}
+    seen = {"front": (FRONT, image(FRONT, BOTH_SEE))}
     front = merge_views(boxes, views(boxes, **seen)).objects
     blind = merge_views(boxes, views(boxes, **seen, back=(BACK, NOTHING))).objects
     missed = merge_views(boxes, views(boxes, **seen, left=(LEFT, NOTHING))).objects
@@ -107,13 +107,13 @@ def test_a_picture_that_does_not_show_a_place_changes_nothing_and_one_that_misse
         np.testing.assert_array_equal(getattr(missed, name), getattr(front, name))
 
 
-def test_an_object_is_where_the_picture_says_that_knows_its_middle_best():
+def test_an_object_is_where_the_image_says_that_knows_its_middle_best():
     boxes = sweep((*BOTH_SEE, 0.6))
     found = views(
         boxes,
-        left=(LEFT, picture(LEFT, BOTH_SEE)),
+        left=(LEFT, image(LEFT, BOTH_SEE)),
         back=(BACK, NOTHING),
-        front=(FRONT, picture(FRONT, BOTH_SEE)),
+        front=(FRONT, image(FRONT, BOTH_SEE)),
     )
     merged = merge_views(boxes, found)
     traces = {name: view.center_covariances[0].trace() for name, view in found.items()}
@@ -124,12 +124,12 @@ def test_an_object_is_where_the_picture_says_that_knows_its_middle_best():
 
 
 def people(front, left, *, label_left="pedestrian"):
-    """Two pictures of people without a box in the sweep, whose list has a car behind."""
+    """Two images of people without a box in the sweep, whose list has a car behind."""
     boxes = sweep((-15, 0, 0, 0.5))
     found = views(
         boxes,
-        front=(FRONT, picture(FRONT, *front, label="pedestrian", size=PERSON)),
-        left=(LEFT, picture(LEFT, *left, label=label_left, size=PERSON)),
+        front=(FRONT, image(FRONT, *front, label="pedestrian", size=PERSON)),
+        left=(LEFT, image(LEFT, *left, label=label_left, size=PERSON)),
     )
     return found, merge_views(boxes, found)
 
@@ -137,7 +137,7 @@ def people(front, left, *, label_left="pedestrian"):
 SOMEBODY, ANOTHER = (12.0, 4.0, -0.6), (12.0, 8.0, -0.6)
 
 
-def test_a_person_whom_two_pictures_alone_show_is_one_and_more_likely():
+def test_a_person_whom_two_images_alone_show_is_one_and_more_likely():
     found, merged = people([SOMEBODY], [SOMEBODY])
     assert merged.objects.rows_3d.tolist() == [0, NO_BOX]
     assert merged.rows["front"].tolist() == merged.rows["left"].tolist() == [0, 1]
@@ -149,12 +149,12 @@ def test_a_person_whom_two_pictures_alone_show_is_one_and_more_likely():
     assert volume <= min(np.linalg.det(view.center_covariances[1]) for view in found.values()) * 1.1
 
 
-def test_two_pictures_of_one_kind_of_camera_multiply_the_odds_and_count_the_empty_sweep_once():
+def test_two_images_of_one_kind_of_camera_multiply_the_odds_and_count_the_empty_sweep_once():
     found, merged = people([SOMEBODY], [SOMEBODY])
     blank = sweep()
     without = {
         name: fuse_by_projection(
-            DetectionPair(blank, picture(how, SOMEBODY, label="pedestrian", size=PERSON), CAMERA, how)
+            DetectionPair(blank, image(how, SOMEBODY, label="pedestrian", size=PERSON), CAMERA, how)
         ).scores[0]
         for name, how in (("front", FRONT), ("left", LEFT))
     }
@@ -162,7 +162,7 @@ def test_two_pictures_of_one_kind_of_camera_multiply_the_odds_and_count_the_empt
         [view.scores[1] for view in found.values()], list(without.values()), rtol=1e-12
     )
     gained = log_odds(merged.objects.scores[1]) - log_odds(without["front"])
-    # the second picture adds what it says beyond a place of which nobody says anything
+    # the second image adds what it says beyond a location of which nobody says anything
     row = tables_of(DEFAULTS).existence[numbers_of(["pedestrian"], [])[0][0]]
     silent = row[columns.PRIOR] + np.log1p(-row[columns.RECALL_3D])
     assert gained == pytest.approx(log_odds(without["left"]) - silent, rel=1e-9)
@@ -171,7 +171,7 @@ def test_two_pictures_of_one_kind_of_camera_multiply_the_odds_and_count_the_empt
 @pytest.mark.parametrize(
     ("front", "left", "label"),
     [([SOMEBODY], [ANOTHER], "pedestrian"), ([SOMEBODY], [SOMEBODY], "car")],
-    ids=["another place", "another class"],
+    ids=["another location", "another class"],
 )
 def test_what_is_elsewhere_or_something_else_stays_two(front, left, label):
     found, merged = people(front, left, label_left=label)
@@ -182,16 +182,16 @@ def test_what_is_elsewhere_or_something_else_stays_two(front, left, label):
     np.testing.assert_allclose(merged.objects.scores[1], found["front"].scores[1], rtol=1e-9)
 
 
-def test_each_person_of_one_picture_finds_the_own_one_in_the_other():
+def test_each_person_of_one_image_finds_the_own_one_in_the_other():
     _, merged = people([SOMEBODY, ANOTHER], [ANOTHER, SOMEBODY])
     assert len(merged) == 3
     assert merged.rows["front"].tolist() == [0, 1, 2]
     assert merged.rows["left"].tolist() == [0, 2, 1]
 
 
-def test_the_same_place_told_twice_is_no_better_known():
+def test_the_same_location_reported_twice_is_no_better_known():
     boxes = sweep()
-    box = picture(FRONT, SOMEBODY, label="pedestrian", size=PERSON)
+    box = image(FRONT, SOMEBODY, label="pedestrian", size=PERSON)
     found = views(boxes, one=(FRONT, box), other=(FRONT, box))
     merged = merge_views(boxes, found)
     assert len(merged) == 1
@@ -209,7 +209,7 @@ def test_without_boxes_there_are_no_objects():
     assert {name: len(rows) for name, rows in merged.rows.items()} == {"front": 0, "left": 0}
 
 
-def test_boxes_without_a_place_are_in_no_list_and_the_others_keep_their_numbers():
+def test_boxes_without_a_location_are_in_no_list_and_the_others_keep_their_numbers():
     boxes = sweep((np.nan, 0, 0, 0.5), (*BOTH_SEE, np.nan))
     merged = merge_views(boxes, views(boxes, front=(FRONT, NOTHING), left=(LEFT, NOTHING)))
     assert merged.objects.rows_3d.tolist() == [1]

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.detections.outlines import boxes_with_area, boxes_with_place, project_outlines
+from sceneloom.detections.outlines import boxes_with_area, boxes_with_position, project_outlines
 from sceneloom.geometry.rigid import RigidTransform
 
-LENS = (-0.12, 0.03, 5e-4, -3e-4, -2e-3)
-CAMERA = Camera("brown_conrady", 1242, 375, 720.0, 721.0, 610.0, 173.0, LENS)
+CAMERA_MODEL = (-0.12, 0.03, 5e-4, -3e-4, -2e-3)
+CAMERA = Camera("brown_conrady", 1242, 375, 720.0, 721.0, 610.0, 173.0, CAMERA_MODEL)
 CAMERA_FROM_LIDAR = RigidTransform(
     np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.array([0.05, -0.1, -0.3])
 )
@@ -26,13 +26,16 @@ def surface(center, size, yaw):
     faces = [
         np.roll(np.column_stack([np.full(a.size, s), a, b]), k, axis=1) for s in (-0.5, 0.5) for k in range(3)
     ]
-    turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
-    return np.vstack(faces) * size @ turn.T + center
+    rotation = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    return np.vstack(faces) * size @ rotation.T + center
 
 
 def cv2_outline(points_lidar):
     points = points_lidar @ CAMERA_FROM_LIDAR.rotation.T + CAMERA_FROM_LIDAR.translation
-    pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), CAMERA.matrix, np.array(LENS))[0][:, 0] + 0.5
+    pixels = (
+        cv2.projectPoints(points, np.zeros(3), np.zeros(3), CAMERA.matrix, np.array(CAMERA_MODEL))[0][:, 0]
+        + 0.5
+    )
     seen = pixels[((pixels >= 0) & (pixels <= (CAMERA.width, CAMERA.height))).all(axis=1)]
     return np.concatenate([seen.min(axis=0), seen.max(axis=0)]) if len(seen) else np.zeros(4)
 
@@ -59,21 +62,21 @@ def test_boxes_behind_or_around_the_camera_have_no_outline():
     assert not outlines.seen_shares.any()
 
 
-def test_a_box_that_reaches_behind_the_camera_is_cut_at_the_picture():
+def test_a_box_that_reaches_behind_the_camera_is_cut_at_the_image():
     # a wall 2 m to the left, from 30 m behind to 30 m ahead: 720 / 29.7 px a metre at its far end
     outlines = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes_of([[0, 2.5, 0]], [[60, 1, 2]], [0.0]))
     left, top, right, bottom = outlines.corners_xyxy[0]
     assert (left, bottom) == (0.0, pytest.approx(375.0))
     assert top == pytest.approx(0.0, abs=1e-6)
-    assert right == pytest.approx(610.5 - 720 * 1.95 / 29.7, abs=0.3)  # the lens bends it by less
+    assert right == pytest.approx(610.5 - 720 * 1.95 / 29.7, abs=0.3)  # the camera model bends it by less
 
 
 def test_what_stands_behind_a_nearer_box_is_seen_less():
-    # the same place in the picture, twice as far and half covered: 1 m wide at 10 m hides 2 m at 20 m
+    # the same location in the image, twice as far and half covered: 1 m wide at 10 m hides 2 m at 20 m
     centers, sizes = [[10.3, 0.5, 0], [20.5, 0, 0]], [[0.001, 1, 4], [0.001, 2, 1]]
     boxes = boxes_of(centers, sizes, [0.0, 0.0])
     shares = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes).seen_shares
-    assert shares[1] == pytest.approx(0.5, abs=0.05)  # the lens is 5 cm to the side
+    assert shares[1] == pytest.approx(0.5, abs=0.05)  # the camera model is 5 cm to the side
     doubtful = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes, likely=np.array([0.4, 1.0])).seen_shares
     assert doubtful[1] == pytest.approx(0.8, abs=0.02)
     twice = boxes_of([[20.3, 0.5, 0], [20.5, 0, 0]], sizes, [0.0, 0.0])
@@ -83,13 +86,13 @@ def test_what_stands_behind_a_nearer_box_is_seen_less():
 ODD = (0.0, -1.0, np.nan, np.inf, -np.inf)
 
 
-def test_boxes_have_a_place_where_all_numbers_are_finite_and_sizes_above_0():
+def test_boxes_have_a_location_where_all_numbers_are_finite_and_sizes_above_0():
     numbers = np.ones((1 + 7 * len(ODD), 7))
     for k, (column, value) in enumerate((column, value) for column in range(7) for value in ODD):
         numbers[k + 1, column] = value
     expected = np.isfinite(numbers).all(axis=1) & (numbers[:, 3:6] > 0).all(axis=1)
     parts = (np.ascontiguousarray(numbers[:, part]) for part in (slice(0, 3), slice(3, 6), 6))
-    boxes, rows = boxes_with_place(*parts)
+    boxes, rows = boxes_with_position(*parts)
     np.testing.assert_array_equal(rows, np.flatnonzero(expected))
     np.testing.assert_array_equal(boxes, numbers[expected])
     assert 0 < expected.sum() < len(expected)

@@ -39,7 +39,7 @@ def boxes_3d(*rows, labels=None, **more):
 
 
 def boxes_2d(*rows, labels=None):
-    """Boxes in the picture: left, top, right, bottom and score of each."""
+    """Boxes in the image: left, top, right, bottom and score of each."""
     numbers = np.array(rows, np.float64).reshape(-1, 5)
     return Boxes2D(9, numbers[:, :4], numbers[:, 4], labels or ("car",) * len(numbers))
 
@@ -87,14 +87,14 @@ def test_a_box_behind_the_camera_is_kept_as_it_is():
     assert not result.corners_xyxy.any()
 
 
-def test_a_box_of_the_sweep_that_the_picture_should_have_shown_becomes_less_likely():
+def test_a_box_of_the_sweep_that_the_image_should_have_shown_becomes_less_likely():
     result = fused(boxes_3d((20, 3, -1, 0.6)), boxes_2d())
     odds = 0.6 / 0.4 * (1 - 0.9)
     assert result.scores[0] == pytest.approx(odds / (1 + odds), rel=1e-12)
     np.testing.assert_allclose(result.corners_xyxy[0], outline(20, 3, -1), atol=1e-9)
 
 
-def test_a_box_of_the_sweep_that_is_tiny_in_the_picture_stays_as_likely():
+def test_a_box_of_the_sweep_that_is_tiny_in_the_image_stays_as_likely():
     result = fused(boxes_3d((60, 3, -1, 0.6)), boxes_2d())
     assert result.scores[0] == pytest.approx(0.6, rel=1e-12)
 
@@ -104,7 +104,7 @@ def test_a_box_of_the_sweep_that_a_nearer_one_hides_stays_as_likely():
     assert result.scores[1] == pytest.approx(0.6 * 0.91 / (0.6 * 0.91 + 0.4), rel=1e-12)
 
 
-def test_a_box_of_the_picture_alone_has_its_ray_and_less_existence():
+def test_a_box_of_the_image_alone_has_its_ray_and_less_existence():
     two = boxes_2d((700, 250, 750, 350, 0.8), labels=("pedestrian",))
     result = fused(boxes_3d((-20, 0, 0, 0.5)), two)
     assert result.rows_3d.tolist() == [0, NO_BOX]
@@ -117,7 +117,7 @@ def test_a_box_of_the_picture_alone_has_its_ray_and_less_existence():
     assert (result.sizes_lwh[1] > 0).all()
 
 
-def test_boxes_of_the_picture_alone_are_left_out_on_request():
+def test_boxes_of_the_image_alone_are_left_out_on_request():
     pair = DetectionPair(
         boxes_3d((20, 3, -1, 0.6)), boxes_2d((700, 250, 750, 350, 0.8)), CAMERA, CAMERA_FROM_LIDAR
     )
@@ -148,7 +148,7 @@ def test_a_car_and_a_person_are_never_one_object():
     assert len(result) == 2
 
 
-def test_of_two_boxes_on_one_place_the_surer_one_gets_the_partner():
+def test_of_two_boxes_on_one_location_the_surer_one_gets_the_partner():
     three = boxes_3d((20, 3, -1, 0.4), (20, 3, -1, 0.6))
     assert fused(three, boxes_2d((*outline(20, 3, -1), 0.5))).rows_2d.tolist() == [NO_BOX, 0]
 
@@ -160,7 +160,7 @@ def test_equal_boxes_with_equal_scores_are_paired_one_to_one():
     assert sorted(result.rows_2d.tolist()) == [NO_BOX, NO_BOX, 0, 1, 2]
 
 
-def test_boxes_without_a_place_are_left_out_and_rows_count_them():
+def test_boxes_without_a_location_are_left_out_and_rows_count_them():
     three = boxes_3d((np.nan, 3, -1, 0.6), (20, 3, -1, 0.6), (np.inf, 0, 0, 0.5))
     two = boxes_2d((50, 50, 40, 60, 0.5), (*outline(20, 3, -1), 0.5), (0, 0, np.nan, 9, 0.5))
     result = fused(three, two)
@@ -175,7 +175,7 @@ def test_scores_that_are_no_numbers_leave_numbers():
     assert result.scores[1] == pytest.approx(0.1, rel=1e-12)
 
 
-def test_velocities_come_from_the_sweep_and_are_zero_for_the_picture_alone():
+def test_velocities_come_from_the_sweep_and_are_zero_for_the_image_alone():
     three = boxes_3d((20, 3, -1, 0.6), velocities=np.array([[5.0, 1.0, 0.0]]))
     result = fused(three, boxes_2d((700, 250, 750, 350, 0.8)))
     assert result.velocities.tolist() == [[5.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
@@ -187,7 +187,7 @@ def test_the_object_of_both_is_surer_across_the_line_of_sight_than_the_sweep_alo
     alone, both = fused(three, boxes_2d()), fused(three, boxes_2d((*outline(30, 3, -1), 0.8)))
     np.testing.assert_allclose(both.centers, alone.centers, atol=1e-6)
     before, after = (result.center_covariances[0].diagonal() for result in (alone, both))
-    # 1 px at 30 m is 6 cm, so 3 px are not much better than the sweep; along the sight there is nothing to win
+    # 1 px at 30 m is 6 cm, so 3 px are not much better than the sweep; along the visibility there is nothing to win
     assert (after[1:] < 0.95 * before[1:]).all()
     assert after[0] == pytest.approx(before[0], rel=0.05)
     assert (np.linalg.eigvalsh(both.size_covariances[0]) > 0).all()
@@ -195,7 +195,7 @@ def test_the_object_of_both_is_surer_across_the_line_of_sight_than_the_sweep_alo
 
 def test_a_thousand_boxes_on_each_side_find_their_partners():
     generator = np.random.default_rng(0)
-    places = np.column_stack(
+    locations = np.column_stack(
         [
             np.full(1000, 300.0),
             *(grid.ravel() for grid in np.mgrid[-240:240:40j, -100:100:25j]),
@@ -203,8 +203,8 @@ def test_a_thousand_boxes_on_each_side_find_their_partners():
         ]
     )
     order = generator.permutation(1000)
-    two = boxes_2d(*[(*outline(*places[k, :3]), 0.5) for k in order])
-    result = fused(boxes_3d(*places), two)
+    two = boxes_2d(*[(*outline(*locations[k, :3]), 0.5) for k in order])
+    result = fused(boxes_3d(*locations), two)
     assert len(result) == 1000
     np.testing.assert_array_equal(order[result.rows_2d], np.arange(1000))
 

@@ -11,8 +11,8 @@ from sceneloom.detections.results import NO_BOX
 from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform
 
-LENS = (-0.12, 0.03, 5e-4, -3e-4, -2e-3)
-CAMERA = Camera("brown_conrady", 1242, 375, 720.0, 721.0, 610.0, 173.0, LENS)
+CAMERA_MODEL = (-0.12, 0.03, 5e-4, -3e-4, -2e-3)
+CAMERA = Camera("brown_conrady", 1242, 375, 720.0, 721.0, 610.0, 173.0, CAMERA_MODEL)
 CAMERA_FROM_LIDAR = RigidTransform(
     np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.array([0.05, -0.1, -0.3])
 )
@@ -24,14 +24,17 @@ COVARIANCE = np.diag([0.3, 0.25, 0.2, 0.3, 0.15, 0.12]) ** 2
 
 def bounds(state, yaw=YAW):
     """Left, top, right and bottom of the corners of a box, by OpenCV."""
-    turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
-    corners = state[:3] + (CORNER_SIGNS * state[3:] / 2) @ turn.T
+    rotation = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    corners = state[:3] + (CORNER_SIGNS * state[3:] / 2) @ rotation.T
     points = corners @ CAMERA_FROM_LIDAR.rotation.T + CAMERA_FROM_LIDAR.translation
-    pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), CAMERA.matrix, np.array(LENS))[0][:, 0] + 0.5
+    pixels = (
+        cv2.projectPoints(points, np.zeros(3), np.zeros(3), CAMERA.matrix, np.array(CAMERA_MODEL))[0][:, 0]
+        + 0.5
+    )
     return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
 
 
-def told(box_xyxy):
+def reported(box_xyxy):
     left, top, right, bottom = box_xyxy
     return np.array([(left + right) / 2, (top + bottom) / 2, bottom - top])
 
@@ -54,7 +57,10 @@ def test_the_update_is_that_of_the_information_form():
     partner = bounds(before) + np.array([1.5, -0.8, 2.4, 0.9])
     step = 1e-4
     slopes = np.column_stack(
-        [(told(bounds(before + step * e)) - told(bounds(before - step * e))) / (2 * step) for e in np.eye(6)]
+        [
+            (reported(bounds(before + step * e)) - reported(bounds(before - step * e))) / (2 * step)
+            for e in np.eye(6)
+        ]
     )
     wide, high = partner[2:] - partner[:2]
     noise = np.array(
@@ -66,7 +72,7 @@ def test_the_update_is_that_of_the_information_form():
     )
     information = np.linalg.inv(COVARIANCE) + slopes.T @ np.diag(noise**-2) @ slopes
     expected = np.linalg.inv(information)
-    residual = told(partner) - told(bounds(before))
+    residual = reported(partner) - reported(bounds(before))
     state, covariance = sharpened(CENTER, partner)
     # slopes by differences of OpenCV's pixels are good to six digits
     np.testing.assert_allclose(covariance, expected, rtol=1e-5, atol=1e-9)
@@ -80,8 +86,8 @@ def test_a_partner_that_is_elsewhere_changes_nothing():
     np.testing.assert_array_equal(covariance, COVARIANCE)
 
 
-def test_what_the_border_cuts_tells_only_of_the_other_direction():
-    # the left side of this car is out of the picture
+def test_what_the_border_cuts_reports_only_of_the_other_direction():
+    # the left side of this car is out of the image
     center = np.array([20.0, 17.5, -0.8])
     partner = np.array([0.0, *bounds(np.concatenate([center, SIZE]))[1:]])
     assert partner[2] > 10.0
@@ -107,7 +113,7 @@ def test_errors_are_as_large_as_the_covariance_says():
     squares = []
     for _ in range(400):
         start = generator.multivariate_normal(truth, COVARIANCE)[:3]
-        # errors of the middle of the picture's box, none of its size: sizes are right to begin with
+        # errors of the middle of the image's box, none of its size: sizes are right to begin with
         shift = generator.normal(size=2) * (MIDDLE_SIGMAS[0] + MIDDLE_SIGMAS[1] * np.array([wide, high]))
         state, covariance = sharpened(start, box + np.tile(shift, 2))
         error = state[:3] - CENTER

@@ -1,4 +1,4 @@
-"""A calibration that is wrong, told by boxes that are made up."""
+"""A calibration that is wrong, reported by boxes that are made up."""
 
 from dataclasses import replace
 
@@ -13,8 +13,8 @@ from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.detections import Boxes2D, Boxes3D
 
-LENS = (-0.12, 0.03, 5e-4, -3e-4, -2e-3)
-CAMERA = Camera("brown_conrady", 1242, 375, 720.0, 721.0, 610.0, 173.0, LENS)
+CAMERA_MODEL = (-0.12, 0.03, 5e-4, -3e-4, -2e-3)
+CAMERA = Camera("brown_conrady", 1242, 375, 720.0, 721.0, 610.0, 173.0, CAMERA_MODEL)
 CAMERA_FROM_LIDAR = RigidTransform(
     np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.array([0.05, -0.1, -0.3])
 )
@@ -25,14 +25,17 @@ def shown(center):
     """The corners of a car that heads along x, bounded, by OpenCV."""
     points = (center + CORNER_SIGNS * SIZE / 2) @ CAMERA_FROM_LIDAR.rotation.T
     points = points + CAMERA_FROM_LIDAR.translation
-    pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), CAMERA.matrix, np.array(LENS))[0][:, 0] + 0.5
+    pixels = (
+        cv2.projectPoints(points, np.zeros(3), np.zeros(3), CAMERA.matrix, np.array(CAMERA_MODEL))[0][:, 0]
+        + 0.5
+    )
     return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
 
 
-def pairs(turn_deg, *, count=40, seed=3):
-    """Pictures of cars whose sweeps are taken with a camera that is turned from where it is said to be."""
+def pairs(rotation_deg, *, count=40, seed=3):
+    """Images of cars whose sweeps are taken with a camera that is rotated from where it is stated to be."""
     generator = np.random.default_rng(seed)
-    turn = RigidTransform(cv2.Rodrigues(np.radians(turn_deg))[0], np.zeros(3))
+    rotation = RigidTransform(cv2.Rodrigues(np.radians(rotation_deg))[0], np.zeros(3))
     for _ in range(count):
         ahead = generator.uniform(12.0, 40.0, 5)
         centers = np.column_stack(
@@ -44,39 +47,39 @@ def pairs(turn_deg, *, count=40, seed=3):
         corners[0] = [700.0, 150.0, 790.0, 200.0]
         three = Boxes3D(0, noisy, np.tile(SIZE, (5, 1)), np.zeros(5), np.ones(5), ("Car",) * 5)
         two = Boxes2D(0, corners, np.ones(5), ("car",) * 5)
-        yield DetectionPair(three, two, CAMERA, turn @ CAMERA_FROM_LIDAR)
+        yield DetectionPair(three, two, CAMERA, rotation @ CAMERA_FROM_LIDAR)
 
 
-def told(turn_deg, **more):
+def reported(rotation_deg, **more):
     residuals = BoxResiduals()
-    for pair in pairs(np.array(turn_deg, np.float64), **more):
+    for pair in pairs(np.array(rotation_deg, np.float64), **more):
         residuals.add(pair)
     return residuals
 
 
-@pytest.mark.parametrize("turn", [(2.0, 0, 0), (0, -2.0, 0), (0, 0, 2.5), (1.2, 1.2, -1.2)])
-def test_a_turn_is_found_and_told(turn):
-    residuals = told(turn)
+@pytest.mark.parametrize("rotation", [(2.0, 0, 0), (0, -2.0, 0), (0, 0, 2.5), (1.2, 1.2, -1.2)])
+def test_a_rotation_is_found_and_reported(rotation):
+    residuals = reported(rotation)
     found = residuals.misalignment()
-    # 200 cars, each known to a pixel or a tenth of a degree; about the axis of sight ten times worse
-    np.testing.assert_allclose(found.rotation_deg, -np.array(turn), atol=0.3)
+    # 200 cars, each known to a pixel or a tenth of a degree; about the axis of visibility ten times worse
+    np.testing.assert_allclose(found.rotation_deg, -np.array(rotation), atol=0.3)
     assert found.is_wrong
-    (notice,) = residuals.notices("front")
-    assert notice.place == "front"
+    (warning,) = residuals.warnings("front")
+    assert warning.location == "front"
 
 
-@pytest.mark.parametrize("turn", [(0, 0, 0), (0.3, -0.3, 0)])
-def test_a_calibration_that_is_right_is_not_told(turn):
-    residuals = told(turn)
+@pytest.mark.parametrize("rotation", [(0, 0, 0), (0.3, -0.3, 0)])
+def test_a_calibration_that_is_right_is_not_reported(rotation):
+    residuals = reported(rotation)
     assert residuals.misalignment().angle_deg < 0.8
-    assert residuals.notices("front") == []
+    assert residuals.warnings("front") == []
 
 
-def test_too_few_boxes_say_nothing():
-    assert told((2.0, 0, 0), count=2).notices("front") == []
+def test_too_few_boxes_state_nothing():
+    assert reported((2.0, 0, 0), count=2).warnings("front") == []
 
 
-def test_empty_lists_and_other_classes_say_nothing():
+def test_empty_lists_and_other_classes_state_nothing():
     residuals = BoxResiduals()
     for pair in pairs(np.zeros(3), count=3):
         two = pair.boxes_2d
@@ -85,21 +88,21 @@ def test_empty_lists_and_other_classes_say_nothing():
     assert residuals.misalignment() is None
 
 
-def test_what_is_said_of_its_uncertainty_is_how_turns_scatter():
-    turns = [told((0.5, -0.5, 1.0), count=20, seed=seed).turn() for seed in range(12)]
-    planted = -np.radians([0.5, -0.5, 1.0])
-    errors = np.array([found.rotation - planted for found in turns])
+def test_what_is_stated_for_its_uncertainty_is_how_rotates_scatter():
+    rotations = [reported((0.5, -0.5, 1.0), count=20, seed=seed).rotation() for seed in range(12)]
+    injected = -np.radians([0.5, -0.5, 1.0])
+    errors = np.array([found.rotation - injected for found in rotations])
     # what bounded boxes have in common is not chance, and not in the covariance
     errors -= errors.mean(axis=0)
-    said = np.sqrt(np.mean([np.diag(found.covariance) for found in turns], axis=0))
-    # twelve drives tell a deviation to a fifth, and twenty blocks another fifth
-    assert (np.abs(np.log(errors.std(axis=0) / said)) < np.log(2.0)).all()
-    assert all(found.agreeing > 5 * found.by_chance and found.pictures == 20 for found in turns)
+    stated = np.sqrt(np.mean([np.diag(found.covariance) for found in rotations], axis=0))
+    # twelve drives report a deviation to a fifth, and twenty blocks another fifth
+    assert (np.abs(np.log(errors.std(axis=0) / stated)) < np.log(2.0)).all()
+    assert all(found.agreeing > 5 * found.by_chance and found.images == 20 for found in rotations)
 
 
-def test_boxes_of_other_pictures_agree_about_no_turn():
+def test_boxes_of_other_images_agree_about_no_rotation():
     residuals, shown = BoxResiduals(), list(pairs(np.zeros(3)))
     for pair, other in zip(shown, shown[20:] + shown[:20], strict=True):
         residuals.add(replace(pair, boxes_2d=other.boxes_2d))
-    found = residuals.turn()
+    found = residuals.rotation()
     assert found is None or found.agreeing < max(40, 2 * found.by_chance)

@@ -1,4 +1,4 @@
-"""A drive on a circle whose every place is known by formula, and things seen on it."""
+"""A drive on a circle whose every location is known by formula, and things seen on it."""
 
 from dataclasses import dataclass, replace
 
@@ -8,6 +8,7 @@ import pytest
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
+    CameraImage,
     CameraSensor,
     CuboidAnnotation,
     CuboidPath,
@@ -16,9 +17,8 @@ from sceneloom.scene import (
     LidarPoints,
     LidarSensor,
     OdometrySensor,
-    Picture,
     PointsFrame,
-    PosePath,
+    Poses,
     RadarFrame,
     RadarPoints,
     RadarSensor,
@@ -27,14 +27,14 @@ from sceneloom.scene import (
 )
 
 RADIUS, RATE = 20.0, 0.5
-"""The circle [m], and how fast the ego turns on it [rad/s]."""
+"""The circle [m], and how fast the ego rotates on it [rad/s]."""
 
 MOUNT = RigidTransform.from_quaternion(
     np.array([1.0, 0.2, 1.5]), np.array([0.0, 0.0, np.sin(0.3), np.cos(0.3)])
 )
 """`ego_from_lidar`."""
 
-LENS = Camera("pinhole", 8, 6, 5.0, 5.0, 3.5, 2.5)
+CAMERA_MODEL = Camera("pinhole", 8, 6, 5.0, 5.0, 3.5, 2.5)
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class CircleDrive:
     period_ns: int = 100_000_000
 
     @property
-    def stamps_ns(self):
+    def timestamps_ns(self):
         """Of the frames."""
         return np.arange(self.frames, dtype=np.int64) * self.period_ns
 
@@ -59,11 +59,11 @@ class CircleDrive:
         )
 
     def path(self, hz=100, beyond_ns=0):
-        """The way of the ego with so many poses a second; at the frames' times it is exact."""
+        """The ego trajectory with so many poses a second; at the frames' times it is exact."""
         step = 1_000_000_000 // hz
-        times = np.arange(-beyond_ns, int(self.stamps_ns[-1]) + beyond_ns + 1, step, dtype=np.int64)
+        times = np.arange(-beyond_ns, int(self.timestamps_ns[-1]) + beyond_ns + 1, step, dtype=np.int64)
         poses = [self.world_from_ego(int(time_ns)) for time_ns in times]
-        return PosePath(
+        return Poses(
             times, np.array([p.translation for p in poses]), np.array([p.quaternion_xyzw for p in poses])
         )
 
@@ -75,14 +75,15 @@ class CircleDrive:
         """A lidar, a radar and a camera on the ego, an odometry sensor, and a trajectory of the same poses."""
         lidar = LidarSensor("lidar", self._frames(LidarFrame, LidarPoints, points_frame), mount=MOUNT)
         radar = RadarSensor("radar", self._frames(RadarFrame, RadarPoints, points_frame), mount=MOUNT)
-        pictures = [
-            Picture.of(int(t), LENS, np.zeros((6, 8, 3), np.uint8)) for t in self.stamps_ns + 20_000_000
+        images = [
+            CameraImage.of(int(t), CAMERA_MODEL, np.zeros((6, 8, 3), np.uint8))
+            for t in self.timestamps_ns + 20_000_000
         ]
         camera = CameraSensor(
-            "camera", LENS, LazyFrames.of(pictures, [p.timestamp_ns for p in pictures]), mount=MOUNT
+            "camera", CAMERA_MODEL, LazyFrames.of(images, [p.timestamp_ns for p in images]), mount=MOUNT
         )
         path = self.path(beyond_ns=100_000_000)
-        way = Trajectory("ego", path.timestamps_ns, path.positions, path.quaternions_xyzw)
+        trajectory = Trajectory("ego", path.timestamps_ns, path.positions, path.quaternions_xyzw)
         return Scene(
             (
                 replace(lidar, points_frame=points_frame),
@@ -91,12 +92,12 @@ class CircleDrive:
                 OdometrySensor("ego", path),
             ),
             tuple(annotations),
-            trajectories={"ego": way},
+            trajectories={"ego": trajectory},
         )
 
     def frame_from_world(self, k, points_frame):
         """By formula, at the time of frame `k`."""
-        ego_from_world = self.world_from_ego(int(self.stamps_ns[k])).inverse()
+        ego_from_world = self.world_from_ego(int(self.timestamps_ns[k])).inverse()
         return {
             PointsFrame.WORLD: RigidTransform.identity(),
             PointsFrame.EGO: ego_from_world,
@@ -105,7 +106,7 @@ class CircleDrive:
 
     def _frames(self, frame_type, points_type, points_frame):
         frames = []
-        for k, time_ns in enumerate(self.stamps_ns.tolist()):
+        for k, time_ns in enumerate(self.timestamps_ns.tolist()):
             transform = self.frame_from_world(k, points_frame)
             positions = transform.apply(self.points_world(k)).astype(np.float32)
             further = {}
@@ -114,7 +115,7 @@ class CircleDrive:
                 unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
                 further = {"directions": unit.astype(np.float32)}
             frames.append(frame_type(time_ns, points_type(positions, **further)))
-        return LazyFrames.of(frames, self.stamps_ns.tolist())
+        return LazyFrames.of(frames, self.timestamps_ns.tolist())
 
 
 @pytest.fixture
@@ -136,7 +137,7 @@ def box():
 
 
 def _box(identifier, times_ns, centers, yaw_deg=0.0, **fields):
-    """A cuboid of 4 x 2 x 1.5 m that goes through these places."""
+    """A cuboid of 4 x 2 x 1.5 m that goes through these locations."""
     rows = np.zeros((len(times_ns), 9))
     rows[:, :3] = 4.0, 2.0, 1.5
     rows[:, 3:6] = centers

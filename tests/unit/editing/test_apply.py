@@ -21,20 +21,20 @@ from sceneloom.scene import (
     OdometrySensor,
     PointsFrame,
     PointsSensor,
-    PosePath,
+    Poses,
     Projection,
     ShapeAnnotation,
     ShapeType,
     VertexPath,
 )
 
-TURN_RATE = 0.2
-"""Of the adjustment that turns about z and climbs [rad/s], [m/s]."""
+YAW_RATE = 0.2
+"""Of the adjustment that rotates about z and climbs [rad/s], [m/s]."""
 
 
-def mended(time_s):
+def repaired(time_s):
     """The adjustment by formula, before it is cut into poses."""
-    half = TURN_RATE * time_s / 2
+    half = YAW_RATE * time_s / 2
     return RigidTransform.from_quaternion(
         np.array([3.0, -2.0, time_s]), np.array([0.0, 0.0, np.sin(half), np.cos(half)])
     )
@@ -42,28 +42,28 @@ def mended(time_s):
 
 def adjustment(times_s=(0.0, 0.1, 0.2, 0.3, 0.4)):
     """The same as an annotation with these poses."""
-    poses = [mended(time_s) for time_s in times_s]
-    path = PosePath(
+    poses = [repaired(time_s) for time_s in times_s]
+    path = Poses(
         np.rint(np.array(times_s) * 1e9).astype(np.int64),
         np.array([pose.translation for pose in poses]),
         np.array([pose.quaternion_xyzw for pose in poses]),
     )
-    return LocalizationAdjustment("mend", path)
+    return LocalizationAdjustment("repair", path)
 
 
 def test_points_in_the_world_are_moved_at_the_time_of_their_frame(drive):
     applied = apply_corrections(drive.scene(PointsFrame.WORLD, [adjustment()]))
     for k, frame in enumerate(applied.sensor("lidar").frames):
-        expected = mended(k * 0.1).apply(drive.points_world(k))
+        expected = repaired(k * 0.1).apply(drive.points_world(k))
         np.testing.assert_allclose(frame.points.positions, expected, atol=1e-5)  # float32 at 40 m
     assert applied.annotations == ()
-    assert applied.metadata["sceneloom"]["applied"] == [{"id": "mend", "type": "localization_adjustment"}]
+    assert applied.metadata["sceneloom"]["applied"] == [{"id": "repair", "type": "localization_adjustment"}]
 
 
-def test_directions_of_a_radar_turn_with_the_world(drive):
+def test_directions_of_a_radar_rotate_with_the_world(drive):
     before = drive.scene(PointsFrame.WORLD).sensor("radar").frames[4].points.directions
     after = apply_corrections(drive.scene(PointsFrame.WORLD, [adjustment()])).sensor("radar").frames[4]
-    np.testing.assert_allclose(after.points.directions, mended(0.4).rotate(before), atol=1e-6)
+    np.testing.assert_allclose(after.points.directions, repaired(0.4).rotate(before), atol=1e-6)
 
 
 def test_odometry_trajectories_and_poses_are_moved(drive):
@@ -76,7 +76,7 @@ def test_odometry_trajectories_and_poses_are_moved(drive):
             (drive.world_from_ego(time_ns), applied.trajectories["ego"].poses),
             (drive.world_from_ego(time_ns) @ drive_mount(drive), applied.sensor("lidar").poses),
         ):
-            expected = mended(time_s) @ body
+            expected = repaired(time_s) @ body
             found = path.interpolate(np.array([time_ns]))
             np.testing.assert_allclose(found.positions[0], expected.translation, atol=1e-9)
             away = Rotation.from_quat(found.quaternions_xyzw[0]).inv() * Rotation.from_matrix(
@@ -93,30 +93,30 @@ def drive_mount(drive):
 def test_annotations_are_moved_at_their_keyframes(drive, box):
     corner = np.array([[1.0, 2.0, 3.0]])
     annotations = [
-        box("a", drive.stamps_ns, np.arange(15.0).reshape(5, 3), 40.0),
-        ShapeAnnotation("b", ShapeType.POINT, VertexPath(drive.stamps_ns[2:3], (corner,))),
+        box("a", drive.timestamps_ns, np.arange(15.0).reshape(5, 3), 40.0),
+        ShapeAnnotation("b", ShapeType.POINT, VertexPath(drive.timestamps_ns[2:3], (corner,))),
         box("parked", [300_000_000], [[5.0, 5, 5]], stationary=True),
         adjustment(),
     ]
     applied = {a.id: a for a in apply_corrections(drive.scene(annotations=annotations)).annotations}
-    for row in applied["a"].path.values[np.isin(applied["a"].path.timestamps_ns, drive.stamps_ns)]:
+    for row in applied["a"].path.values[np.isin(applied["a"].path.timestamps_ns, drive.timestamps_ns)]:
         assert row.shape == (9,)
-    for k, time_ns in enumerate(drive.stamps_ns.tolist()):
+    for k, time_ns in enumerate(drive.timestamps_ns.tolist()):
         row = applied["a"].path.values[applied["a"].path.timestamps_ns == time_ns][0]
-        place = mended(k * 0.1).apply(np.array([3.0 * k, 3 * k + 1, 3 * k + 2]))
-        np.testing.assert_allclose(row[3:6], place, atol=1e-9)
-        np.testing.assert_allclose(row[8], 40.0 + np.degrees(TURN_RATE * k * 0.1), atol=1e-6)
-    np.testing.assert_allclose(applied["b"].path.vertices[0], mended(0.2).apply(corner), atol=1e-9)
-    # what stands still does so in the mended world, too, where its own keyframe says
+        location = repaired(k * 0.1).apply(np.array([3.0 * k, 3 * k + 1, 3 * k + 2]))
+        np.testing.assert_allclose(row[3:6], location, atol=1e-9)
+        np.testing.assert_allclose(row[8], 40.0 + np.degrees(YAW_RATE * k * 0.1), atol=1e-6)
+    np.testing.assert_allclose(applied["b"].path.vertices[0], repaired(0.2).apply(corner), atol=1e-9)
+    # what is stationary does so in the repaired world, too, where its own keyframe says
     assert applied["parked"].stationary
     np.testing.assert_allclose(
-        applied["parked"].path.values[:, 3:6], mended(0.3).apply(np.full((1, 3), 5.0)), atol=1e-9
+        applied["parked"].path.values[:, 3:6], repaired(0.3).apply(np.full((1, 3), 5.0)), atol=1e-9
     )
 
 
 def test_an_adjustment_holds_beyond_its_ends(drive):
     applied = apply_corrections(drive.scene(PointsFrame.WORLD, [adjustment((0.1, 0.2))]))
-    expected = mended(0.2).apply(drive.points_world(4))
+    expected = repaired(0.2).apply(drive.points_world(4))
     np.testing.assert_allclose(applied.sensor("lidar").frames[4].points.positions, expected, atol=1e-5)
 
 
@@ -124,12 +124,12 @@ def test_an_adjustment_of_one_pose_moves_maps_too(drive):
     scene = drive.scene(PointsFrame.WORLD, [adjustment((0.3,))])
     chart = PointsSensor("map", np.array([[1.0, 2, 3]], np.float32))
     applied = apply_corrections(replace(scene, sensors=(*scene.sensors, chart)))
-    expected = mended(0.3).apply(np.array([[1.0, 2, 3]]))
+    expected = repaired(0.3).apply(np.array([[1.0, 2, 3]]))
     np.testing.assert_allclose(applied.sensor("map").positions, expected, atol=1e-6)
 
 
 def test_an_adjustment_of_an_ego_scene_leads_into_the_world(drive, box):
-    seen = box("a", drive.stamps_ns[1:2], [[7.0, 1.0, 0]], 10.0)
+    seen = box("a", drive.timestamps_ns[1:2], [[7.0, 1.0, 0]], 10.0)
     scene = to_ego(drive.scene())
     other = LocalizationAdjustment("lead", drive.path(beyond_ns=100_000_000).moved(np.array([0.0, 0, -5.0])))
     scene = replace(scene, annotations=(seen, other))
@@ -150,9 +150,9 @@ def test_an_adjustment_of_an_ego_scene_leads_into_the_world(drive, box):
 
 def test_what_an_adjustment_undoes_comes_out_as_it_was(drive):
     there = adjustment((0.2,))
-    back = mended(0.2).inverse()
+    back = repaired(0.2).inverse()
     undo = LocalizationAdjustment(
-        "undo", PosePath(np.zeros(1, np.int64), back.translation[None], back.quaternion_xyzw[None])
+        "undo", Poses(np.zeros(1, np.int64), back.translation[None], back.quaternion_xyzw[None])
     )
     applied = apply_corrections(drive.scene(PointsFrame.WORLD, [there, undo]))
     np.testing.assert_allclose(
@@ -160,7 +160,7 @@ def test_what_an_adjustment_undoes_comes_out_as_it_was(drive):
     )
 
 
-NEW_LENS = Camera("pinhole", 8, 6, 6.0, 6.5, 3.0, 2.0)
+NEW_CAMERA_MODEL = Camera("pinhole", 8, 6, 6.0, 6.5, 3.0, 2.0)
 DIFFERENCE = RigidTransform.from_quaternion(
     np.array([0.1, 0.0, -0.2]), np.array([0.0, np.sin(0.05), 0.0, np.cos(0.05)])
 )
@@ -168,11 +168,11 @@ DIFFERENCE = RigidTransform.from_quaternion(
 
 def calibration(**fields):
     """Of the camera of the drive."""
-    pose = PosePath(np.zeros(1, np.int64), DIFFERENCE.translation[None], DIFFERENCE.quaternion_xyzw[None])
+    pose = Poses(np.zeros(1, np.int64), DIFFERENCE.translation[None], DIFFERENCE.quaternion_xyzw[None])
     return CameraCalibration("calibrate", "camera", **{"poses": pose, **fields})
 
 
-def test_a_camera_is_turned_behind_its_poses(drive, mount):
+def test_a_camera_is_rotated_behind_its_poses(drive, mount):
     on_ego = apply_corrections(drive.scene(annotations=[calibration()]))
     np.testing.assert_allclose(on_ego.sensor("camera").mount.matrix, (mount @ DIFFERENCE).matrix, atol=1e-12)
     scene = to_world(drive.scene(annotations=[calibration()]))
@@ -186,73 +186,73 @@ def test_a_camera_is_turned_behind_its_poses(drive, mount):
     assert away.magnitude() < 1e-9
 
 
-def test_a_correction_that_changes_with_time_turns_a_mounting_into_poses_on_the_ego(drive, mount):
+def test_a_correction_that_changes_with_time_rotates_a_mounting_into_poses_on_the_ego(drive, mount):
     times = np.array([0, 400_000_000], np.int64)
-    path = PosePath(times, np.array([[0.0, 0, 0], [0.4, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1)))
+    path = Poses(times, np.array([[0.0, 0, 0], [0.4, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1)))
     camera = apply_corrections(drive.scene(annotations=[calibration(poses=path)])).sensor("camera")
     assert (camera.mount, camera.coordinates) == (None, Coordinates.EGO)
     found = camera.poses.interpolate(np.array([100_000_000]))
     np.testing.assert_allclose(found.positions[0], mount.apply(np.array([0.1, 0, 0])), atol=1e-12)
 
 
-def test_lens_and_times_are_replaced(drive, box):
+def test_camera_model_and_times_are_replaced(drive, box):
     seen = replace(
         box("seen", [0], [[0.0, 0, 0]]),
-        projections=(Projection("camera", drive.stamps_ns), Projection("other", drive.stamps_ns)),
+        projections=(Projection("camera", drive.timestamps_ns), Projection("other", drive.timestamps_ns)),
     )
-    drawn = Box2DAnnotation("drawn", "camera", BoxPath(drive.stamps_ns[:1], np.ones((1, 4))))
+    drawn = Box2DAnnotation("drawn", "camera", BoxPath(drive.timestamps_ns[:1], np.ones((1, 4))))
     scene = drive.scene(
-        annotations=[seen, drawn, calibration(intrinsics=NEW_LENS, time_offset_ns=-3_000_000)]
+        annotations=[seen, drawn, calibration(intrinsics=NEW_CAMERA_MODEL, time_offset_ns=-3_000_000)]
     )
     applied = apply_corrections(scene)
     camera = applied.sensor("camera")
-    assert camera.camera == camera.pictures[1].camera == NEW_LENS
-    assert camera.pictures[1].timestamp_ns == camera.pictures.timestamps_ns[1] == 117_000_000
+    assert camera.camera == camera.images[1].camera == NEW_CAMERA_MODEL
+    assert camera.images[1].timestamp_ns == camera.images.timestamps_ns[1] == 117_000_000
     assert applied.annotations[1].path.timestamps_ns.tolist() == [-3_000_000]
     shifted, other = applied.annotations[0].projections
-    assert shifted.timestamps_ns.tolist() == (drive.stamps_ns - 3_000_000).tolist()
-    assert other.timestamps_ns.tolist() == drive.stamps_ns.tolist()
-    assert [notice.code for notice in applied.notices] == ["projections-kept"]
-    assert pickle.loads(pickle.dumps(camera)).pictures[0].camera == NEW_LENS
+    assert shifted.timestamps_ns.tolist() == (drive.timestamps_ns - 3_000_000).tolist()
+    assert other.timestamps_ns.tolist() == drive.timestamps_ns.tolist()
+    assert [warning.code for warning in applied.warnings] == ["projections-kept"]
+    assert pickle.loads(pickle.dumps(camera)).images[0].camera == NEW_CAMERA_MODEL
 
 
-def test_poses_reach_as_far_as_the_corrected_pictures(drive):
+def test_poses_reach_as_far_as_the_corrected_images(drive):
     scene = to_world(drive.scene(annotations=[calibration(poses=None, time_offset_ns=10_000_000)]))
     posed = replace(scene.sensor("camera"), mount=None)
     camera = apply_corrections(replace(scene, sensors=(posed,))).sensor("camera")
-    last_ns = int(drive.stamps_ns[-1]) + 30_000_000
-    assert camera.poses.stop_ns == camera.pictures.timestamps_ns[-1] == last_ns
+    last_ns = int(drive.timestamps_ns[-1]) + 30_000_000
+    assert camera.poses.stop_ns == camera.images.timestamps_ns[-1] == last_ns
     expected = (drive.world_from_ego(last_ns) @ drive_mount(drive)).translation
     # constant velocity over 10 ms on a circle of 20 m at 10 m/s: 0.25 mm, and the pose before is 80 ms old
     np.testing.assert_allclose(camera.poses.positions[-1], expected, atol=5e-3)
 
 
-def test_a_lens_is_scaled_to_pictures_of_another_size(drive):
-    scene = drive.scene(annotations=[calibration(intrinsics=NEW_LENS)])
+def test_a_camera_model_is_scaled_to_images_of_another_size(drive):
+    scene = drive.scene(annotations=[calibration(intrinsics=NEW_CAMERA_MODEL)])
     camera = scene.sensor("camera")
-    half = replace(camera.pictures[0], camera=camera.camera.resized(4, 3))
-    sensors = (replace(camera, pictures=LazyFrames.of([half], [half.timestamp_ns])),)
-    picture = apply_corrections(replace(scene, sensors=sensors)).sensor("camera").pictures[0]
-    assert picture.camera == NEW_LENS.resized(4, 3)
+    half = replace(camera.images[0], camera=camera.camera.resized(4, 3))
+    sensors = (replace(camera, images=LazyFrames.of([half], [half.timestamp_ns])),)
+    image = apply_corrections(replace(scene, sensors=sensors)).sensor("camera").images[0]
+    assert image.camera == NEW_CAMERA_MODEL.resized(4, 3)
 
 
 def test_only_the_named_corrections_are_applied(drive):
     scene = drive.scene(annotations=[calibration(), adjustment()])
     applied = apply_corrections(scene, corrections=["calibrate"])
-    assert [annotation.id for annotation in applied.annotations] == ["mend"]
+    assert [annotation.id for annotation in applied.annotations] == ["repair"]
 
 
 def test_a_calibration_without_its_camera_stays(drive):
     lost = CameraCalibration("lost", "nose", time_offset_ns=5)
     applied = apply_corrections(drive.scene(annotations=[lost]))
     assert [annotation.id for annotation in applied.annotations] == ["lost"]
-    assert [notice.code for notice in applied.notices] == ["calibration-without-camera"]
+    assert [warning.code for warning in applied.warnings] == ["calibration-without-camera"]
 
 
 def test_what_cannot_be_applied_is_refused(drive):
     with pytest.raises(OptionError, match="nothing to apply"):
         apply_corrections(drive.scene())
-    with pytest.raises(OptionError, match="no correction 'x'; there are 'mend'"):
+    with pytest.raises(OptionError, match="no correction 'x'; there are 'repair'"):
         apply_corrections(drive.scene(annotations=[adjustment()]), corrections=["x"])
     scene = to_world(drive.scene(annotations=[adjustment()]))
     on_ego = replace(scene.sensor("camera"), coordinates=Coordinates.EGO)

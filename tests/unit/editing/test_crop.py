@@ -24,7 +24,7 @@ from sceneloom.scene import (
     PointsAnnotation,
     PointsFrame,
     PointsSensor,
-    PosePath,
+    Poses,
     ShapeAnnotation,
     ShapeType,
     VertexPath,
@@ -62,14 +62,14 @@ def test_points_within_range_stay(drive, frame):
 
 
 def test_a_map_stays_where_any_sensor_comes_by(drive):
-    places = np.array([[20.0, 0, 0], [20, 5, 0], [-20, 0, 0], [np.nan, 0, 0]], np.float32)
+    locations = np.array([[20.0, 0, 0], [20, 5, 0], [-20, 0, 0], [np.nan, 0, 0]], np.float32)
     scene = drive.scene(PointsFrame.WORLD)
-    scene = replace(scene, sensors=(*scene.sensors, PointsSensor("map", places)))
+    scene = replace(scene, sensors=(*scene.sensors, PointsSensor("map", locations)))
     inside = crop_scene(scene, box=(0, -1, -1, 30, 9, 1)).sensor("map").positions
-    np.testing.assert_array_equal(inside, places[:2])
-    # the ego goes from (20, 0) to (19.6, 4): the second place is 1.1 m from where it ends
+    np.testing.assert_array_equal(inside, locations[:2])
+    # the ego goes from (20, 0) to (19.6, 4): the second location is 1.1 m from where it ends
     near = crop_scene(scene, reach=1.5, frame="ego").sensor("map").positions
-    np.testing.assert_array_equal(near, places[:2])
+    np.testing.assert_array_equal(near, locations[:2])
 
 
 def test_labelled_points_are_counted_anew(drive):
@@ -78,11 +78,11 @@ def test_labelled_points_are_counted_anew(drive):
     label = LabeledPointsAnnotation("a", (LabeledPoints("lidar", ids, 2),))
     cropped = crop_scene(drive.scene(PointsFrame.WORLD, [label]), box=BOX)
     assert cropped.annotations[0].labeled_points[0].point_ids.tolist() == [3, 0]
-    assert {notice.code for notice in cropped.notices} == {"labelled-points"}
+    assert {warning.code for warning in cropped.warnings} == {"labelled-points"}
 
 
 def test_cuboids_stay_while_their_centre_is_inside(drive, box):
-    times = drive.stamps_ns
+    times = drive.timestamps_ns
     passing = box("passing", times, [[-25.0, 0, 0], [-12, 0, 0], [0, 0, 0], [30, 0, 0], [40, 0, 0]])
     passing = replace(
         passing, activations=(Activation("lidar", times, durations_ns=(1, 2, 3, 4, 5)),), stationary=False
@@ -98,11 +98,11 @@ def test_cuboids_stay_while_their_centre_is_inside(drive, box):
     # inside at a frame's time, at no keyframe
     assert found["between"].path.timestamps_ns.tolist() == [0, 400_000_000]
     assert set(found) == {"passing", "between", "parked"}
-    assert [(n.code, n.count) for n in cropped.notices] == [("annotations-left-out", 1)]
+    assert [(n.code, n.count) for n in cropped.warnings] == [("annotations-left-out", 1)]
 
 
 def test_cuboids_on_the_ego_are_cropped_in_the_world_and_the_other_way_round(drive, box):
-    front = box("front", drive.stamps_ns, np.tile([20.0, 0.5, 0], (5, 1)))
+    front = box("front", drive.timestamps_ns, np.tile([20.0, 0.5, 0], (5, 1)))
     for annotation, frame in ((front, "world"), (front, "ego")):
         on_ego = to_ego(drive.scene(annotations=[annotation]))
         near = crop_scene(on_ego, box=(19, 0, -1, 21, 1, 1), frame=frame)
@@ -114,19 +114,22 @@ def test_cuboids_on_the_ego_are_cropped_in_the_world_and_the_other_way_round(dri
 def test_shapes_and_named_points_stay_whole_when_any_vertex_is_inside(drive):
     square = np.array([[24.0, 0, 0], [30, 0, 0], [30, 6, 0]])
     shapes = [
-        ShapeAnnotation("touching", ShapeType.POLYGON, VertexPath(drive.stamps_ns[:1], (square,))),
-        ShapeAnnotation("away", ShapeType.POLYLINE, VertexPath(drive.stamps_ns[:1], (square + 9.0,))),
+        ShapeAnnotation("touching", ShapeType.POLYGON, VertexPath(drive.timestamps_ns[:1], (square,))),
+        ShapeAnnotation("away", ShapeType.POLYLINE, VertexPath(drive.timestamps_ns[:1], (square + 9.0,))),
         ShapeAnnotation(
-            "drawn", ShapeType.POLYGON_2D, VertexPath(drive.stamps_ns[:1], (square[:, :2] + 99.0,)), "camera"
+            "drawn",
+            ShapeType.POLYGON_2D,
+            VertexPath(drive.timestamps_ns[:1], (square[:, :2] + 99.0,)),
+            "camera",
         ),
         PointsAnnotation(
             "body",
             (
-                PointPath(drive.stamps_ns[:1], np.array([[99.0, 0, 0]])),
-                PointPath(drive.stamps_ns[:1], np.zeros((1, 3))),
+                PointPath(drive.timestamps_ns[:1], np.array([[99.0, 0, 0]])),
+                PointPath(drive.timestamps_ns[:1], np.zeros((1, 3))),
             ),
         ),
-        PointsAnnotation("far body", (PointPath(drive.stamps_ns[:1], np.array([[99.0, 0, 0]])),)),
+        PointsAnnotation("far body", (PointPath(drive.timestamps_ns[:1], np.array([[99.0, 0, 0]])),)),
     ]
     cropped = crop_scene(drive.scene(annotations=shapes), box=BOX)
     assert [annotation.id for annotation in cropped.annotations] == ["touching", "drawn", "body"]
@@ -134,13 +137,13 @@ def test_shapes_and_named_points_stay_whole_when_any_vertex_is_inside(drive):
     assert len(cropped.annotations[2].paths) == 2
 
 
-def test_sensors_go_with_all_that_is_said_of_them(drive, box):
+def test_sensors_go_with_all_that_is_stated_for_them(drive, box):
     seen = replace(
         box("seen", [0], [[0.0, 0, 0]]),
-        activations=(Activation("radar", drive.stamps_ns), Activation("lidar", drive.stamps_ns)),
+        activations=(Activation("radar", drive.timestamps_ns), Activation("lidar", drive.timestamps_ns)),
         attributes=(AttributePath("wet", ("yes",), sensor_id="camera"), AttributePath("new", ("yes",))),
     )
-    drawn = Box2DAnnotation("drawn", "camera", BoxPath(drive.stamps_ns[:1], np.ones((1, 4))))
+    drawn = Box2DAnnotation("drawn", "camera", BoxPath(drive.timestamps_ns[:1], np.ones((1, 4))))
     owner = ObjectAnnotation("owner", parent_id="drawn")
     link = LinkAnnotation("link", "seen", "drawn")
     cropped = crop_scene(drive.scene(annotations=[seen, drawn, owner, link]), without=["camera", "radar"])
@@ -148,8 +151,8 @@ def test_sensors_go_with_all_that_is_said_of_them(drive, box):
     assert [(a.id, a.parent_id) for a in cropped.annotations] == [("seen", None), ("owner", None)]
     assert [entry.sensor_id for entry in cropped.annotations[0].activations] == ["lidar"]
     assert [attribute.name for attribute in cropped.annotations[0].attributes] == ["new"]
-    told = {notice.code: notice.count for notice in cropped.notices}
-    assert told == {
+    reported = {warning.code: warning.count for warning in cropped.warnings}
+    assert reported == {
         "annotations-left-out": 1,
         "links-left-out": 1,
         "parents-left-out": 1,
@@ -158,7 +161,7 @@ def test_sensors_go_with_all_that_is_said_of_them(drive, box):
     }
 
 
-def test_points_name_the_cameras_by_their_new_places(drive):
+def test_points_name_the_cameras_by_their_new_locations(drive):
     scene = drive.scene(PointsFrame.WORLD)
     camera = scene.sensor("camera")
     frame = scene.sensor("lidar").frames[0]
@@ -184,10 +187,10 @@ def test_labels_stay_with_their_parents_and_links(drive, box):
         replace(box("cab", [0], [[0.0, 0, 0]]), label="car"),
         LinkAnnotation("same", "car", "cab"),
         LinkAnnotation("other", "car", "van"),
-        LocalizationAdjustment("mend", PosePath.identity()),
+        LocalizationAdjustment("repair", Poses.identity()),
     ]
     cropped = crop_scene(drive.scene(annotations=annotations), labels=["car"])
-    assert [annotation.id for annotation in cropped.annotations] == ["fleet", "car", "cab", "same", "mend"]
+    assert [annotation.id for annotation in cropped.annotations] == ["fleet", "car", "cab", "same", "repair"]
 
 
 def test_a_crop_in_time_and_space_counts_frames_from_its_own_start(drive):
@@ -206,7 +209,7 @@ def test_a_cropped_scene_can_go_to_another_process(drive):
 
 
 @pytest.mark.parametrize(
-    ("said", "problem"),
+    ("stated", "problem"),
     [
         ({"box": (0, 0, 0, -1, 1, 1)}, "each minimum at most"),
         ({"box": (0, 0, 0)}, "expected xmin"),
@@ -217,9 +220,9 @@ def test_a_cropped_scene_can_go_to_another_process(drive):
         ({"sensors": ["lidar"], "without": ["lidar"]}, "no sensor is left"),
     ],
 )
-def test_what_cannot_be_followed_is_refused(drive, said, problem):
+def test_what_cannot_be_followed_is_refused(drive, stated, problem):
     with pytest.raises(OptionError, match=problem):
-        crop_scene(drive.scene(), **said)
+        crop_scene(drive.scene(), **stated)
 
 
 def test_the_ego_cannot_go_from_under_what_rides_on_it(drive):

@@ -12,13 +12,13 @@ from sceneloom.simulate import LidarSpec, simulate_street
 
 @pytest.fixture
 def drive(tmp_path):
-    """Three sweeps, at 1.0, 1.1 and 1.2 s, with lines that no scene has a place for."""
+    """Three sweeps, at 1.0, 1.1 and 1.2 s, with lines that no scene has a location for."""
     folder = tmp_path / "drive"
     write_scene(simulate_street(1, frames=3, lidar=LidarSpec(beams=4, steps=30), cameras=()).scene, folder)
     lines = [
         {"madeBy": "a phone"},
-        {"place": "on the road", "time": 1.02},
-        {"place": "at home", "time": 1.19},
+        {"location": "on the road", "time": 1.02},
+        {"location": "at home", "time": 1.19},
         {"gps": {"latitude": 60.0, "longitude": 25.0, "altitude": 1.0, "note": "on the road"}, "time": 1.03},
         {"gps": {"latitude": 61.0, "longitude": 25.0, "altitude": 1.0, "note": "at home"}, "time": 1.18},
         {

@@ -1,4 +1,4 @@
-"""Scenes in the world, on the ego and in their sensors, against a drive whose every place is known by formula."""
+"""Scenes in the world, on the ego and in their sensors, against a drive whose every location is known by formula."""
 
 import pickle
 from dataclasses import replace
@@ -25,7 +25,7 @@ from sceneloom.scene import (
     PointsAnnotation,
     PointsFrame,
     PointsSensor,
-    PosePath,
+    Poses,
     Projection,
     ShapeAnnotation,
     ShapeType,
@@ -43,7 +43,7 @@ FLOAT32_ULPS = 2e-5
 
 @pytest.mark.parametrize("before", list(PointsFrame))
 @pytest.mark.parametrize("after", list(PointsFrame))
-def test_points_are_where_the_formulas_say(drive, before, after):
+def test_points_are_where_the_formulas_state(drive, before, after):
     changed = CHANGES[after](drive.scene(before))
     for sensor_id in ("lidar", "radar"):
         sensor = changed.sensor(sensor_id)
@@ -54,7 +54,7 @@ def test_points_are_where_the_formulas_say(drive, before, after):
             np.testing.assert_allclose(frame.points.positions, expected, atol=FLOAT32_ULPS)
 
 
-def test_directions_of_a_radar_turn(drive):
+def test_directions_of_a_radar_rotate(drive):
     for k, frame in enumerate(to_ego(drive.scene()).sensor("radar").frames):
         expected = drive.frame_from_world(k, PointsFrame.EGO).rotate(drive.points_world(k))
         expected /= np.linalg.norm(expected, axis=1, keepdims=True)
@@ -66,7 +66,7 @@ def test_poses_in_the_world_are_those_of_the_ego_and_the_mounting(drive, mount):
     for sensor_id in ("lidar", "camera"):
         sensor = changed.sensor(sensor_id)
         assert sensor.coordinates is Coordinates.WORLD
-        times = drive.stamps_ns if sensor_id == "lidar" else drive.stamps_ns + 20_000_000
+        times = drive.timestamps_ns if sensor_id == "lidar" else drive.timestamps_ns + 20_000_000
         found = sensor.poses.interpolate(times)
         for k, time_ns in enumerate(times.tolist()):
             expected = drive.world_from_ego(time_ns) @ mount
@@ -86,15 +86,17 @@ def test_a_cuboid_is_seen_from_the_ego_at_every_frame(drive, box):
     parked = box("b", [123], [[10.0, 30.0, 1.0]], yaw_deg=270.0, stationary=True)
     changed = to_ego(drive.scene(annotations=[moving, parked]))
     assert [annotation.stationary for annotation in changed.annotations] == [None, False]
-    times = np.union1d(drive.stamps_ns, drive.stamps_ns[:-1] + 20_000_000)  # of sweeps and pictures
+    times = np.union1d(drive.timestamps_ns, drive.timestamps_ns[:-1] + 20_000_000)  # of sweeps and images
     for before, after in zip((moving, parked), changed.annotations, strict=True):
         world, ego = cuboid_at(before, times)[0], cuboid_at(after, times)[0]
         for k, time_ns in enumerate(times.tolist()):
             pose = drive.world_from_ego(time_ns)
             # the tolerance for which keyframes are added
             np.testing.assert_allclose(pose.apply(ego[k, 3:6]), world[k, 3:6], atol=1.01e-3)
-            turn = Rotation.from_matrix(pose.rotation) * Rotation.from_euler("XYZ", ego[k, 6:], degrees=True)
-            away = turn.inv() * Rotation.from_euler("XYZ", world[k, 6:], degrees=True)
+            rotation = Rotation.from_matrix(pose.rotation) * Rotation.from_euler(
+                "XYZ", ego[k, 6:], degrees=True
+            )
+            away = rotation.inv() * Rotation.from_euler("XYZ", world[k, 6:], degrees=True)
             assert away.magnitude() < np.radians(0.0101)
 
 
@@ -109,8 +111,8 @@ def test_annotations_come_back_as_they_were(drive, box):
 
 
 def everything(drive, box):
-    """One annotation of each kind that has a place, at the times of frames."""
-    times = drive.stamps_ns
+    """One annotation of each kind that has a location, at the times of frames."""
+    times = drive.timestamps_ns
     rows = np.tile([4.0, 2, 1, 10, 20, 1, 5, -3, 200], (2, 1))
     gone = np.full((1, 9), np.nan)
     corners = np.array([[0.0, 0, 0], [5, 0, 0], [5, 5, 1]])
@@ -141,7 +143,7 @@ def everything(drive, box):
 
 
 def numbers_of(annotation):
-    """All places of an annotation in one row."""
+    """All locations of an annotation in one row."""
     if annotation.type == "cuboid":
         further = [e.cuboids for e in (*annotation.activations, *annotation.projections)]
         return np.concatenate([annotation.path.values, *further]).ravel()
@@ -165,29 +167,29 @@ def test_vertices_and_keypoints_are_moved_by_the_pose_of_their_own_time(drive, b
     path = changed["body"].paths[1]
     first = ego_from_world.apply(np.ones((1, 3)))[0]
     np.testing.assert_allclose(path.values[path.timestamps_ns == 100_000_000][0], first, atol=1e-9)
-    # vertices that come and go are at no place between keyframes, so nothing is added between them
+    # vertices that come and go are at no location between keyframes, so nothing is added between them
     assert len(changed["growing"].path.timestamps_ns) == 2
 
 
-def test_an_adjustment_of_a_scene_on_the_ego_leads_from_the_ego_to_the_mended_world(drive):
-    lift = LocalizationAdjustment("lift", replace(PosePath.identity(), positions=np.array([[0.0, 0, 2.0]])))
+def test_an_adjustment_of_a_scene_on_the_ego_leads_from_the_ego_to_the_repaired_world(drive):
+    lift = LocalizationAdjustment("lift", replace(Poses.identity(), positions=np.array([[0.0, 0, 2.0]])))
     on_ego = to_ego(drive.scene(annotations=[lift])).annotations[0]
-    found = on_ego.poses.interpolate(drive.stamps_ns)
-    for k, time_ns in enumerate(drive.stamps_ns.tolist()):
+    found = on_ego.poses.interpolate(drive.timestamps_ns)
+    for k, time_ns in enumerate(drive.timestamps_ns.tolist()):
         expected = drive.world_from_ego(time_ns).translation + np.array([0.0, 0.0, 2.0])
         np.testing.assert_allclose(found.positions[k], expected, atol=1e-9)
 
 
-def test_what_has_no_place_on_the_ego_is_told(drive):
+def test_what_has_no_location_on_the_ego_is_reported(drive):
     chart = PointsSensor("map", np.zeros((1, 3), np.float32))
     strange = PlainAnnotation("x", "nebula", {})
     scene = drive.scene(annotations=[strange])
     scene = replace(scene, sensors=(*scene.sensors, chart))
-    codes = [notice.code for notice in to_ego(scene).notices]
+    codes = [warning.code for warning in to_ego(scene).warnings]
     assert codes == ["map-in-world", "annotations-not-moved"]
 
 
-def test_frames_that_the_way_does_not_reach_are_left_out_with_their_labels(drive):
+def test_frames_that_the_trajectory_does_not_reach_are_left_out_with_their_labels(drive):
     scene = drive.scene(PointsFrame.WORLD, [labels(0), labels(3)])
     path = drive.path()
     short = Trajectory("short", path.timestamps_ns[:6], path.positions[:6], path.quaternions_xyzw[:6])
@@ -196,10 +198,10 @@ def test_frames_that_the_way_does_not_reach_are_left_out_with_their_labels(drive
     # poses up to 50 ms; one period beyond that reaches the frame at 100 ms
     assert changed.sensor("lidar").frames.timestamps_ns.tolist() == [0, 100_000_000]
     assert [annotation.id for annotation in changed.annotations] == ["labels 0"]
-    told = {notice.code: notice.count for notice in changed.notices}
-    assert told["frames-beyond-the-way"] == 3
-    assert told["frames-extrapolated"] == 1
-    assert told["labelled-frames"] == 1
+    reported = {warning.code: warning.count for warning in changed.warnings}
+    assert reported["frames-beyond-the-trajectory"] == 3
+    assert reported["frames-extrapolated"] == 1
+    assert reported["labelled-frames"] == 1
     assert {sensor.id for sensor in changed.sensors} == {"lidar", "radar", "camera", "ego", "ego2"}
     assert changed.sensor("lidar").parent_id == "ego2"
 
@@ -218,7 +220,7 @@ def test_a_scene_that_was_changed_can_go_to_another_process(drive):
     )
 
 
-def test_places_that_cannot_be_known_are_an_error(drive):
+def test_locations_that_cannot_be_known_are_an_error(drive):
     scene = drive.scene()
     alone = replace(scene, sensors=scene.sensors[2:3], trajectories={})
     with pytest.raises(PoseError, match="no trajectory"):
@@ -231,7 +233,7 @@ def test_places_that_cannot_be_known_are_an_error(drive):
         to_ego(replace(scene, sensors=several))
 
 
-def test_annotations_are_where_they_are_said_to_be(drive, box):
+def test_annotations_are_where_they_are_stated_to_be(drive, box):
     seen = box("a", [100_000_000], [[10.0, 0, 0]])
     changed = to_world(drive.scene(annotations=[seen]), annotations_in="ego")
     expected = drive.world_from_ego(100_000_000).apply(np.array([10.0, 0, 0]))
@@ -239,7 +241,7 @@ def test_annotations_are_where_they_are_said_to_be(drive, box):
 
 
 def test_boxes_on_the_ego_are_not_taken_for_boxes_in_the_world(drive, box):
-    on_ego = to_ego(drive.scene(annotations=[box("a", drive.stamps_ns, np.ones((5, 3)))]))
+    on_ego = to_ego(drive.scene(annotations=[box("a", drive.timestamps_ns, np.ones((5, 3)))]))
     with pytest.raises(OptionError, match="sceneloom edit to-world"):
         BoxTable(on_ego).at(0)
     assert len(BoxTable(to_world(on_ego)).at(0)) == 1
@@ -258,29 +260,30 @@ def test_boxes_on_the_ego_are_not_taken_for_boxes_in_the_world(drive, box):
         {"annotation_id": "b", "path": 0, "added_ns": [[1], [2, 3]]},
     ],
 )
-def test_what_metadata_say_in_a_form_unknown_takes_nothing_away(drive, box, entry):
-    scene = drive.scene(annotations=(box("b", drive.stamps_ns, np.ones(3)),))
-    said = {"sceneloom": {"annotations_frame": "ego", "to_ego": [entry]}}
-    moved = to_world(replace(scene, metadata=said)).annotations[0]
-    assert set(drive.stamps_ns.tolist()) <= set(moved.path.timestamps_ns.tolist())
+def test_what_metadata_state_in_a_form_unknown_takes_nothing_away(drive, box, entry):
+    scene = drive.scene(annotations=(box("b", drive.timestamps_ns, np.ones(3)),))
+    stated = {"sceneloom": {"annotations_frame": "ego", "to_ego": [entry]}}
+    moved = to_world(replace(scene, metadata=stated)).annotations[0]
+    assert set(drive.timestamps_ns.tolist()) <= set(moved.path.timestamps_ns.tolist())
 
 
 def test_keyframes_that_a_file_rounded_to_microseconds_are_taken_away_again(drive, box, tmp_path):
-    def later(stamps_ns):
-        return stamps_ns + 123_456_789
+    def later(timestamps_ns):
+        return timestamps_ns + 123_456_789
 
     odd = [
-        box("moves", later(drive.stamps_ns[::4]), np.ones(3)),
-        box("stands", later(drive.stamps_ns[:1]), 2.0),
+        box("moves", later(drive.timestamps_ns[::4]), np.ones(3)),
+        box("stands", later(drive.timestamps_ns[:1]), 2.0),
     ]
     scene = drive.scene(annotations=(odd[0], replace(odd[1], stationary=True)))
-    ways = {
-        name: replace(way, timestamps_ns=later(way.timestamps_ns)) for name, way in scene.trajectories.items()
+    trajectories = {
+        name: replace(trajectory, timestamps_ns=later(trajectory.timestamps_ns))
+        for name, trajectory in scene.trajectories.items()
     }
     lidar = scene.sensor("lidar")
     frames = [replace(frame, timestamp_ns=int(later(frame.timestamp_ns))) for frame in lidar.frames]
-    lidar = replace(lidar, frames=LazyFrames.of(frames, later(drive.stamps_ns).tolist()))
-    sceneloom.write(to_ego(replace(scene, sensors=(lidar,), trajectories=ways)), tmp_path / "ego.sfs")
+    lidar = replace(lidar, frames=LazyFrames.of(frames, later(drive.timestamps_ns).tolist()))
+    sceneloom.write(to_ego(replace(scene, sensors=(lidar,), trajectories=trajectories)), tmp_path / "ego.sfs")
     with sceneloom.open(tmp_path / "ego.sfs") as written:
         assert [len(a.path.timestamps_ns) > 2 for a in written.annotations] == [True, True]
         back = to_world(written).annotations

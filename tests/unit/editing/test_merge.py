@@ -28,7 +28,7 @@ from sceneloom.scene import (
     PointsAnnotation,
     PointsFrame,
     PointsSensor,
-    PosePath,
+    Poses,
     Scene,
     ShapeAnnotation,
     ShapeType,
@@ -47,18 +47,20 @@ def test_sensors_of_both_stand_in_the_merged_scene_and_the_same_odometry_once(dr
     merged = merge_scenes([only(scene, "lidar", "ego"), only(scene, "camera", "radar", "ego")])
     assert [sensor.id for sensor in merged.sensors] == ["lidar", "ego", "camera", "radar"]
     assert list(merged.trajectories) == ["ego"]
-    assert [(notice.code, notice.place) for notice in merged.notices] == [("same-sensor", "sensors[ego]")]
+    assert [(warning.code, warning.location) for warning in merged.warnings] == [
+        ("same-sensor", "sensors[ego]")
+    ]
 
 
 def test_ids_that_are_taken_are_refused_or_changed_with_all_references(drive, box):
     first = only(drive.scene(annotations=[box("a", [0], [[0.0, 0, 0]])]), "camera")
     second = replace(
         box("a", [0], [[1.0, 0, 0]]),
-        activations=(Activation("camera", drive.stamps_ns),),
+        activations=(Activation("camera", drive.timestamps_ns),),
         attributes=(AttributePath("wet", ("no",), sensor_id="camera"),),
     )
     others = (
-        Box2DAnnotation("b", "camera", BoxPath(drive.stamps_ns[:1], np.ones((1, 4))), parent_id="a"),
+        Box2DAnnotation("b", "camera", BoxPath(drive.timestamps_ns[:1], np.ones((1, 4))), parent_id="a"),
         LinkAnnotation("c", "a", "b"),
         CameraCalibration("d", "camera", time_offset_ns=1),
     )
@@ -66,7 +68,7 @@ def test_ids_that_are_taken_are_refused_or_changed_with_all_references(drive, bo
     lidar = replace(other.sensor("lidar"), parent_id="camera")
     other = replace(other, sensors=(other.sensor("camera"), lidar))
     with pytest.raises(
-        OptionError, match=r"sensors\['camera'\]: this id stands in scene, too; say `--rename`"
+        OptionError, match=r"sensors\['camera'\]: this id stands in scene, too; state `--rename`"
     ):
         merge_scenes([first, other])
     merged = merge_scenes([first, other], rename=True)
@@ -97,18 +99,18 @@ WORLDS = [
 
 
 def seen_from(world_from_file, drive, box):
-    """A scene whose places were computed by formula in the frame of a file."""
+    """A scene whose locations were computed by formula in the frame of a file."""
     file_from_world = world_from_file.inverse()
     positions = file_from_world.apply(drive.points_world(1)).astype(np.float32)
     corner = file_from_world.apply(np.array([[1.0, 2.0, 3.0]]))
-    turned = box("box", [0], corner, 30.0 - np.degrees(2 * np.arcsin(world_from_file.quaternion_xyzw[2])))
-    way = drive.path()
+    rotated = box("box", [0], corner, 30.0 - np.degrees(2 * np.arcsin(world_from_file.quaternion_xyzw[2])))
+    trajectory = drive.path()
     poses = [
         file_from_world @ RigidTransform.from_quaternion(p, q)
-        for p, q in zip(way.positions, way.quaternions_xyzw, strict=True)
+        for p, q in zip(trajectory.positions, trajectory.quaternions_xyzw, strict=True)
     ]
-    path = PosePath(
-        way.timestamps_ns,
+    path = Poses(
+        trajectory.timestamps_ns,
         np.array([pose.translation for pose in poses]),
         np.array([pose.quaternion_xyzw for pose in poses]),
     )
@@ -119,7 +121,7 @@ def seen_from(world_from_file, drive, box):
     return replace(
         scene,
         sensors=(camera, chart),
-        annotations=(turned, shape),
+        annotations=(rotated, shape),
         metadata={"sceneloom": {"world_from_file": world_from_file.matrix.tolist()}},
         trajectories={},
     )
@@ -146,10 +148,10 @@ def test_a_scene_that_says_nothing_of_its_world_is_taken_to_be_in_the_one_others
     np.testing.assert_allclose(
         merged.sensor("camera-2").poses.positions, merged.sensor("camera").poses.positions, atol=1e-9
     )
-    assert "worlds-related" in [notice.code for notice in merged.notices]
+    assert "worlds-related" in [warning.code for warning in merged.warnings]
 
 
-def test_angles_are_said_as_the_first_scene_says_them(drive, box):
+def test_angles_are_stated_as_the_first_scene_says_them(drive, box):
     rows = np.array([[4.0, 2, 1, 0, 0, 0, 0.3, -0.4, 2.0]])
     other = box("b", [0], [[0.0, 0, 0]])
     other = replace(other, path=replace(other.path, values=rows))
@@ -179,7 +181,7 @@ def with_cameras(drive, *ids):
     return replace(scene, sensors=(lidar, *cameras), metadata=metadata)
 
 
-def test_points_name_the_cameras_by_their_places_among_all(drive):
+def test_points_name_the_cameras_by_their_locations_among_all(drive):
     merged = merge_scenes([with_cameras(drive, "a", "b"), with_cameras(drive, "c", "d")])
     assert [camera.id for camera in merged.cameras] == ["a", "b", "c", "d"]
     seen = [merged.sensor(f"lidar of {name}").frames[0].points.camera_index[:3].tolist() for name in "ac"]
@@ -191,13 +193,13 @@ def test_points_name_the_cameras_by_their_places_among_all(drive):
 
 def whole_drive(drive, box):
     """A drive with one thing of everything, whose parts are to be joined."""
-    times = drive.stamps_ns
+    times = drive.timestamps_ns
     labelled = LabeledPointsAnnotation(
         "labels", tuple(LabeledPoints("lidar", np.arange(5, dtype=np.uint32), k) for k in range(5))
     )
     body = PointsAnnotation("body", (PointPath(times, np.arange(15.0).reshape(5, 3)),))
     shape = ShapeAnnotation("lane", ShapeType.POLYLINE, VertexPath(times, (np.ones((2, 3)),) * 5))
-    event = EventAnnotation("turn", int(times[0]), int(times[4]))
+    event = EventAnnotation("rotation", int(times[0]), int(times[4]))
     drawn = Box2DAnnotation("drawn", "camera", BoxPath(times, np.arange(20.0).reshape(5, 4)))
     attribute = AttributePath("speed", tuple(range(5)), times)
     car = replace(
@@ -205,8 +207,8 @@ def whole_drive(drive, box):
         activations=(Activation("lidar", times, durations_ns=(1, 2, 3, 4, 5)),),
         attributes=(attribute,),
     )
-    mend = LocalizationAdjustment("mend", drive.path(hz=10))
-    scene = drive.scene(annotations=[car, labelled, body, shape, event, drawn, mend])
+    repair = LocalizationAdjustment("repair", drive.path(hz=10))
+    scene = drive.scene(annotations=[car, labelled, body, shape, event, drawn, repair])
     imu = ImuSensor("imu", {"gyroscope": VectorSamples(times, np.arange(15.0).reshape(5, 3))})
     gnss = GnssSensor("gnss", times, np.arange(15.0).reshape(5, 3) * 1e-6, np.ones(5), np.ones(5))
     return replace(to_world(scene), sensors=(*to_world(scene).sensors, imu, gnss), attributes=(attribute,))
@@ -224,9 +226,7 @@ def test_parts_of_a_drive_are_joined_to_what_they_were(drive, box):
                 assert a.timestamp_ns == b.timestamp_ns
                 np.testing.assert_array_equal(a.points.positions, b.points.positions)
         camera = joined.sensor("camera")
-        assert [picture.timestamp_ns for picture in camera.pictures] == (
-            drive.stamps_ns + 20_000_000
-        ).tolist()
+        assert [image.timestamp_ns for image in camera.images] == (drive.timestamps_ns + 20_000_000).tolist()
         np.testing.assert_array_equal(camera.poses.positions, scene.sensor("camera").poses.positions)
         np.testing.assert_array_equal(
             joined.sensor("ego").poses.positions, scene.sensor("ego").poses.positions
@@ -255,8 +255,8 @@ def test_annotations_of_the_parts_are_joined_to_what_they_were(drive, box):
         assert labelled == [0, 1, 2, 3, 4]
         np.testing.assert_array_equal(found["body"].paths[0].values, np.arange(15.0).reshape(5, 3))
         assert len(found["lane"].path.vertices) == 5
-        assert (found["turn"].start_ns, found["turn"].duration_ns) == (0, 400_000_000)
-        np.testing.assert_array_equal(found["mend"].poses.positions, drive.path(hz=10).positions)
+        assert (found["rotation"].start_ns, found["rotation"].duration_ns) == (0, 400_000_000)
+        np.testing.assert_array_equal(found["repair"].poses.positions, drive.path(hz=10).positions)
 
 
 def test_frames_that_are_in_both_parts_are_taken_once_if_they_are_equal(drive):
@@ -264,8 +264,8 @@ def test_frames_that_are_in_both_parts_are_taken_once_if_they_are_equal(drive):
     lidar = scene.sensor("lidar")
     parts = [replace(scene, sensors=(replace(lidar, frames=lidar.frames[a:b]),)) for a, b in ((0, 3), (2, 5))]
     joined = merge_scenes(parts, join=True)
-    assert joined.sensor("lidar").frames.timestamps_ns.tolist() == drive.stamps_ns.tolist()
-    assert {notice.code: notice.count for notice in joined.notices} == {"frames-twice": 1}
+    assert joined.sensor("lidar").frames.timestamps_ns.tolist() == drive.timestamps_ns.tolist()
+    assert {warning.code: warning.count for warning in joined.warnings} == {"frames-twice": 1}
     moved = replace(
         lidar.frames[2], points=replace(lidar.frames[2].points, positions=np.ones((1, 3), np.float32))
     )
@@ -274,21 +274,23 @@ def test_frames_that_are_in_both_parts_are_taken_once_if_they_are_equal(drive):
         merge_scenes([parts[0], other], join=True)
 
 
-def test_what_stands_still_in_both_parts_of_a_scene_keeps_its_one_keyframe(drive, box):
-    standing = box("b", drive.stamps_ns[:1], np.ones(3), stationary=True)
+def test_what_is_stationary_in_both_parts_of_a_scene_keeps_its_one_keyframe(drive, box):
+    stationary = box("b", drive.timestamps_ns[:1], np.ones(3), stationary=True)
     lane = ShapeAnnotation(
-        "lane", ShapeType.POLYLINE, VertexPath(drive.stamps_ns[:1], (np.eye(3),)), stationary=True
+        "lane", ShapeType.POLYLINE, VertexPath(drive.timestamps_ns[:1], (np.eye(3),)), stationary=True
     )
-    scene = drive.scene(annotations=(standing, lane))
+    scene = drive.scene(annotations=(stationary, lane))
     joined = merge_scenes([crop_scene(scene, stop=0.2), crop_scene(scene, start=0.2)], join=True)
     assert [a.path.timestamps_ns.tolist() for a in joined.annotations] == [[0], [0]]
 
 
-def test_what_the_second_part_says_otherwise_is_told(drive, box):
-    weather = [AttributePath("weather", (said,), static=True) for said in ("rain", "sun")]
+def test_what_the_second_part_says_otherwise_is_reported(drive, box):
+    weather = [AttributePath("weather", (stated,), static=True) for stated in ("rain", "sun")]
     scenes = [
         replace(
-            drive.scene(annotations=(box("b", drive.stamps_ns, np.ones(3), label=label, stationary=still),)),
+            drive.scene(
+                annotations=(box("b", drive.timestamps_ns, np.ones(3), label=label, stationary=still),)
+            ),
             attributes=(attribute,),
             extras={"owner": label},
         )
@@ -300,8 +302,8 @@ def test_what_the_second_part_says_otherwise_is_told(drive, box):
         (weather[0],),
         "car",
     )
-    told = [notice.place for notice in joined.notices if notice.code == "fields-differ"]
-    assert sorted(told) == [
+    reported = [warning.location for warning in joined.warnings if warning.code == "fields-differ"]
+    assert sorted(reported) == [
         "annotations[b].label",
         "annotations[b].stationary",
         "attributes[weather]",
@@ -352,7 +354,7 @@ def test_closing_the_merged_scene_closes_all(drive):
     assert closed == ["lidar", "radar"]
 
 
-def test_metadata_of_both_are_kept_and_differences_told(drive):
+def test_metadata_of_both_are_kept_and_differences_reported(drive):
     first = only(
         drive.scene(), "lidar", metadata={"weather": "A", "sceneloom": {"applied": [{"id": 1}], "x": 1}}
     )
@@ -364,7 +366,7 @@ def test_metadata_of_both_are_kept_and_differences_told(drive):
         "weather": "A",
         "sceneloom": {"applied": [{"id": 1}, {"id": 2}], "x": 1, "y": 2},
     }
-    assert [(n.code, n.place) for n in merged.notices] == [("metadata-differ", "metadata.weather")]
+    assert [(n.code, n.location) for n in merged.warnings] == [("metadata-differ", "metadata.weather")]
 
 
 @pytest.mark.parametrize(
@@ -377,7 +379,7 @@ def test_metadata_of_both_are_kept_and_differences_told(drive):
     ],
 )
 def test_an_event_lasts_until_its_last_part_ends_though_that_is_a_moment(parts, joined):
-    one, other = (Scene((), (EventAnnotation("turn", start, lasts),)) for start, lasts in parts)
+    one, other = (Scene((), (EventAnnotation("rotation", start, lasts),)) for start, lasts in parts)
     (event,) = merge_scenes([one, other], join=True).annotations
     assert (event.start_ns, event.duration_ns) == joined
 
@@ -390,11 +392,11 @@ def fixes(times, lla):
 
 
 def moved_away(scene, metres):
-    ways = {
-        n: replace(way, positions=way.positions + np.array([metres, 0, 0]))
-        for n, way in scene.trajectories.items()
+    trajectories = {
+        n: replace(trajectory, positions=trajectory.positions + np.array([metres, 0, 0]))
+        for n, trajectory in scene.trajectories.items()
     }
-    return replace(scene, trajectories=ways)
+    return replace(scene, trajectories=trajectories)
 
 
 def later(scene, seconds):
@@ -423,8 +425,8 @@ def later(scene, seconds):
         ),
         (
             lambda s, t: (
-                s | {"sensors": (*s["sensors"], fixes(STAMPS, [48.0, 11.0, 500.0]))},
-                t | {"sensors": (*t["sensors"], replace(fixes(STAMPS, [52.5, 13.4, 30.0]), id="gnss2"))},
+                s | {"sensors": (*s["sensors"], fixes(TIMESTAMPS, [48.0, 11.0, 500.0]))},
+                t | {"sensors": (*t["sensors"], replace(fixes(TIMESTAMPS, [52.5, 13.4, 30.0]), id="gnss2"))},
             ),
             r"satellite fixes are 5\d\d\.\d km apart",
         ),
@@ -438,7 +440,7 @@ def test_scenes_of_two_cities_are_refused_unless_they_are_forced(drive, change, 
     with pytest.raises(OptionError, match=reason):
         merge_scenes(parts)
     merged = merge_scenes(parts, force=True)
-    assert [n.message for n in merged.notices if n.code == "different-drives"]
+    assert [n.message for n in merged.warnings if n.code == "different-drives"]
     assert {"lidar", "radar"} <= {sensor.id for sensor in merged.sensors}
 
 
@@ -466,12 +468,12 @@ def test_poses_of_sensors_stand_in_for_an_ego_that_is_not_known(drive):
         merge_scenes([lidar, replace(lidar, sensors=(away,))])
 
 
-def test_scenes_that_nothing_relates_are_merged_with_a_notice(drive):
+def test_scenes_that_nothing_relates_are_merged_with_a_warning(drive):
     scene = drive.scene()
     first, second = only(scene, "lidar"), only(scene, "radar")
     bare = replace(second, trajectories={}, sensors=tuple(replace(one, poses=None) for one in second.sensors))
-    assert "drives-unrelated" not in {n.code for n in merge_scenes([first, second]).notices}
-    assert "drives-unrelated" in {n.code for n in merge_scenes([first, bare]).notices}
+    assert "drives-unrelated" not in {n.code for n in merge_scenes([first, second]).warnings}
+    assert "drives-unrelated" in {n.code for n in merge_scenes([first, bare]).warnings}
 
 
-STAMPS = np.array([0, 10**8], np.int64)
+TIMESTAMPS = np.array([0, 10**8], np.int64)

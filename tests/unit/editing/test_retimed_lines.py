@@ -1,4 +1,4 @@
-"""What a recording's lines say beside their samples stays with these when clocks are corrected."""
+"""What a recording's lines state beside their samples stays with these when clocks are corrected."""
 
 import json
 

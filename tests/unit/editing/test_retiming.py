@@ -20,10 +20,10 @@ LATE = ClockCorrection(30_000_000.0, 100.0, 1_000_000_000)
 
 @pytest.fixture(scope="module")
 def scene():
-    """Four sweeps, a camera, an IMU, a receiver, boxes in space and in pictures."""
+    """Four sweeps, a camera, an IMU, a receiver, boxes in space and in images."""
     camera = CameraSpec(Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5))
     drive = simulate_street(1, frames=4, lidar=LidarSpec(beams=8, steps=60), cameras=(camera,)).scene
-    times = drive.sensor("camera0").pictures.timestamps_ns.copy()
+    times = drive.sensor("camera0").images.timestamps_ns.copy()
     boxes = Box2DAnnotation("box", "camera0", BoxPath(times, np.tile([1.0, 1.0, 5.0, 5.0], (len(times), 1))))
     event = EventAnnotation("event", 1_100_000_000, sensor_id="lidar")
     return replace(drive, annotations=(*drive.annotations, boxes, event))
@@ -56,18 +56,18 @@ def test_point_times_of_another_clock_stay(scene):
     assert np.array_equal(moved.points.timestamps_ns, points.timestamps_ns)
 
 
-def test_pictures_samples_and_fixes_move(scene):
+def test_images_samples_and_fixes_move(scene):
     moved = corrected(scene, "camera0", "imu", "gnss")
     for pick in (
-        lambda s: s.sensor("camera0").pictures.timestamps_ns,
+        lambda s: s.sensor("camera0").images.timestamps_ns,
         lambda s: s.sensor("imu").streams["gyroscope"].timestamps_ns,
         lambda s: s.sensor("imu").streams["accelerometer"].timestamps_ns,
         lambda s: s.sensor("gnss").timestamps_ns,
     ):
         assert pick(moved).tolist() == by_hand(pick(scene)).tolist()
-    picture = moved.sensor("camera0").pictures[1]
-    assert picture.timestamp_ns == moved.sensor("camera0").pictures.timestamps_ns[1]
-    assert np.array_equal(picture.rgb, scene.sensor("camera0").pictures[1].rgb)
+    image = moved.sensor("camera0").images[1]
+    assert image.timestamp_ns == moved.sensor("camera0").images.timestamps_ns[1]
+    assert np.array_equal(image.rgb, scene.sensor("camera0").images[1].rgb)
 
 
 def test_what_is_not_named_stays(scene):
@@ -90,11 +90,11 @@ def test_annotations_go_with_what_they_were_drawn_in(scene):
             assert pick(moved).tolist() == (by_hand(was) if name in moves else was).tolist(), (ids, name)
 
 
-def test_poses_of_a_mounted_sensor_are_the_ways_at_its_right_times(scene):
+def test_poses_of_a_mounted_sensor_are_the_trajectories_at_its_right_times(scene):
     moved = corrected(scene, "lidar")
-    lidar, way = moved.sensor("lidar"), scene.trajectories["groundTruth"].poses
+    lidar, trajectory = moved.sensor("lidar"), scene.trajectories["groundTruth"].poses
     times = lidar.frames.timestamps_ns[1:3]
-    ego, sensor = way.interpolate(times), lidar.poses.interpolate(times)
+    ego, sensor = trajectory.interpolate(times), lidar.poses.interpolate(times)
     for k in range(2):
         expected = ego.positions[k] + rotated(ego.quaternions_xyzw[k], lidar.mount.translation)
         # poses are thinned to a millimetre
@@ -111,7 +111,7 @@ def test_a_trajectory_moves_and_takes_mounted_sensors_along(scene):
     assert np.array_equal(after.timestamps_ns, before.timestamps_ns - 50_000_000)
     time = scene.sensor("lidar").frames.timestamps_ns[1:2]
     was = scene.sensor("lidar").poses.interpolate(time + 50_000_000).positions
-    # the path keeps within a millimetre of the way
+    # the path keeps within a millimetre of the trajectory
     assert np.allclose(moved.sensor("lidar").poses.interpolate(time).positions, was, atol=3e-3)
 
 
@@ -126,13 +126,13 @@ def test_there_and_back_is_where_it_was():
 @pytest.mark.parametrize("suffix", ["drive", "drive.sfs"])
 def test_corrected_scenes_can_be_written_and_read_back(scene, tmp_path: Path, suffix):
     moved = corrected(scene, "lidar", "camera0")
-    sceneloom.write(moved, tmp_path / suffix, **({"pictures": "png"} if suffix == "drive" else {}))
+    sceneloom.write(moved, tmp_path / suffix, **({"images": "png"} if suffix == "drive" else {}))
     with sceneloom.open(tmp_path / suffix) as again:
         for old, new in (
             (moved.lidars[0].frames.timestamps_ns, again.lidars[0].frames.timestamps_ns),
-            (moved.cameras[0].pictures.timestamps_ns, again.cameras[0].pictures.timestamps_ns),
+            (moved.cameras[0].images.timestamps_ns, again.cameras[0].images.timestamps_ns),
         ):
-            # scene files count microseconds, and floor the stamps of sweeps
+            # scene files count microseconds, and floor the timestamps of sweeps
             assert np.abs(old - new).max() <= 1_000
 
 

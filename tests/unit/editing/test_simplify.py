@@ -1,4 +1,4 @@
-"""Fewer stamps: how few, of what, and what stays as it was."""
+"""Fewer timestamps: how few, of what, and what stays as it was."""
 
 from dataclasses import replace
 
@@ -16,17 +16,17 @@ from sceneloom.scene import (
     OdometrySensor,
     PointPath,
     PointsAnnotation,
-    PosePath,
+    Poses,
     Scene,
     Trajectory,
 )
 
-TURN = np.array([[0.0, 0.0, 0.0, 1.0]])
+ROTATION = np.array([[0.0, 0.0, 0.0, 1.0]])
 
 
-def a_cuboid(values, stamps=None):
-    stamps = np.arange(len(values)) * 100 if stamps is None else stamps
-    return CuboidAnnotation("a", CuboidPath(np.asarray(stamps, np.int64), np.asarray(values, np.float64)))
+def a_cuboid(values, timestamps=None):
+    timestamps = np.arange(len(values)) * 100 if timestamps is None else timestamps
+    return CuboidAnnotation("a", CuboidPath(np.asarray(timestamps, np.int64), np.asarray(values, np.float64)))
 
 
 def rows(x, *, yaw=0.0):
@@ -35,27 +35,27 @@ def rows(x, *, yaw=0.0):
     return values
 
 
-def test_a_straight_way_needs_its_ends_only():
+def test_a_straight_trajectory_needs_its_ends_only():
     scene = Scene((), (a_cuboid(rows(np.linspace(0, 50, 1001))),))
     (simple,) = simplify_scene(scene, tolerance_m=1e-9).annotations
     assert simple.path.timestamps_ns.tolist() == [0, 100_000]
 
 
-def test_a_corner_of_a_way_stays():
+def test_a_corner_of_a_trajectory_stays():
     x = np.concatenate([np.linspace(0, 10, 50), np.full(50, 10.0)])
     (simple,) = simplify_scene(Scene((), (a_cuboid(rows(x)),))).annotations
     assert simple.path.timestamps_ns.tolist() == [0, 4900, 9900]
 
 
-def test_turning_counts_the_shorter_way_and_beside_the_place():
-    turning = rows(np.zeros(37), yaw=np.arange(37) * 10.0)
-    (simple,) = simplify_scene(Scene((), (a_cuboid(turning),)), tolerance_deg=0.01).annotations
-    # less than half a turn is told by its ends: 17 steps of 10 degrees
+def test_rotating_counts_the_shorter_arc_and_beside_the_location():
+    rotating = rows(np.zeros(37), yaw=np.arange(37) * 10.0)
+    (simple,) = simplify_scene(Scene((), (a_cuboid(rotating),)), tolerance_deg=0.01).annotations
+    # less than half a rotation is known by its ends: 17 steps of 10 degrees
     assert simple.path.values[:, 8].tolist() == [0.0, 170.0, 340.0, 360.0]
 
 
-def test_a_smooth_bend_needs_about_as_many_stamps_as_its_curvature_says():
-    # a circle of 20 m: between stamps an angle φ apart a line is r (1 - cos(φ/2)) off; 0.01 m: 3.6 degrees
+def test_a_smooth_bend_needs_about_as_many_timestamps_as_its_curvature_says():
+    # a circle of 20 m: between timestamps an angle φ apart a line is r (1 - cos(φ/2)) off; 0.01 m: 3.6 degrees
     angles = np.radians(np.arange(0, 360, 0.1))
     values = rows(20 * np.cos(angles))
     values[:, 4] = 20 * np.sin(angles)
@@ -63,8 +63,8 @@ def test_a_smooth_bend_needs_about_as_many_stamps_as_its_curvature_says():
     assert 100 <= len(simple.path.timestamps_ns) <= 102
 
 
-def test_paths_of_equal_or_running_back_stamps_stay():
-    cuboid = a_cuboid(rows(np.zeros(4)), stamps=[0, 5, 5, 9])
+def test_paths_of_equal_or_running_back_timestamps_stay():
+    cuboid = a_cuboid(rows(np.zeros(4)), timestamps=[0, 5, 5, 9])
     assert simplify_scene(Scene((), (cuboid,))).annotations[0].path is cuboid.path
 
 
@@ -82,19 +82,24 @@ def test_empty_and_short_paths_stay():
 
 
 def a_scene():
-    stamps = np.arange(9) * 100
-    places = np.column_stack([np.arange(9.0), np.zeros(9), np.zeros(9)])
-    path = PosePath(stamps, places, np.repeat(TURN, 9, axis=0))
-    way = Trajectory(
-        "way", stamps, places, None, file_seconds=stamps * 1e-9, covariances=np.tile(np.eye(6), (9, 1, 1))
+    timestamps = np.arange(9) * 100
+    locations = np.column_stack([np.arange(9.0), np.zeros(9), np.zeros(9)])
+    path = Poses(timestamps, locations, np.repeat(ROTATION, 9, axis=0))
+    trajectory = Trajectory(
+        "trajectory",
+        timestamps,
+        locations,
+        None,
+        file_seconds=timestamps * 1e-9,
+        covariances=np.tile(np.eye(6), (9, 1, 1)),
     )
     annotations = (
         a_cuboid(rows(np.arange(9.0))),
-        PointsAnnotation("p", (PointPath(stamps, places, id="q"),), labels=("nose",)),
+        PointsAnnotation("p", (PointPath(timestamps, locations, id="q"),), labels=("nose",)),
         LocalizationAdjustment("l", path),
         GroupAnnotation("g"),
     )
-    return Scene((OdometrySensor("ego", path),), annotations, trajectories={"way": way})
+    return Scene((OdometrySensor("ego", path),), annotations, trajectories={"trajectory": trajectory})
 
 
 def counts(scene):
@@ -104,16 +109,18 @@ def counts(scene):
         "keypoints": len(points.paths[0].timestamps_ns),
         "adjustments": len(adjustment.poses.timestamps_ns),
         "sensors": len(scene.sensors[0].poses.timestamps_ns),
-        "trajectories": len(scene.trajectories["way"].timestamps_ns),
+        "trajectories": len(scene.trajectories["trajectory"].timestamps_ns),
     }
 
 
-def test_all_kinds_of_paths_are_simplified_and_told():
+def test_all_kinds_of_paths_are_simplified_and_reported():
     simple = simplify_scene(a_scene())
     assert counts(simple) == dict.fromkeys(counts(simple), 2)
-    assert {notice.place: notice.count for notice in simple.notices} == dict.fromkeys(counts(simple), 7)
-    way = simple.trajectories["way"]
-    assert (way.file_seconds.tolist(), way.covariances.shape) == ([0.0, 800 * 1e-9], (2, 6, 6))
+    assert {warning.location: warning.count for warning in simple.warnings} == dict.fromkeys(
+        counts(simple), 7
+    )
+    trajectory = simple.trajectories["trajectory"]
+    assert (trajectory.file_seconds.tolist(), trajectory.covariances.shape) == ([0.0, 800 * 1e-9], (2, 6, 6))
     assert simple.annotations[1].paths[0].id == "q"
 
 
@@ -125,8 +132,8 @@ def test_one_kind_of_paths_can_be_chosen(kind, left):
 
 
 def test_a_pose_that_holds_for_ever_stays():
-    scene = replace(a_scene(), sensors=(OdometrySensor("ego", PosePath.identity()),))
-    assert simplify_scene(scene).sensors[0].poses.endless
+    scene = replace(a_scene(), sensors=(OdometrySensor("ego", Poses.identity()),))
+    assert simplify_scene(scene).sensors[0].poses.static
 
 
 @pytest.mark.parametrize("wrong", [{"tolerance_m": -1.0}, {"tolerance_deg": float("nan")}])
@@ -146,6 +153,6 @@ def test_long_straight_curves_are_not_looked_at_point_by_point():
     assert len(calls) < 20
 
 
-def test_points_without_stamps_stay_as_they_are():
+def test_points_without_timestamps_stay_as_they_are():
     empty = PointsAnnotation("p", (PointPath(np.zeros(0, np.int64), np.zeros((0, 3))),))
     assert simplify_scene(Scene((), (empty,)), tolerance_m=1.0).annotations[0].paths == empty.paths

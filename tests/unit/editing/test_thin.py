@@ -117,8 +117,8 @@ def test_labelled_points_follow_the_points_and_frames_that_stay():
         ("top", 1, [0, 9]),
         ("map", None, [1]),
     ]
-    told = {notice.code: notice.count for notice in thinned.notices}
-    assert told == {"labelled-points": 7, "labelled-frames": 2, "labelled-annotations": 1}
+    reported = {warning.code: warning.count for warning in thinned.warnings}
+    assert reported == {"labelled-points": 7, "labelled-frames": 2, "labelled-annotations": 1}
 
 
 def test_points_that_are_nowhere_go():
@@ -135,7 +135,7 @@ def test_a_thinned_scene_can_go_to_another_process():
 
 
 @pytest.mark.parametrize(
-    ("said", "problem"),
+    ("stated", "problem"),
     [
         ({}, "nothing to thin by"),
         ({"voxel": 0.0}, "voxel 0.0"),
@@ -147,6 +147,6 @@ def test_a_thinned_scene_can_go_to_another_process():
         ({"voxel": 1.0, "sensors": ["nose"]}, "no sensor 'nose'"),
     ],
 )
-def test_what_cannot_be_followed_is_refused(said, problem):
+def test_what_cannot_be_followed_is_refused(stated, problem):
     with pytest.raises(OptionError, match=problem):
-        thin_scene(scene_of(), **said)
+        thin_scene(scene_of(), **stated)

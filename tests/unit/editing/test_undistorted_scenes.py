@@ -1,4 +1,4 @@
-"""Scenes through a distorted lens, against the same street seen by a pinhole."""
+"""Scenes through a distorted camera model, against the same street seen by a pinhole."""
 
 import pickle
 from dataclasses import replace
@@ -15,12 +15,12 @@ from sceneloom.scene import (
     Box2DAnnotation,
     BoxPath,
     CameraCalibration,
+    CameraImage,
     CameraSensor,
     Corrections,
     CuboidAnnotation,
     CuboidPath,
     LazyFrames,
-    Picture,
     PointPath,
     PointProjection,
     PointsAnnotation,
@@ -44,8 +44,8 @@ def street(camera):
 
 def scene_of(camera, *annotations, count=1):
     rgb = np.random.default_rng(0).integers(0, 256, (camera.height, camera.width, 3), np.uint8)
-    pictures = [Picture.of(k, camera, rgb) for k in range(count)]
-    sensor = CameraSensor("front", camera, LazyFrames.of(pictures, list(range(count))))
+    images = [CameraImage.of(k, camera, rgb) for k in range(count)]
+    sensor = CameraSensor("front", camera, LazyFrames.of(images, list(range(count))))
     return Scene((sensor,), annotations)
 
 
@@ -56,22 +56,22 @@ def moved(pixels, before=BARREL, after=PINHOLE):
 
 @pytest.fixture(scope="module")
 def distorted():
-    """Pictures are rendered when they are asked for, and each test asks again: here they are kept."""
+    """Images are rendered when they are asked for, and each test asks again: here they are kept."""
     scene = street(BARREL)
     (camera,) = scene.cameras
-    kept = [picture.loaded() for picture in camera.pictures]
-    seen = replace(camera, pictures=LazyFrames.of(kept, camera.pictures.timestamps_ns))
+    kept = [image.loaded() for image in camera.images]
+    seen = replace(camera, images=LazyFrames.of(kept, camera.images.timestamps_ns))
     return replace(scene, sensors=tuple(seen if sensor is camera else sensor for sensor in scene.sensors))
 
 
-def test_pictures_are_those_that_a_pinhole_takes_of_the_same_street(distorted):
+def test_images_are_those_that_a_pinhole_takes_of_the_same_street(distorted):
     undistorted, expected = undistort_scene(distorted), street(PINHOLE)
     assert undistorted.cameras[0].camera == PINHOLE
-    for ours, theirs in zip(undistorted.cameras[0].pictures, expected.cameras[0].pictures, strict=True):
+    for ours, theirs in zip(undistorted.cameras[0].images, expected.cameras[0].images, strict=True):
         assert ours.camera == PINHOLE
         assert ours.timestamp_ns == theirs.timestamp_ns
         off = np.abs(ours.rgb.astype(int) - theirs.rgb).max(axis=2)
-        # each picture is sampled on its own grid: outlines and textures finer than a pixel differ, areas do not
+        # each image is sampled on its own grid: outlines and textures finer than a pixel differ, areas do not
         assert np.median(off) <= 2
         assert np.mean(off > 40) < 0.03
         assert np.corrcoef(ours.rgb.ravel(), theirs.rgb.ravel())[0, 1] > 0.98
@@ -81,11 +81,11 @@ def test_poses_mountings_and_everything_else_stay(distorted):
     before, after = distorted.cameras[0], undistort_scene(distorted).cameras[0]
     assert after.poses is before.poses
     assert after.mount is before.mount
-    assert np.array_equal(after.pictures.timestamps_ns, before.pictures.timestamps_ns)
+    assert np.array_equal(after.images.timestamps_ns, before.images.timestamps_ns)
     assert undistort_scene(distorted).lidars == distorted.lidars
 
 
-def test_the_lens_that_took_the_pictures_stands_in_the_metadata(distorted):
+def test_the_camera_model_that_took_the_images_stands_in_the_metadata(distorted):
     ours = undistort_scene(distorted, keep=1.0).metadata["sceneloom"]["undistorted"]
     assert ours[0]["sensor"] == distorted.cameras[0].id
     assert ours[0]["keep"] == 1.0
@@ -98,33 +98,33 @@ def test_undistorted_scenes_are_written_and_read(distorted, tmp_path, name):
     sceneloom.write(undistort_scene(distorted, width=160, height=100), tmp_path / name)
     with sceneloom.open(tmp_path / name) as scene:
         assert scene.cameras[0].camera == undistorted_camera(BARREL, width=160, height=100)
-        assert [picture.rgb.shape for picture in scene.cameras[0].pictures] == [(100, 160, 3)] * 2
+        assert [image.rgb.shape for image in scene.cameras[0].images] == [(100, 160, 3)] * 2
 
 
-def test_pictures_with_lenses_of_their_own_all_get_the_same_new_one():
+def test_images_with_camera_models_of_their_own_all_get_the_same_new_one():
     other = Camera("brown_conrady", 320, 200, 215.0, 215.0, 160.0, 100.0, (-0.2,))
     rgb = np.full((200, 320, 3), 77, np.uint8)
-    pictures = [Picture.of(0, BARREL, rgb), Picture.of(1, other, rgb)]
-    scene = Scene((CameraSensor("front", BARREL, LazyFrames.of(pictures, [0, 1])),))
-    found = undistort_scene(scene).cameras[0].pictures
-    assert [picture.camera for picture in found] == [PINHOLE, PINHOLE]
+    images = [CameraImage.of(0, BARREL, rgb), CameraImage.of(1, other, rgb)]
+    scene = Scene((CameraSensor("front", BARREL, LazyFrames.of(images, [0, 1])),))
+    found = undistort_scene(scene).cameras[0].images
+    assert [image.camera for image in found] == [PINHOLE, PINHOLE]
     assert (found[1].rgb == 77).mean() > 0.9
 
 
-def test_pictures_can_be_pickled_for_other_processes(distorted):
-    pictures = undistort_scene(distorted).cameras[0].pictures
-    again = pickle.loads(pickle.dumps(pictures))
-    assert np.array_equal(again[1].rgb, pictures[1].rgb)
+def test_images_can_be_pickled_for_other_processes(distorted):
+    images = undistort_scene(distorted).cameras[0].images
+    again = pickle.loads(pickle.dumps(images))
+    assert np.array_equal(again[1].rgb, images[1].rgb)
 
 
-def test_encoded_pictures_and_places_of_features_are_no_longer_true():
+def test_encoded_images_and_locations_of_features_are_no_longer_true():
     scene = scene_of(BARREL)
-    picture = scene.cameras[0].pictures[0]
-    picture = Picture(
-        0, BARREL, picture.decode, extras={"features": [1], "number": 3}, encoded=lambda: b"jpeg"
+    image = scene.cameras[0].images[0]
+    image = CameraImage(
+        0, BARREL, image.decode, extras={"features": [1], "number": 3}, encoded=lambda: b"jpeg"
     )
-    scene = Scene((CameraSensor("front", BARREL, LazyFrames.of([picture], [0])),))
-    found = undistort_scene(scene).cameras[0].pictures[0]
+    scene = Scene((CameraSensor("front", BARREL, LazyFrames.of([image], [0])),))
+    found = undistort_scene(scene).cameras[0].images[0]
     assert found.encoded is None
     assert dict(found.extras) == {"number": 3}
 
@@ -136,17 +136,17 @@ def test_boxes_become_what_bounds_their_bent_outline():
     along = np.linspace(0, 1, 200)
     sides = [(along, 0 * along), (along, 0 * along + 1), (0 * along, along), (0 * along + 1, along)]
     outline = np.concatenate([np.stack(side, axis=1) for side in sides])
-    places = moved(outline * [120, 80] + [60, 50])
+    locations = moved(outline * [120, 80] + [60, 50])
     left, top, width, height = found.path.values[0]
-    assert np.allclose([left, top], places.min(axis=0), atol=0.1)  # nine places stand for each side
-    assert np.allclose([left + width, top + height], places.max(axis=0), atol=0.1)
+    assert np.allclose([left, top], locations.min(axis=0), atol=0.1)  # nine locations stand for each side
+    assert np.allclose([left + width, top + height], locations.max(axis=0), atol=0.1)
     assert untouched is other
 
 
-def test_what_the_new_picture_does_not_show_is_left_out_and_counted():
+def test_what_the_new_image_does_not_show_is_left_out_and_counted():
     corner = np.array(
         [[1.0, 1.0, 3.0, 3.0]]
-    )  # of a barrel's picture, cut off from a picture without black border
+    )  # of a barrel's image, cut off from an image without black border
     box = Box2DAnnotation("b", "front", BoxPath(TIME, corner))
     line = ShapeAnnotation(
         "s",
@@ -160,7 +160,7 @@ def test_what_the_new_picture_does_not_show_is_left_out_and_counted():
     scene = undistort_scene(scene_of(BARREL, box, line, cuboid))
     assert [annotation.id for annotation in scene.annotations] == ["c"]
     assert np.isnan(scene.annotations[0].projections[0].boxes).all()
-    assert [notice.count for notice in scene.notices if notice.code == "drawn-beyond-picture"] == [3]
+    assert [warning.count for warning in scene.warnings if warning.code == "drawn-beyond-image"] == [3]
     whole = undistort_scene(scene_of(BARREL, box, line, cuboid), keep=1.0)
     assert [annotation.id for annotation in whole.annotations] == ["b", "s", "c"]
 
@@ -182,7 +182,7 @@ def test_shapes_points_and_projections_follow():
     assert np.allclose(boxes[0, :2] + boxes[0, 2:] / 2, moved([[92.0, 62.0]]), atol=0.05)
     assert np.isnan(boxes[1]).all()
     assert np.allclose(scene.annotations[3].projections[0][0].points, moved([[70.0, 80.0]]))
-    assert "drawn-beyond-picture" not in [notice.code for notice in scene.notices]
+    assert "drawn-beyond-image" not in [warning.code for warning in scene.warnings]
 
 
 def test_what_a_pinhole_cannot_show_is_left_out_and_counted():
@@ -195,14 +195,14 @@ def test_what_a_pinhole_cannot_show_is_left_out_and_counted():
     scene = undistort_scene(scene_of(wide, lone, box))
     assert [annotation.id for annotation in scene.annotations] == ["box"]
     assert scene.annotations[0].path.timestamps_ns.tolist() == [0]
-    assert [(n.code, n.count) for n in scene.notices] == [("drawn-beyond-picture", 2)]
+    assert [(n.code, n.count) for n in scene.warnings] == [("drawn-beyond-image", 2)]
 
 
-def test_a_drive_of_pinholes_stays_as_it_is_with_a_notice():
+def test_a_drive_of_pinholes_stays_as_it_is_with_a_warning():
     scene = scene_of(PINHOLE)
     found = undistort_scene(scene)
     assert found.sensors == scene.sensors
-    assert [notice.code for notice in found.notices] == ["nothing-to-undistort"]
+    assert [warning.code for warning in found.warnings] == ["nothing-to-undistort"]
 
 
 def test_only_cameras_can_be_undistorted(distorted):
@@ -214,13 +214,13 @@ def test_only_cameras_can_be_undistorted(distorted):
         undistort_scene(Scene(()))
 
 
-def test_a_lens_that_an_annotation_replaces_is_applied_first_and_not_left_off():
+def test_a_camera_model_that_an_annotation_replaces_is_applied_first_and_not_left_off():
     calibration = CameraCalibration("better", "front", intrinsics=BARREL)
     straight = undistort_scene(scene_of(PINHOLE, calibration))
     assert (straight.annotations, straight.cameras[0].camera.model) == ((), "pinhole")
     assert straight.metadata["sceneloom"]["undistorted"][0]["camera"]["model"] == BARREL.model
     with pytest.raises(
-        OptionError, match=r"annotations\[better\] gives camera 'front' another lens; apply it first"
+        OptionError, match=r"annotations\[better\] gives camera 'front' another camera model; apply it first"
     ):
         undistort_scene(replace(scene_of(BARREL, calibration), corrections=Corrections.IGNORE))
     of_another = CameraCalibration("better", "rear", intrinsics=PINHOLE)

@@ -8,13 +8,13 @@ from scipy.spatial.transform import Rotation
 from sceneloom import evaluate_trajectory
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.evaluate.alignment import align_pairs, umeyama
-from sceneloom.evaluate.association import Pairs, Poses
+from sceneloom.evaluate.association import MatchedPoses, Pairs
 from sceneloom.scene import Trajectory
 
 
 def pairs_of(curve: tuple[Trajectory, Trajectory]) -> Pairs:
     """All poses of both, one by one."""
-    ours, theirs = (Poses(way.positions, way.quaternions_xyzw) for way in curve)
+    ours, theirs = (MatchedPoses(trajectory.positions, trajectory.quaternions_xyzw) for trajectory in curve)
     return Pairs(curve[0].timestamps_ns, ours, theirs)
 
 
@@ -28,14 +28,14 @@ def test_the_example_of_umeyama_comes_out_as_published() -> None:
     assert scale == pytest.approx(0.721, abs=5e-4)
 
 
-def test_the_turn_of_se3_is_that_of_scipy(curve: tuple[Trajectory, Trajectory]) -> None:
+def test_the_rotation_of_se3_is_that_of_scipy(curve: tuple[Trajectory, Trajectory]) -> None:
     pairs = pairs_of(curve)
     found = align_pairs(pairs, "se3")
     ours, theirs = (
         side.positions - side.positions.mean(axis=0) for side in (pairs.estimate, pairs.reference)
     )
-    turn, _ = Rotation.align_vectors(theirs, ours)
-    np.testing.assert_allclose(found.rotation, turn.as_matrix(), atol=1e-12)
+    rotation, _ = Rotation.align_vectors(theirs, ours)
+    np.testing.assert_allclose(found.rotation, rotation.as_matrix(), atol=1e-12)
     assert found.scale == 1.0
 
 
@@ -47,8 +47,8 @@ def test_the_heading_of_yaw_is_the_best_of_all(curve: tuple[Trajectory, Trajecto
     )
 
     def misfit(yaw: float) -> float:
-        turned = Rotation.from_euler("z", yaw).apply(ours)
-        return float(((turned - theirs) ** 2).sum())
+        rotated = Rotation.from_euler("z", yaw).apply(ours)
+        return float(((rotated - theirs) ** 2).sum())
 
     best = minimize_scalar(misfit, bounds=(-np.pi, np.pi), method="bounded", options={"xatol": 1e-10})
     # a minimum is found to the root of the rounding of its value
@@ -68,46 +68,46 @@ def test_the_first_poses_alone_can_decide(curve: tuple[Trajectory, Trajectory]) 
     ours, theirs = (
         side.positions[:10] - side.positions[:10].mean(axis=0) for side in (pairs.estimate, pairs.reference)
     )
-    turn, _ = Rotation.align_vectors(theirs, ours)
-    np.testing.assert_allclose(align_pairs(pairs, "se3", first=10).rotation, turn.as_matrix(), atol=1e-12)
+    rotation, _ = Rotation.align_vectors(theirs, ours)
+    np.testing.assert_allclose(align_pairs(pairs, "se3", first=10).rotation, rotation.as_matrix(), atol=1e-12)
     report = evaluate_trajectory(*curve, align_first=10)
     assert report.alignment.poses == 10
     assert report.absolute.translation.rms > evaluate_trajectory(*curve).absolute.translation.rms
 
 
 def straight(count: int, length: float) -> tuple[Trajectory, Trajectory]:
-    """A straight way, and the same one turned, shifted and rolled about itself."""
-    stamps = np.arange(count, dtype=np.int64) * 100_000_000
+    """A straight trajectory, and the same one rotated, shifted and rolled about itself."""
+    timestamps = np.arange(count, dtype=np.int64) * 100_000_000
     positions = np.linspace(0, length, count)[:, None] * np.array([1.0, 0.0, 0.0])
     world = Rotation.from_euler("zyx", [0.7, -0.2, 1.1])
-    turns = Rotation.from_euler("x", np.linspace(0, 0.3, count)[:, None])
+    rotations = Rotation.from_euler("x", np.linspace(0, 0.3, count)[:, None])
     return (
         Trajectory(
-            "found", stamps, world.apply(positions) + np.array([1.0, 2, 3]), (world * turns).as_quat()
+            "found", timestamps, world.apply(positions) + np.array([1.0, 2, 3]), (world * rotations).as_quat()
         ),
-        Trajectory("true", stamps, positions, turns.as_quat()),
+        Trajectory("true", timestamps, positions, rotations.as_quat()),
     )
 
 
 @pytest.mark.parametrize("kind", ["se3", "sim3"])
-def test_on_a_straight_line_the_orientations_tell_the_roll(kind: str) -> None:
+def test_on_a_straight_line_the_orientations_report_the_roll(kind: str) -> None:
     report = evaluate_trajectory(*straight(20, 30.0), align=kind)
     assert report.absolute.translation.max < 1e-9
     assert report.absolute.rotation_deg is not None
     # the root of the rounding of a matrix, in degrees
     assert report.absolute.rotation_deg.max < 1e-5
-    assert [notice.code for notice in report.notices if "straight" in notice.message] == [
+    assert [warning.code for warning in report.warnings if "straight" in warning.message] == [
         "doubtful-alignment"
     ]
 
 
 @pytest.mark.parametrize("kind", ["se3", "yaw", "origin"])
-def test_of_what_stands_the_orientations_tell_the_turn(kind: str) -> None:
+def test_of_what_stands_the_orientations_report_the_rotation(kind: str) -> None:
     found, true = straight(20, 0.0)
     if kind == "yaw":
-        turn = Rotation.from_euler("z", 0.5)
-        turns = (turn * Rotation.from_quat(true.quaternions_xyzw)).as_quat()
-        found = Trajectory("found", true.timestamps_ns, true.positions + 1, turns)
+        rotation = Rotation.from_euler("z", 0.5)
+        rotations = (rotation * Rotation.from_quat(true.quaternions_xyzw)).as_quat()
+        found = Trajectory("found", true.timestamps_ns, true.positions + 1, rotations)
     report = evaluate_trajectory(found, true, align=kind, rpe_deltas=("1s", "5m"))
     assert report.absolute.translation.max < 1e-9
     assert report.absolute.rotation_deg is not None
@@ -117,7 +117,7 @@ def test_of_what_stands_the_orientations_tell_the_turn(kind: str) -> None:
 
 
 def test_what_stands_has_no_scale() -> None:
-    with pytest.raises(PoseError, match="stands still, so that it has no scale"):
+    with pytest.raises(PoseError, match="is stationary, so that it has no scale"):
         evaluate_trajectory(*straight(20, 0.0), align="sim3")
 
 
@@ -127,8 +127,13 @@ def test_what_stands_has_no_scale() -> None:
 def test_too_few_pairs_are_refused_with_an_alignment_that_serves(count: int, kind: str, advice: str) -> None:
     found, true = straight(3, 30.0)
     cut = [
-        Trajectory(way.name, way.timestamps_ns[:count], way.positions[:count], way.quaternions_xyzw[:count])
-        for way in (found, true)
+        Trajectory(
+            trajectory.name,
+            trajectory.timestamps_ns[:count],
+            trajectory.positions[:count],
+            trajectory.quaternions_xyzw[:count],
+        )
+        for trajectory in (found, true)
     ]
     with pytest.raises(
         PoseError, match=f"{count} pairs of poses; alignment '{kind}' needs .*--align {advice}"

@@ -8,13 +8,13 @@ import pytest
 from sceneloom import evaluate_trajectory
 from sceneloom.errors import ArrayError, OptionError, PoseError
 from sceneloom.evaluate.association import associate_poses, covered_share
-from sceneloom.scene import PosePath, Trajectory
+from sceneloom.scene import Poses, Trajectory
 
 
-def along_x(milliseconds: list[int], name: str = "way") -> Trajectory:
+def along_x(milliseconds: list[int], name: str = "trajectory") -> Trajectory:
     """One metre a second along x, without orientations."""
-    stamps = np.array(milliseconds, np.int64) * 1_000_000
-    return Trajectory(name, stamps, np.outer(stamps / 1e9, [1.0, 0.0, 0.0]))
+    timestamps = np.array(milliseconds, np.int64) * 1_000_000
+    return Trajectory(name, timestamps, np.outer(timestamps / 1e9, [1.0, 0.0, 0.0]))
 
 
 def test_each_pose_has_at_most_one_partner() -> None:
@@ -36,7 +36,7 @@ def test_far_from_the_reference_nothing_is_compared() -> None:
     assert (pairs.timestamps_ns // 1_000_000).tolist() == [0, 100, 200, 800, 900, 1000]
 
 
-def test_turns_between_poses_are_even() -> None:
+def test_rotates_between_poses_are_even() -> None:
     half = np.sqrt(0.5)
     reference = Trajectory(
         "true",
@@ -53,7 +53,7 @@ def test_turns_between_poses_are_even() -> None:
     np.testing.assert_allclose(pairs.reference.quaternions_xyzw, [[0, 0, np.sin(eighth), np.cos(eighth)]])
 
 
-def test_without_overlap_both_spans_and_an_offset_are_told() -> None:
+def test_without_overlap_both_spans_and_an_offset_are_reported() -> None:
     late = Trajectory("late", np.array([1403636580838555648], np.int64), np.zeros((1, 3)))
     with pytest.raises(PoseError) as caught:
         evaluate_trajectory(along_x([500, 900], "mine"), late, align="none")
@@ -72,18 +72,18 @@ def test_an_offset_is_added_to_the_nanosecond() -> None:
     assert report.start_ns == 1403636580838555648
 
 
-def test_too_small_a_tolerance_is_told_with_the_nearest_distance() -> None:
+def test_too_small_a_tolerance_is_reported_with_the_nearest_distance() -> None:
     with pytest.raises(PoseError, match=r"within 0\.01 s; the nearest one is 0\.05 s away"):
         evaluate_trajectory(along_x([50, 150]), along_x([0, 100, 200]), align="none", associate="nearest")
 
 
 def test_a_part_counts_from_the_first_pose_of_the_reference() -> None:
-    way, reference = along_x(list(range(1000, 3000, 100))), along_x(list(range(1000, 3000, 50)))
-    report = evaluate_trajectory(way, reference, align="none", start=0.5, stop=1.0)
+    trajectory, reference = along_x(list(range(1000, 3000, 100))), along_x(list(range(1000, 3000, 50)))
+    report = evaluate_trajectory(trajectory, reference, align="none", start=0.5, stop=1.0)
     assert (report.start_ns, report.stop_ns) == (1_500_000_000, 1_900_000_000)
     assert report.pairs == report.estimate_poses == 5
     with pytest.raises(PoseError, match="no pose from 101 to"):
-        evaluate_trajectory(way, reference, align="none", start=100)
+        evaluate_trajectory(trajectory, reference, align="none", start=100)
 
 
 @pytest.mark.parametrize(
@@ -98,8 +98,8 @@ def test_a_part_counts_from_the_first_pose_of_the_reference() -> None:
     ],
 )
 def test_the_time_covered_leaves_out_gaps(estimate: list[int], share: float) -> None:
-    stamps = [np.array(times, np.int64) * 1_000_000 for times in (estimate, [0, 2000, 4000])]
-    assert covered_share(*stamps) == pytest.approx(share, abs=1e-12)
+    timestamps = [np.array(times, np.int64) * 1_000_000 for times in (estimate, [0, 2000, 4000])]
+    assert covered_share(*timestamps) == pytest.approx(share, abs=1e-12)
 
 
 AT_ORIGIN = np.zeros((1, 3))
@@ -107,7 +107,7 @@ HALF_KNOWN = np.array([[0, 0, 0], [0, np.nan, 0.0]])
 
 
 @pytest.mark.parametrize(
-    ("way", "problem"),
+    ("trajectory", "problem"),
     [
         (Trajectory("bad", np.array([0, 1], np.int64), HALF_KNOWN), r"positions\[1\].*nan"),
         (Trajectory("bad", np.array([0], np.int64), AT_ORIGIN, np.full((1, 4), np.nan)), r"xyzw\[0\]"),
@@ -116,9 +116,9 @@ HALF_KNOWN = np.array([[0, 0, 0], [0, np.nan, 0.0]])
         (Trajectory("bad", np.array([0], np.int64), np.full((1, 3), 1e200)), r"positions\[0\].*e\+200"),
     ],
 )
-def test_numbers_that_are_none_are_refused(way: Trajectory, problem: str) -> None:
+def test_numbers_that_are_none_are_refused(trajectory: Trajectory, problem: str) -> None:
     good = along_x([0, 1000])
-    for both in ((way, good), (good, way)):
+    for both in ((trajectory, good), (good, trajectory)):
         with pytest.raises(ArrayError, match=problem):
             evaluate_trajectory(*both, align="none")
 
@@ -142,10 +142,10 @@ def test_options_that_cannot_be_followed_are_refused(options: dict[str, object],
 
 
 def test_a_pose_path_can_be_compared() -> None:
-    path = PosePath(np.array([0, 10**9], np.int64), np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
+    path = Poses(np.array([0, 10**9], np.int64), np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
     assert evaluate_trajectory(path, path, align="none").absolute.translation.max == 0.0
     with pytest.raises(PoseError, match="holds at all times"):
-        evaluate_trajectory(PosePath.identity(), path)
+        evaluate_trajectory(Poses.identity(), path)
 
 
 @pytest.mark.parametrize("swapped", [False, True])
@@ -158,4 +158,4 @@ def test_fixes_are_seen_from_the_origin_of_the_other_side(tmp_path: Path, swappe
     report = evaluate_trajectory(*(reversed(sides) if swapped else sides), align="none")
     assert report.pairs == 1
     assert report.absolute.translation.max < 1e-8
-    assert report.notices[-1].code == "no-steps"
+    assert report.warnings[-1].code == "no-steps"

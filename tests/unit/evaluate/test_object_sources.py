@@ -17,7 +17,7 @@ SECOND = 1_000_000_000
 
 
 def cuboid(identifier, label, x, yaw_deg=0.0, **fields) -> CuboidAnnotation:
-    """A box of 4 x 2 x 1.5 m that goes 10 m along x in 10 s, with a stamp at either end."""
+    """A box of 4 x 2 x 1.5 m that goes 10 m along x in 10 s, with a timestamp at either end."""
     rows = np.array([[4, 2, 1.5, x, 0, 0, 0, 0, yaw_deg], [4, 2, 1.5, x + 10, 0, 0, 0, 0, yaw_deg]], float)
     return CuboidAnnotation(identifier, CuboidPath(np.array([0, 10 * SECOND]), rows), label=label, **fields)
 
@@ -27,19 +27,20 @@ def scene(*cuboids: CuboidAnnotation) -> Scene:
 
 
 def test_cuboids_are_rows_at_every_time_that_is_asked_for():
-    turned = cuboid("a", "car", 5, yaw_deg=90)
-    table = scene_objects(scene(turned, cuboid("b", None, 50)), np.arange(0, 30, 5) * SECOND)
+    rotated = cuboid("a", "car", 5, yaw_deg=90)
+    table = scene_objects(scene(rotated, cuboid("b", None, 50)), np.arange(0, 30, 5) * SECOND)
     assert table.frames.tolist() == [0, 0, 1, 1, 2, 2]
     assert table.labels[:2] == ("car", "object")
     np.testing.assert_allclose(table.boxes[2], [10, 0, 0, 4, 2, 1.5, np.pi / 2], atol=1e-12)
     assert table.scores is None
-    assert labelled_times(scene(turned)).tolist() == [0, 10 * SECOND]
+    assert labelled_times(scene(rotated)).tolist() == [0, 10 * SECOND]
 
 
-def test_scores_hold_until_the_next_and_are_one_where_nothing_is_said():
-    said = AttributePath("existence", (0.2, 0.8), np.array([0, 5 * SECOND]))
+def test_scores_hold_until_the_next_and_are_one_where_nothing_is_stated():
+    stated = AttributePath("existence", (0.2, 0.8), np.array([0, 5 * SECOND]))
     table = scene_objects(
-        scene(cuboid("a", "car", 0, attributes=(said,)), cuboid("b", "car", 30)), np.array([0, 4, 6]) * SECOND
+        scene(cuboid("a", "car", 0, attributes=(stated,)), cuboid("b", "car", 30)),
+        np.array([0, 4, 6]) * SECOND,
     )
     assert table.scores is not None
     assert table.scores[table.ids == 0].tolist() == [0.2, 0.2, 0.8]
@@ -56,10 +57,10 @@ def test_tracks_of_scenes_are_compared_in_space_and_all_their_classes(tmp_path: 
     found = scene(cuboid("x", "truck", 1), cuboid("y", "bus", 80))
     for name, one in (("true", true), ("found", found)):
         sceneloom.write(one, tmp_path / f"{name}.sfs")
-    told = compare_tracks(tmp_path / "found.sfs", tmp_path / "true.sfs")
-    assert (told.similarity, sorted(told.classes)) == ("3d", ["bus", "truck"])
-    assert told.classes["truck"].combined.clear.motp == pytest.approx(3 / 5)
-    assert told.classes["bus"].combined.clear.mota == -1.0
+    reported = compare_tracks(tmp_path / "found.sfs", tmp_path / "true.sfs")
+    assert (reported.similarity, sorted(reported.classes)) == ("3d", ["bus", "truck"])
+    assert reported.classes["truck"].combined.clear.motp == pytest.approx(3 / 5)
+    assert reported.classes["bus"].combined.clear.mota == -1.0
     with pytest.raises(
         OptionError, match="similarity '2d': one side has no such boxes; comparable: bev, 3d, distance"
     ):
@@ -118,7 +119,7 @@ def fused_line(cloud: int, x: float, confidence: float) -> str:
 
 @pytest.fixture
 def fused(tmp_path: Path) -> tuple[Path, Path]:
-    """Cars 20 m ahead in three sweeps, found 0.1, 0.2 and 0.1 m too far; where sensors were is told beside."""
+    """Cars 20 m ahead in three sweeps, found 0.1, 0.2 and 0.1 m too far; where sensors were is reported beside."""
     results, truth = tmp_path / "fused", tmp_path / "kitti"
     for folder in (results, truth / "label_02", truth / "calib"):
         folder.mkdir(parents=True)
@@ -134,24 +135,24 @@ def fused(tmp_path: Path) -> tuple[Path, Path]:
 
 
 def test_fused_detections_are_compared_in_the_lidars_frame_with_their_covariances(fused: tuple[Path, Path]):
-    told = compare_detections(*fused, classes=("car",))
-    assert [one.similarity for one in told.classes["car"]] == ["2d", "bev", "3d"]
-    for one in told.classes["car"]:
+    reported = compare_detections(*fused, classes=("car",))
+    assert [one.similarity for one in reported.classes["car"]] == ["2d", "bev", "3d"]
+    for one in reported.classes["car"]:
         scores = one.difficulties["easy"]
         assert (scores.max_f1, scores.true_objects) == (1.0, 3)
         # records have 32 bits
         assert scores.calibration is not None
         assert scores.calibration.error == pytest.approx(0.1, abs=1e-6)
-    judged = told.classes["car"][0].covariances
+    judged = reported.classes["car"][0].covariances
     assert judged is not None
     assert set(judged) == {"center", "size"}
     assert judged["center"].nees == pytest.approx((1 + 4 + 1) / 3, rel=1e-4)
     assert judged["size"].nees == pytest.approx(0, abs=1e-9)
-    assert told.classes["car"][0].headings_reversed == 0.0
+    assert reported.classes["car"][0].headings_reversed == 0.0
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "stated"),
     [
         (lambda results, truth: (truth / "calib" / "0000.txt").unlink(), "calib"),
         (
@@ -166,9 +167,9 @@ def test_fused_detections_are_compared_in_the_lidars_frame_with_their_covariance
         ),
     ],
 )
-def test_what_is_wrong_with_fused_detections_is_named(fused: tuple[Path, Path], change, said):
+def test_what_is_wrong_with_fused_detections_is_named(fused: tuple[Path, Path], change, stated):
     change(*fused)
-    with pytest.raises(DataError, match=said):
+    with pytest.raises(DataError, match=stated):
         compare_detections(*fused)
 
 

@@ -11,11 +11,11 @@ from sceneloom import evaluate_trajectory
 from sceneloom.scene import Trajectory
 
 
-def matrices(way: Trajectory) -> np.ndarray:
+def matrices(trajectory: Trajectory) -> np.ndarray:
     """(N, 4, 4) poses."""
-    poses = np.tile(np.eye(4), (len(way.timestamps_ns), 1, 1))
-    poses[:, :3, :3] = Rotation.from_quat(way.quaternions_xyzw).as_matrix()
-    poses[:, :3, 3] = way.positions
+    poses = np.tile(np.eye(4), (len(trajectory.timestamps_ns), 1, 1))
+    poses[:, :3, :3] = Rotation.from_quat(trajectory.quaternions_xyzw).as_matrix()
+    poses[:, :3, 3] = trajectory.positions
     return poses
 
 
@@ -29,13 +29,15 @@ def pose_error(ours: np.ndarray, theirs: np.ndarray, i: int, j: int) -> tuple[fl
 
 def devkit(ours: np.ndarray, theirs: np.ndarray) -> dict[float, list[tuple[float, float]]]:
     """KITTI's errors per length, as the development kit defines them, pose by pose."""
-    way = [0.0]
+    trajectory = [0.0]
     for k in range(1, len(theirs)):
-        way.append(way[-1] + float(np.linalg.norm(theirs[k, :3, 3] - theirs[k - 1, :3, 3])))
+        trajectory.append(trajectory[-1] + float(np.linalg.norm(theirs[k, :3, 3] - theirs[k - 1, :3, 3])))
     found: dict[float, list[tuple[float, float]]] = {}
     for first in range(0, len(theirs), 10):
         for length in (100, 200, 300, 400, 500, 600, 700, 800):
-            last = next((k for k in range(first, len(theirs)) if way[k] > way[first] + length), None)
+            last = next(
+                (k for k in range(first, len(theirs)) if trajectory[k] > trajectory[first] + length), None
+            )
             if last is not None:
                 shift, angle = pose_error(ours, theirs, first, last)
                 found.setdefault(float(length), []).append((shift / length, angle / length))
@@ -50,19 +52,19 @@ def drive() -> tuple[Trajectory, Trajectory]:
     speed = np.clip(10 * np.sin(np.arange(count) * 0.01) + 6, 0, None) * 0.1
     yaw = np.cumsum(0.02 * np.sin(np.arange(count) * 0.013))
     steps = np.stack([speed, np.zeros(count), 0.01 * speed], axis=1)
-    ways = []
+    trajectories = []
     for noise in (0.0, 1.0):
-        turns = Rotation.from_euler("z", (yaw + noise * np.cumsum(rng.normal(0, 2e-4, count)))[:, None])
-        moved = turns.apply(steps * (1 + 0.004 * noise) + noise * rng.normal(0, 2e-3, (count, 3)))
-        ways.append(
+        rotations = Rotation.from_euler("z", (yaw + noise * np.cumsum(rng.normal(0, 2e-4, count)))[:, None])
+        moved = rotations.apply(steps * (1 + 0.004 * noise) + noise * rng.normal(0, 2e-3, (count, 3)))
+        trajectories.append(
             Trajectory(
-                "way",
+                "trajectory",
                 np.arange(count, dtype=np.int64) * 100_000_000,
                 np.cumsum(moved, axis=0),
-                turns.as_quat(),
+                rotations.as_quat(),
             )
         )
-    return ways[1], ways[0]
+    return trajectories[1], trajectories[0]
 
 
 def test_kitti_figures_are_those_of_the_development_kit(drive: tuple[Trajectory, Trajectory]) -> None:
@@ -81,40 +83,48 @@ def test_kitti_figures_are_those_of_the_development_kit(drive: tuple[Trajectory,
         assert part.rotation_deg_per_m == pytest.approx(np.degrees(errors[:, 1].mean()), rel=1e-6)
 
 
-def test_steps_of_time_and_way_are_those_of_the_definition(drive: tuple[Trajectory, Trajectory]) -> None:
+def test_steps_of_time_and_trajectory_are_those_of_the_definition(
+    drive: tuple[Trajectory, Trajectory],
+) -> None:
     ours, theirs = map(matrices, drive)
-    way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(drive[1].positions, axis=0), axis=1))])
+    trajectory = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(drive[1].positions, axis=0), axis=1))])
     count = len(ours)
     by_time = [(i, i + 10) for i in range(count - 10)]
-    by_way = [
-        (i, j) for i in range(count) if (j := next((k for k in range(i, count) if way[k] > way[i] + 5), None))
+    by_trajectory = [
+        (i, j)
+        for i in range(count)
+        if (j := next((k for k in range(i, count) if trajectory[k] > trajectory[i] + 5), None))
     ]
     report = evaluate_trajectory(*drive, rpe_deltas=("1s", "5m", "10f"))
-    for told, steps in zip(report.relative, (by_time, by_way, by_time), strict=True):
+    for reported, steps in zip(report.relative, (by_time, by_trajectory, by_time), strict=True):
         expected = np.array([pose_error(ours, theirs, i, j) for i, j in steps])
-        assert told.translation.count == len(steps)
-        assert told.translation.rms == pytest.approx(np.sqrt((expected[:, 0] ** 2).mean()), rel=1e-9)
-        assert told.translation.percentile_95 == pytest.approx(np.percentile(expected[:, 0], 95), rel=1e-9)
-        assert told.rotation_deg is not None
-        assert told.rotation_deg.mean == pytest.approx(np.degrees(expected[:, 1].mean()), rel=1e-5)
-        metres = np.mean([way[j] - way[i] for i, j in steps])
-        assert told.metres == pytest.approx(metres, rel=1e-9)
-        assert told.translation_percent == pytest.approx(100 * expected[:, 0].mean() / metres, rel=1e-9)
-        assert told.rotation_deg_per_s == pytest.approx(told.rotation_deg.mean / told.seconds)
+        assert reported.translation.count == len(steps)
+        assert reported.translation.rms == pytest.approx(np.sqrt((expected[:, 0] ** 2).mean()), rel=1e-9)
+        assert reported.translation.percentile_95 == pytest.approx(
+            np.percentile(expected[:, 0], 95), rel=1e-9
+        )
+        assert reported.rotation_deg is not None
+        assert reported.rotation_deg.mean == pytest.approx(np.degrees(expected[:, 1].mean()), rel=1e-5)
+        metres = np.mean([trajectory[j] - trajectory[i] for i, j in steps])
+        assert reported.metres == pytest.approx(metres, rel=1e-9)
+        assert reported.translation_percent == pytest.approx(100 * expected[:, 0].mean() / metres, rel=1e-9)
+        assert reported.rotation_deg_per_s == pytest.approx(reported.rotation_deg.mean / reported.seconds)
     assert report.relative[0].seconds == pytest.approx(1.0)
 
 
 def test_a_gap_is_no_step_of_time() -> None:
-    stamps = np.array([0, 100, 200, 300, 2000, 2100, 2200], np.int64) * 1_000_000
-    way = Trajectory("way", stamps, np.outer(stamps / 1e9, [1.0, 0, 0]))
-    report = evaluate_trajectory(way, way, align="none", rpe_deltas=("0.3s", "1s", "1000m"))
+    timestamps = np.array([0, 100, 200, 300, 2000, 2100, 2200], np.int64) * 1_000_000
+    trajectory = Trajectory("trajectory", timestamps, np.outer(timestamps / 1e9, [1.0, 0, 0]))
+    report = evaluate_trajectory(trajectory, trajectory, align="none", rpe_deltas=("0.3s", "1s", "1000m"))
     assert [step.delta for step in report.relative] == ["0.3s"]
     assert report.relative[0].translation.count == 1
-    assert "1s, 1000m" in report.notices[-1].message
+    assert "1s, 1000m" in report.warnings[-1].message
 
 
 def test_positions_alone_are_compared_in_the_aligned_world(curve: tuple[Trajectory, Trajectory]) -> None:
-    found, true = (Trajectory(way.name, way.timestamps_ns, way.positions) for way in curve)
+    found, true = (
+        Trajectory(trajectory.name, trajectory.timestamps_ns, trajectory.positions) for trajectory in curve
+    )
     report = evaluate_trajectory(found, true, align="sim3", rpe_deltas=("10f",))
     full = evaluate_trajectory(*curve, align="sim3", rpe_deltas=("10f",))
     assert report.absolute.translation == full.absolute.translation
@@ -122,18 +132,20 @@ def test_positions_alone_are_compared_in_the_aligned_world(curve: tuple[Trajecto
     assert report.kitti is None
     assert report.relative[0].rotation_deg is None
     how = report.alignment
-    turned = how.scale * Rotation.from_quat(how.quaternion_xyzw).apply(found.positions)
+    rotated = how.scale * Rotation.from_quat(how.quaternion_xyzw).apply(found.positions)
     differences = np.linalg.norm(
-        turned[10:] - turned[:-10] - true.positions[10:] + true.positions[:-10], axis=1
+        rotated[10:] - rotated[:-10] - true.positions[10:] + true.positions[:-10], axis=1
     )
     assert report.relative[0].translation.mean == pytest.approx(differences.mean(), rel=1e-9)
-    assert "no-orientations" in [notice.code for notice in report.notices]
+    assert "no-orientations" in [warning.code for warning in report.warnings]
 
 
 def test_axes_of_a_camera_are_noticed(curve: tuple[Trajectory, Trajectory]) -> None:
     found, true = curve
     optical = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
-    turned = (Rotation.from_quat(found.quaternions_xyzw) * optical).as_quat()
-    report = evaluate_trajectory(Trajectory("camera", found.timestamps_ns, found.positions, turned), true)
-    assert [notice.code for notice in report.notices if "axes" in notice.code] == ["other-axes"]
-    assert not [notice for notice in evaluate_trajectory(found, true).notices if notice.code == "other-axes"]
+    rotated = (Rotation.from_quat(found.quaternions_xyzw) * optical).as_quat()
+    report = evaluate_trajectory(Trajectory("camera", found.timestamps_ns, found.positions, rotated), true)
+    assert [warning.code for warning in report.warnings if "axes" in warning.code] == ["other-axes"]
+    assert not [
+        warning for warning in evaluate_trajectory(found, true).warnings if warning.code == "other-axes"
+    ]

@@ -10,7 +10,7 @@ import pytest
 
 from sceneloom.errors import DataError, OptionError, OutputError, UnknownFormatError, UnknownOptionError
 from sceneloom.formats.clouds.names import name_of_time, numbers_of_names, stem_of, times_of_names
-from sceneloom.formats.loss import Fate
+from sceneloom.formats.loss import Support
 from sceneloom.formats.table import find_format, open_scene, write_scene
 from sceneloom.pipeline.converting.job import convert
 from sceneloom.scene import (
@@ -22,25 +22,25 @@ from sceneloom.scene import (
     LidarPoints,
     LidarSensor,
     PointsFrame,
-    PosePath,
+    Poses,
     Scene,
     Trajectory,
 )
 
 RNG = np.random.default_rng(11)
 COUNT = 400
-STAMPS = (1_700_000_000_000_000_001, 1_700_000_000_100_000_003)
+TIMESTAMPS = (1_700_000_000_000_000_001, 1_700_000_000_100_000_003)
 KINDS = ("pcd", "ply", "las", "laz", "kitti-bin", "nuscenes-bin", "npz")
 ENDINGS = {"kitti-bin": ".bin", "nuscenes-bin": ".pcd.bin"}
 HOLD_ALL = ("pcd", "ply", "las", "laz", "npz")
 
 
-def points(stamp_ns, *, extras=None):
+def points(timestamp_ns, *, extras=None):
     return LidarPoints(
         positions=RNG.uniform(-80, 80, (COUNT, 3)).astype(np.float32),
         intensities=RNG.integers(0, 256, COUNT).astype(np.uint8),
         colors=RNG.integers(0, 256, (COUNT, 3)).astype(np.uint8),
-        timestamps_ns=stamp_ns + RNG.integers(0, 100_000_000, COUNT),
+        timestamps_ns=timestamp_ns + RNG.integers(0, 100_000_000, COUNT),
         rings=RNG.integers(0, 128, COUNT).astype(np.uint16),
         camera_index=RNG.integers(0, 3, COUNT).astype(np.uint8),
         extras=extras or {},
@@ -48,15 +48,15 @@ def points(stamp_ns, *, extras=None):
 
 
 def scene_of(frames, **fields):
-    stamps = [frame.timestamp_ns for frame in frames]
-    lidar = LidarSensor(fields.pop("id", "lidar"), LazyFrames.of(frames, stamps), **fields)
+    timestamps = [frame.timestamp_ns for frame in frames]
+    lidar = LidarSensor(fields.pop("id", "lidar"), LazyFrames.of(frames, timestamps), **fields)
     return Scene((lidar,))
 
 
 @pytest.fixture
 def scene():
     extras = {"range": RNG.uniform(0, 80, COUNT), "echo": RNG.integers(0, 3, COUNT).astype(np.int8)}
-    return scene_of([LidarFrame(stamp, points(stamp, extras=extras)) for stamp in STAMPS])
+    return scene_of([LidarFrame(timestamp, points(timestamp, extras=extras)) for timestamp in TIMESTAMPS])
 
 
 def same(found, expected, *, tolerance=0.0):
@@ -73,13 +73,13 @@ def test_a_folder_of_clouds_gives_back_all_that_its_points_bear(tmp_path, scene,
     losses = write_scene(scene, tmp_path / "clouds", format=kind)
     with open_scene(tmp_path / "clouds") as found:
         assert found.format == kind
-        assert found.lidars[0].frames.timestamps_ns.tolist() == list(STAMPS)
+        assert found.lidars[0].frames.timestamps_ns.tolist() == list(TIMESTAMPS)
         for one, other in zip(found.lidars[0].frames, scene.lidars[0].frames, strict=True):
             # LAS rounds to steps of 0.01 mm, and float32 of 80 m to 8 µm
             same(one.points, other.points, tolerance=1.3e-5 if kind.startswith("la") else 0.0)
     if kind.startswith("la"):
         (loss,) = losses
-        assert loss.fate is Fate.APPROXIMATED
+        assert loss.support is Support.APPROXIMATED
         assert 0 < loss.largest_error <= 0.5e-5 + 1e-12
     else:
         assert not losses
@@ -93,11 +93,11 @@ def test_pcd_files_of_every_encoding_hold_the_same(tmp_path, scene, encoding):
 
 
 @pytest.mark.parametrize(("kind", "columns"), [("kitti-bin", 4), ("nuscenes-bin", 5)])
-def test_packed_files_hold_the_places_and_the_brightness_and_what_they_leave_out_is_told(
+def test_packed_files_hold_the_locations_and_the_brightness_and_what_they_leave_out_is_reported(
     tmp_path, scene, kind, columns
 ):
     losses = write_scene(scene, tmp_path / "clouds", format=kind)
-    file = tmp_path / "clouds" / f"{STAMPS[0]}{ENDINGS[kind]}"
+    file = tmp_path / "clouds" / f"{TIMESTAMPS[0]}{ENDINGS[kind]}"
     rows = np.fromfile(file, "<f4").reshape(-1, columns)
     expected = scene.lidars[0].frames[0].points
     np.testing.assert_array_equal(rows[:, :3], expected.positions)
@@ -110,7 +110,7 @@ def test_packed_files_hold_the_places_and_the_brightness_and_what_they_leave_out
     else:
         left.add("rings")
     assert {loss.field.removeprefix("sensors[lidar].frames.points.") for loss in losses} == left
-    assert all(loss.fate is Fate.DROPPED and loss.count == 2 for loss in losses)
+    assert all(loss.support is Support.DROPPED and loss.count == 2 for loss in losses)
     found = open_scene(tmp_path / "clouds").lidars[0].frames[0].points
     np.testing.assert_array_equal(found.positions, expected.positions)
     np.testing.assert_array_equal(found.intensities, expected.intensities)
@@ -142,29 +142,29 @@ def test_an_array_without_names_is_read_and_not_written(tmp_path):
         write_scene(one, tmp_path / "out.npy", format="npz")
 
 
-def test_what_files_of_points_have_no_place_for_is_told(tmp_path, scene):
+def test_what_files_of_points_have_no_field_for_is_reported(tmp_path, scene):
     box = CuboidAnnotation("a", CuboidPath(np.zeros(1, np.int64), np.ones((1, 9))))
     fix = GnssSensor("gps", np.zeros(1, np.int64), np.zeros((1, 3)), np.ones(1), np.ones(1))
     lidar = replace(scene.lidars[0], model="M1", id="top")
     losses = write_scene(
         Scene((lidar, fix), annotations=(box,), metadata={"city": "x"}), tmp_path / "o", format="ply"
     )
-    told = {loss.field: loss for loss in losses}
+    reported = {loss.field: loss for loss in losses}
     assert {"sensors[gps]", "sensors[top].model", "annotations.cuboid", "metadata", "sensors[top].id"} == set(
-        told
+        reported
     )
-    assert told["sensors[top].id"].fate is Fate.CONVERTED
+    assert reported["sensors[top].id"].support is Support.CONVERTED
 
 
 def test_points_are_written_in_the_frame_that_is_asked_for(tmp_path):
-    # a quarter turn to the left at (10, 0, 0): what lies ahead of the sensor lies to the left in the world
+    # a quarter rotation to the left at (10, 0, 0): what lies ahead of the sensor lies to the left in the world
     half = np.sqrt(0.5)
-    stamps = np.array(STAMPS)
-    poses = PosePath(
-        stamps, np.array([[10.0, 0.0, 0.0], [20.0, 0.0, 0.0]]), np.array([[0.0, 0.0, half, half]] * 2)
+    timestamps = np.array(TIMESTAMPS)
+    poses = Poses(
+        timestamps, np.array([[10.0, 0.0, 0.0], [20.0, 0.0, 0.0]]), np.array([[0.0, 0.0, half, half]] * 2)
     )
     ahead = LidarPoints(np.array([[5.0, 0.0, 0.0]], np.float32))
-    one = scene_of([LidarFrame(stamp, ahead) for stamp in STAMPS], poses=poses)
+    one = scene_of([LidarFrame(timestamp, ahead) for timestamp in TIMESTAMPS], poses=poses)
     write_scene(one, tmp_path / "world", format="ply", frame="world")
     found = open_scene(tmp_path / "world", points_frame="world").lidars[0]
     assert found.points_frame is PointsFrame.WORLD
@@ -174,23 +174,27 @@ def test_points_are_written_in_the_frame_that_is_asked_for(tmp_path):
     write_scene(one, tmp_path / "sensor", format="ply", frame="sensor")
     back = open_scene(tmp_path / "sensor").lidars[0]
     assert back.points_frame is PointsFrame.SENSOR
-    np.testing.assert_array_equal(back.poses.timestamps_ns, stamps)
+    np.testing.assert_array_equal(back.poses.timestamps_ns, timestamps)
     np.testing.assert_array_equal(back.poses.positions, poses.positions)
     # asked for at times of its own, a path gives its rotations normalised: the last digit may differ
     np.testing.assert_allclose(back.poses.quaternions_xyzw, poses.quaternions_xyzw, rtol=0, atol=1e-15)
 
 
-def test_points_on_the_ego_bring_the_way_of_the_ego(tmp_path):
-    stamps = np.array(STAMPS)
-    way = Trajectory("vio", stamps, np.array([[1.0, 2, 3], [4, 5, 6]]), np.array([[0.0, 0, 0, 1]] * 2))
-    one = scene_of(
-        [LidarFrame(stamp, points(stamp)) for stamp in STAMPS], points_frame=PointsFrame.EGO, poses=way.poses
+def test_points_on_the_ego_bring_the_ego_trajectory(tmp_path):
+    timestamps = np.array(TIMESTAMPS)
+    estimated_trajectory = Trajectory(
+        "vio", timestamps, np.array([[1.0, 2, 3], [4, 5, 6]]), np.array([[0.0, 0, 0, 1]] * 2)
     )
-    write_scene(replace(one, trajectories={"vio": way}), tmp_path / "o", format="pcd")
+    one = scene_of(
+        [LidarFrame(timestamp, points(timestamp)) for timestamp in TIMESTAMPS],
+        points_frame=PointsFrame.EGO,
+        poses=estimated_trajectory.poses,
+    )
+    write_scene(replace(one, trajectories={"vio": estimated_trajectory}), tmp_path / "o", format="pcd")
     with open_scene(tmp_path / "o") as found:
         assert found.lidars[0].points_frame is PointsFrame.EGO
         (trajectory,) = found.trajectories.values()
-        np.testing.assert_array_equal(trajectory.positions, way.positions)
+        np.testing.assert_array_equal(trajectory.positions, estimated_trajectory.positions)
 
 
 def test_several_lidars_are_folders_of_their_own(tmp_path):
@@ -205,10 +209,10 @@ def test_several_lidars_are_folders_of_their_own(tmp_path):
         same(found[lidar.id], lidar.frames[0].points)
 
 
-def test_frames_of_one_time_keep_their_order_and_that_is_told(tmp_path):
+def test_frames_of_one_time_keep_their_order_and_that_is_reported(tmp_path):
     frames = [LidarFrame(5, points(5)) for _ in range(3)]
     (loss,) = write_scene(scene_of(frames), tmp_path / "o", format="pcd")
-    assert (loss.fate, loss.count, loss.largest_error) == (Fate.APPROXIMATED, 2, 2.0)
+    assert (loss.support, loss.count, loss.largest_error) == (Support.APPROXIMATED, 2, 2.0)
     found = open_scene(tmp_path / "o").lidars[0].frames
     for one, other in zip(found, frames, strict=True):
         np.testing.assert_array_equal(one.points.positions, other.points.positions)
@@ -236,7 +240,7 @@ def test_large_coordinates_are_put_on_an_origin_near_them(tmp_path):
     file.write(str(tmp_path / "tile.las"))
     with open_scene(tmp_path / "tile.las") as scene:
         lidar = scene.lidars[0]
-        assert "cloud-origin" in {notice.code for notice in scene.notices}
+        assert "cloud-origin" in {warning.code for warning in scene.warnings}
         world = lidar.frames[0].points.positions.astype(np.float64) + lidar.poses.positions[0]
         # float32 of 50 m is exact to 4 µm
         np.testing.assert_allclose(world, np.asarray(file.xyz), rtol=0, atol=1e-5)
@@ -245,10 +249,10 @@ def test_large_coordinates_are_put_on_an_origin_near_them(tmp_path):
 @pytest.mark.parametrize(
     ("names", "times"),
     [
-        (["1700000000000000001", "1700000000100000003"], list(STAMPS)),
+        (["1700000000000000001", "1700000000100000003"], list(TIMESTAMPS)),
         (["-0000000000000000005", "0000000000000000007"], [-5, 7]),
         (["1700000000.5", "1700000000.6"], [1_700_000_000_500_000_000, 1_700_000_000_600_000_000]),
-        (["1700000000_000000001", "1700000000_100000003"], list(STAMPS)),
+        (["1700000000_000000001", "1700000000_100000003"], list(TIMESTAMPS)),
         (["a__LIDAR_TOP__1532402927647951"], [1_532_402_927_647_951_000]),
         (["pc-1532402927647"], [1_532_402_927_647_000_000]),
         (["0.1", "0.25"], [100_000_000, 250_000_000]),
@@ -258,7 +262,7 @@ def test_large_coordinates_are_put_on_an_origin_near_them(tmp_path):
         (["1700000000", "cloud"], None),
     ],
 )
-def test_names_that_are_times_are_told_from_numbers(names, times):
+def test_names_that_are_times_are_distinguished_from_numbers(names, times):
     assert times_of_names(names) == times
 
 
@@ -276,14 +280,14 @@ def numbered(folder, numbers):
     return folder
 
 
-def test_numbered_files_are_taken_at_ten_hertz_and_that_is_told(tmp_path):
+def test_numbered_files_are_taken_at_ten_hertz_and_that_is_reported(tmp_path):
     folder = numbered(tmp_path / "v", (0, 1, 3))
     scene = open_scene(folder)
     assert scene.lidars[0].frames.timestamps_ns.tolist() == [0, 100_000_000, 300_000_000]
-    assert {"cloud-times-assumed", "cloud-frame-assumed"} <= {notice.code for notice in scene.notices}
-    told = open_scene(folder, rate_hz=20.0)
-    assert told.lidars[0].frames.timestamps_ns.tolist() == [0, 50_000_000, 150_000_000]
-    assert "cloud-times-assumed" not in {notice.code for notice in told.notices}
+    assert {"cloud-times-assumed", "cloud-frame-assumed"} <= {warning.code for warning in scene.warnings}
+    reported = open_scene(folder, rate_hz=20.0)
+    assert reported.lidars[0].frames.timestamps_ns.tolist() == [0, 50_000_000, 150_000_000]
+    assert "cloud-times-assumed" not in {warning.code for warning in reported.warnings}
 
 
 def test_a_list_of_times_beside_the_files_counts(tmp_path):
@@ -306,7 +310,7 @@ def test_two_files_of_one_time_are_refused(tmp_path):
         open_scene(folder)
 
 
-def test_a_folder_with_other_files_is_told_what_keeps_it_from_being_clouds(tmp_path):
+def test_a_folder_with_other_files_is_reported_what_keeps_it_from_being_clouds(tmp_path):
     folder = numbered(tmp_path / "v", (0, 1))
     (folder / "image.png").write_bytes(b"x")
     with pytest.raises(UnknownFormatError, match=r"2 .*\.bin.* but 'image.png', too"):
@@ -323,28 +327,28 @@ def test_two_kinds_of_clouds_in_one_folder_are_named(tmp_path, scene):
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "reported"),
     [
         (b"", "it is empty"),
         *((c, "does not begin so") for c in (bytes(17), np.arange(64, dtype="<i4").tobytes())),
     ],
 )
-def test_other_bin_files_are_no_clouds(tmp_path, content, told):
+def test_other_bin_files_are_no_clouds(tmp_path, content, reported):
     (tmp_path / "a.bin").write_bytes(content)
-    with pytest.raises(UnknownFormatError, match=told):
+    with pytest.raises(UnknownFormatError, match=reported):
         open_scene(tmp_path / "a.bin")
 
 
 def test_a_later_file_that_is_torn_is_named_when_it_is_read_and_left_out_leniently(tmp_path, scene):
     write_scene(scene, tmp_path / "o", format="laz")
-    torn = tmp_path / "o" / f"{STAMPS[1]}.laz"
+    torn = tmp_path / "o" / f"{TIMESTAMPS[1]}.laz"
     torn.write_bytes(torn.read_bytes()[:-200])
     strict = open_scene(tmp_path / "o")
-    with pytest.raises(DataError, match=f"{STAMPS[1]}.laz: points: the table of chunks is at byte"):
+    with pytest.raises(DataError, match=f"{TIMESTAMPS[1]}.laz: points: the table of chunks is at byte"):
         strict.lidars[0].frames[1]
     lenient = open_scene(tmp_path / "o", lenient=True)
-    assert lenient.lidars[0].frames.timestamps_ns.tolist() == [STAMPS[0]]
-    assert [n.count for n in lenient.notices if n.code == "unreadable-files"] == [1]
+    assert lenient.lidars[0].frames.timestamps_ns.tolist() == [TIMESTAMPS[0]]
+    assert [n.count for n in lenient.warnings if n.code == "unreadable-files"] == [1]
 
 
 def test_options_that_do_not_count_are_refused(tmp_path, scene):
@@ -364,7 +368,9 @@ def test_options_that_do_not_count_are_refused(tmp_path, scene):
 def test_one_kind_becomes_another_without_loss(tmp_path, scene):
     write_scene(scene, tmp_path / "first", format="pcd")
     report = convert(tmp_path / "first", tmp_path / "second", to="ply", strict=True)
-    assert not [fate for fate in report.fields if fate.fate in {Fate.APPROXIMATED, Fate.DROPPED}]
+    assert not [
+        support for support in report.fields if support.support in {Support.APPROXIMATED, Support.DROPPED}
+    ]
     found = open_scene(tmp_path / "second").lidars[0]
     for one, other in zip(found.frames, scene.lidars[0].frames, strict=True):
         same(one.points, other.points)
@@ -378,7 +384,7 @@ def test_frames_of_clouds_go_to_other_processes(tmp_path, scene):
 
 def test_a_folder_is_recognised_though_some_of_its_files_are_torn(tmp_path, scene):
     write_scene(scene, tmp_path / "o", format="ply")
-    (tmp_path / "o" / f"{STAMPS[0] - 5}.ply").touch()
+    (tmp_path / "o" / f"{TIMESTAMPS[0] - 5}.ply").touch()
     assert find_format(tmp_path / "o").name == "ply"
     with pytest.raises(DataError, match=r"does not begin with `ply`"):
         open_scene(tmp_path / "o")

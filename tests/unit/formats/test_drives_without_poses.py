@@ -1,4 +1,4 @@
-"""A drive whose trajectory is not known: targets that place things in the world report the same of it."""
+"""A drive whose trajectory is not known: targets that location things in the world report the same of it."""
 
 import json
 from dataclasses import replace
@@ -10,10 +10,11 @@ from sceneloom import convert, fuse
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.formats import open_scene, write_scene
-from sceneloom.formats.default_poses import standing_ego
-from sceneloom.formats.loss import Fate
+from sceneloom.formats.default_poses import stationary_ego
+from sceneloom.formats.loss import Support
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
+    CameraImage,
     CameraSensor,
     CuboidAnnotation,
     CuboidPath,
@@ -22,8 +23,7 @@ from sceneloom.scene import (
     LidarPoints,
     LidarSensor,
     LocalizationAdjustment,
-    Picture,
-    PosePath,
+    Poses,
     Scene,
     Trajectory,
 )
@@ -33,19 +33,21 @@ MOUNT = RigidTransform.identity()
 
 
 def drive():
-    lens = Camera("pinhole", 8, 6, 6.0, 6.0, 4.0, 3.0)
+    camera_model = Camera("pinhole", 8, 6, 6.0, 6.0, 4.0, 3.0)
     points = LidarPoints(np.ones((5, 3), np.float32))
-    pictures = [Picture(int(time), lens, decode=lambda: np.zeros((6, 8, 3), np.uint8)) for time in TIMES]
+    images = [
+        CameraImage(int(time), camera_model, decode=lambda: np.zeros((6, 8, 3), np.uint8)) for time in TIMES
+    ]
     return Scene(
         (
             LidarSensor("lidar", LazyFrames(TIMES, lambda k: LidarFrame(int(TIMES[k]), points)), mount=MOUNT),
-            CameraSensor("camera", lens, LazyFrames(TIMES, pictures.__getitem__), mount=MOUNT),
+            CameraSensor("camera", camera_model, LazyFrames(TIMES, images.__getitem__), mount=MOUNT),
         )
     )
 
 
 def moving():
-    """A drive along x through a hall, 2 m/s, whose sweeps tell how it moved."""
+    """A drive along x through a hall, 2 m/s, whose sweeps report how it moved."""
     rng = np.random.default_rng(4)
     hall = rng.uniform((-12.0, -7.0, -1.0), (17.0, 9.0, 5.0), (6000, 3))
     hall[np.arange(6000), np.arange(6000) % 3] = np.where(
@@ -56,17 +58,19 @@ def moving():
     def sweep(k):
         return LidarFrame(int(times[k]), LidarPoints((hall - (0.2 * k, 0.0, 0.0)).astype(np.float32)))
 
-    lens = Camera("pinhole", 8, 6, 6.0, 6.0, 4.0, 3.0)
-    pictures = [Picture(int(time), lens, decode=lambda: np.zeros((6, 8, 3), np.uint8)) for time in times]
+    camera_model = Camera("pinhole", 8, 6, 6.0, 6.0, 4.0, 3.0)
+    images = [
+        CameraImage(int(time), camera_model, decode=lambda: np.zeros((6, 8, 3), np.uint8)) for time in times
+    ]
     return Scene(
         (
             LidarSensor("lidar", LazyFrames(times, sweep), mount=MOUNT),
-            CameraSensor("camera", lens, LazyFrames(times, pictures.__getitem__), mount=MOUNT),
+            CameraSensor("camera", camera_model, LazyFrames(times, images.__getitem__), mount=MOUNT),
         )
     )
 
 
-def told(losses):
+def reported(losses):
     return [loss for loss in losses if loss.field == "trajectories.positions"]
 
 
@@ -81,8 +85,8 @@ def last_ego(name, folder):
         lines = (folder / "sparse/0/images.txt").read_text().splitlines()
         last = next(line for line in lines if line.endswith("000005_500000000.jpg")).split()
         w, x, y, z = map(float, last[1:5])
-        turn = RigidTransform.from_quaternion(np.zeros(3), np.array([x, y, z, w]))
-        return -turn.inverse().apply(np.array([list(map(float, last[5:8]))]))[0, 0]
+        rotation = RigidTransform.from_quaternion(np.zeros(3), np.array([x, y, z, w]))
+        return -rotation.inverse().apply(np.array([list(map(float, last[5:8]))]))[0, 0]
     if name == "nerfstudio":
         frames = json.loads((folder / "transforms.json").read_text())["frames"]
         return max(frame["transform_matrix"][0][3] for frame in frames)
@@ -92,51 +96,61 @@ def last_ego(name, folder):
 
 @pytest.mark.parametrize(("name", "options"), IN_WORLD)
 @pytest.mark.parametrize("trajectory", [None, "lidar"])
-def test_targets_in_the_world_follow_the_sweeps_where_they_can_and_say_so_alike(
+def test_targets_in_the_world_follow_the_sweeps_where_they_can_and_report_it_alike(
     name, options, trajectory, tmp_path
 ):
     losses = write_scene(moving(), tmp_path / "out", format=name, trajectory=trajectory, **options)
-    (loss,) = told(losses)
-    assert (loss.fate, loss.what) == (Fate.APPROXIMATED, "not known: computed by lidar odometry")
+    (loss,) = reported(losses)
+    assert (loss.support, loss.what) == (Support.APPROXIMATED, "not known: computed by lidar odometry")
     assert last_ego(name, tmp_path / "out") == pytest.approx(1.0, abs=0.03)
 
 
 @pytest.mark.parametrize(("name", "options"), IN_WORLD)
-def test_targets_in_the_world_take_the_ego_as_standing_as_asked_and_say_so_alike(name, options, tmp_path):
+def test_targets_in_the_world_take_the_ego_as_stationary_as_asked_and_report_it_alike(
+    name, options, tmp_path
+):
     losses = write_scene(moving(), tmp_path / "out", format=name, trajectory="identity", **options)
-    assert told(losses) == [standing_ego()]
+    assert reported(losses) == [stationary_ego()]
 
 
 @pytest.mark.parametrize(("name", "options"), IN_WORLD)
 def test_where_no_trajectory_can_be_computed_the_ego_stands_and_the_report_says_why(name, options, tmp_path):
-    (loss,) = told(write_scene(drive(), tmp_path / "out", format=name, **options))
-    assert loss.fate is Fate.APPROXIMATED
-    assert loss.what.startswith(f"{standing_ego().what}; none of 2 lidar sweeps has enough returns")
+    (loss,) = reported(write_scene(drive(), tmp_path / "out", format=name, **options))
+    assert loss.support is Support.APPROXIMATED
+    assert loss.what.startswith(f"{stationary_ego().what}; none of 2 lidar sweeps has enough returns")
 
 
 @pytest.mark.parametrize("name", ["nuscenes", "colmap", "nerfstudio"])
 def test_without_a_lidar_the_ego_stands(name, tmp_path):
     losses = write_scene(replace(drive(), sensors=drive().cameras), tmp_path / "out", format=name)
-    assert told(losses) == [standing_ego()]
+    assert reported(losses) == [stationary_ego()]
 
 
 @pytest.mark.parametrize(("name", "options"), IN_WORLD)
 def test_the_drives_own_trajectory_comes_first_and_another_can_be_named(name, options, tmp_path):
     times, straight = np.array([0, 600_000_000]), np.array([[0.0, 0.0, 0.0, 1.0]] * 2)
-    ways = {
-        way: Trajectory(way, times, np.array([[0.0, 0.0, 0.0], [end, 0.0, 0.0]]), straight)
-        for way, end in (("first", 6.0), ("second", 12.0))
+    trajectories = {
+        estimated_trajectory: Trajectory(
+            estimated_trajectory, times, np.array([[0.0, 0.0, 0.0], [end, 0.0, 0.0]]), straight
+        )
+        for estimated_trajectory, end in (("first", 6.0), ("second", 12.0))
     }
-    scene = replace(moving(), trajectories=ways)
-    for way, end in ((None, 5.0), ("second", 10.0)):
-        losses = write_scene(scene, tmp_path / str(way), format=name, trajectory=way, **options)
-        assert not [loss for loss in told(losses) if "not known" in loss.what]
-        assert last_ego(name, tmp_path / str(way)) == pytest.approx(end, abs=1e-3)
+    scene = replace(moving(), trajectories=trajectories)
+    for estimated_trajectory, end in ((None, 5.0), ("second", 10.0)):
+        losses = write_scene(
+            scene,
+            tmp_path / str(estimated_trajectory),
+            format=name,
+            trajectory=estimated_trajectory,
+            **options,
+        )
+        assert not [loss for loss in reported(losses) if "not known" in loss.what]
+        assert last_ego(name, tmp_path / str(estimated_trajectory)) == pytest.approx(end, abs=1e-3)
 
 
 def test_points_on_the_ego_need_its_mounting_only_and_no_poses_are_made_up(tmp_path):
     losses = write_scene(moving(), tmp_path / "out", format="pcd", frame="ego")
-    assert not told(losses)
+    assert not reported(losses)
     assert not list((tmp_path / "out").glob("*.tum"))
 
 
@@ -170,18 +184,18 @@ def test_a_trajectory_that_would_count_for_nothing_is_refused(tmp_path):
 def test_targets_that_hold_data_where_the_sensors_are_need_no_poses(name, tmp_path):
     form, target = (None, name) if "." in name else (name, "out")
     losses = write_scene(drive(), tmp_path / target, format=form)
-    assert not [loss for loss in losses if loss.fate is Fate.APPROXIMATED and "trajector" in loss.field]
+    assert not [loss for loss in losses if loss.support is Support.APPROXIMATED and "trajector" in loss.field]
 
 
 @pytest.mark.parametrize("name", ["kitti-raw", "kitti-tracking", "kitti-object"])
-def test_cuboids_in_the_world_are_seen_from_a_standing_ego_which_is_reported(name, tmp_path):
+def test_cuboids_in_the_world_are_seen_from_a_stationary_ego_which_is_reported(name, tmp_path):
     path = CuboidPath(TIMES[:1], np.array([[4.0, 2.0, 1.5, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0]]))
     losses = write_scene(
         replace(drive(), annotations=(CuboidAnnotation("box", path, "car"),)),
         tmp_path / "out",
         format=name,
     )
-    assert [loss for loss in losses if loss.field == "trajectories.positions"] == [standing_ego()]
+    assert [loss for loss in losses if loss.field == "trajectories.positions"] == [stationary_ego()]
 
 
 def drifted(*, recorded):
@@ -190,12 +204,14 @@ def drifted(*, recorded):
     straight, still = np.array([[0.0, 0.0, 0.0, 1.0]] * 2), np.zeros(2)
     drift = np.array([0.0, 0.9])
     if recorded:
-        way = np.stack([np.array([100.0, 101.2]), 50.0 + drift, still], axis=1)
-        mend = PosePath(times, np.stack([still, -drift, still], axis=1), straight)
-        ways = {"recorded": Trajectory("recorded", times, way, straight)}
+        estimated_trajectory = np.stack([np.array([100.0, 101.2]), 50.0 + drift, still], axis=1)
+        repair = Poses(times, np.stack([still, -drift, still], axis=1), straight)
+        trajectories = {"recorded": Trajectory("recorded", times, estimated_trajectory, straight)}
     else:
-        mend, ways = PosePath(times, np.array([[100.0, 50.0, 0.0], [101.2, 50.0, 0.0]]), straight), {}
-    return replace(moving(), trajectories=ways, annotations=(LocalizationAdjustment("mend", mend),))
+        repair, trajectories = Poses(times, np.array([[100.0, 50.0, 0.0], [101.2, 50.0, 0.0]]), straight), {}
+    return replace(
+        moving(), trajectories=trajectories, annotations=(LocalizationAdjustment("repair", repair),)
+    )
 
 
 @pytest.mark.parametrize("recorded", [True, False])
@@ -205,15 +221,17 @@ def test_lidar_odometry_begins_on_the_adjusted_trajectory_and_needs_no_adjustmen
 ):
     write_scene(drifted(recorded=recorded), tmp_path / "drive.sfs")
     report = convert(tmp_path / "drive.sfs", tmp_path / "out", to="nuscenes", trajectory=trajectory)
-    assert "correction-applied" in [notice.code for notice in report.notices]
-    computed = [loss.what for loss in told(report.losses) if "not known" in loss.what]
+    assert "correction-applied" in [warning.code for warning in report.warnings]
+    computed = [loss.what for loss in reported(report.losses) if "not known" in loss.what]
     assert computed == (["not known: computed by lidar odometry"] if trajectory else [])
-    way = open_scene(tmp_path / "out").trajectories["pose"]
-    np.testing.assert_allclose(way.positions[[0, -1]], [[100.0, 50.0, 0.0], [101.0, 50.0, 0.0]], atol=0.03)
+    estimated_trajectory = open_scene(tmp_path / "out").trajectories["pose"]
+    np.testing.assert_allclose(
+        estimated_trajectory.positions[[0, -1]], [[100.0, 50.0, 0.0], [101.0, 50.0, 0.0]], atol=0.03
+    )
     fuse(drifted(recorded=recorded), tmp_path / "fused.sfs", trajectory=trajectory)
     with open_scene(tmp_path / "fused.sfs") as scene:
-        way = next(iter(scene.trajectories.values()))
+        estimated_trajectory = next(iter(scene.trajectories.values()))
         ours = scene.metadata["sceneloom"]
-        assert [one["id"] for one in ours["applied"]] == ["mend"]
-        found = way.poses.interpolate(np.array([0, 500_000_000])).positions
+        assert [one["id"] for one in ours["applied"]] == ["repair"]
+        found = estimated_trajectory.poses.interpolate(np.array([0, 500_000_000])).positions
         np.testing.assert_allclose(found[1] - found[0], [1.0, 0.0, 0.0], atol=0.03)

@@ -1,9 +1,9 @@
-"""The ledger that keeps every fault with its place."""
+"""The ledger that keeps every fault with its location."""
 
 import pytest
 
 from sceneloom.errors import CalibrationError, DataError
-from sceneloom.formats.faults import MOST_PLACES, FaultLedger
+from sceneloom.formats.faults import MOST_LOCATIONS, FaultLedger
 from sceneloom.formats.ledger import Ledger
 
 
@@ -11,7 +11,7 @@ def line(number):
     return DataError("/drive/data.jsonl", f"line {number}", f"{number} is odd")
 
 
-def test_places_are_told_from_the_folder_on():
+def test_locations_are_distinguished_from_the_folder_on():
     ledger = FaultLedger("/drive")
     ledger.fault("broken", line(3))
     [fault] = ledger.faults
@@ -23,15 +23,15 @@ def test_places_are_told_from_the_folder_on():
     )
 
 
-def test_of_very_many_faults_those_beyond_are_counted_with_the_place_of_the_last():
+def test_of_very_many_faults_those_beyond_are_counted_with_the_position_of_the_last():
     ledger = FaultLedger("/drive")
-    for number in range(MOST_PLACES + 500):
+    for number in range(MOST_LOCATIONS + 500):
         ledger.fault("broken", line(number))
     ledger.fault("other", line(7))
-    assert len(ledger.faults) == MOST_PLACES + 2
-    assert sum(fault.count for fault in ledger.faults if fault.code == "broken") == MOST_PLACES + 500
+    assert len(ledger.faults) == MOST_LOCATIONS + 2
+    assert sum(fault.count for fault in ledger.faults if fault.code == "broken") == MOST_LOCATIONS + 500
     last = ledger.faults[-1]
-    assert (last.path, last.count) == (f"data.jsonl: line {MOST_PLACES + 499}", 500)
+    assert (last.path, last.count) == (f"data.jsonl: line {MOST_LOCATIONS + 499}", 500)
 
 
 def test_what_decides_the_meaning_of_the_rest_is_refused_even_by_a_lenient_reading():
@@ -42,13 +42,15 @@ def test_what_decides_the_meaning_of_the_rest_is_refused_even_by_a_lenient_readi
     assert [fault.vital for fault in ledger.faults] == [True]
 
 
-def test_a_message_that_begins_with_its_place_is_taken_apart():
+def test_a_message_that_begins_with_its_location_is_taken_apart():
     ledger = FaultLedger("/drive")
-    ledger.fault("lens", CalibrationError("/drive/data.jsonl: line 3: frames[].imuToCamera: is skewed: 0.5"))
-    ledger.fault("lens", CalibrationError("no lens at all"))
-    ledger.fault("lens", CalibrationError("/drive/a file: is odd"))
+    ledger.fault(
+        "camera_model", CalibrationError("/drive/data.jsonl: line 3: frames[].imuToCamera: is skewed: 0.5")
+    )
+    ledger.fault("camera_model", CalibrationError("no camera model at all"))
+    ledger.fault("camera_model", CalibrationError("/drive/a file: is odd"))
     assert [(fault.path, fault.problem) for fault in ledger.faults] == [
         ("data.jsonl: line 3: frames[].imuToCamera", "is skewed: 0.5"),
-        ("", "no lens at all"),
+        ("", "no camera model at all"),
         ("", "a file: is odd"),
     ]

@@ -6,8 +6,8 @@ import pytest
 from tests.test_documentation import SHARED_PAGES
 
 from sceneloom.errors import OptionError
-from sceneloom.formats.listing import FormatListing, list_formats, list_holdings
-from sceneloom.formats.loss import Fate
+from sceneloom.formats.listing import FormatListing, list_formats, list_supported_fields
+from sceneloom.formats.loss import Support
 from sceneloom.formats.table import FORMATS, format_named
 from sceneloom.scene.contents import MODEL_FIELDS
 
@@ -37,11 +37,11 @@ def test_the_page_lists_no_format_that_is_not_there():
 
 @pytest.mark.parametrize("name", [name for name in FORMATS if format_named(name).writes])
 def test_a_format_that_is_written_says_something_of_every_field(name):
-    assert list(list_holdings(name)) == list(MODEL_FIELDS)
+    assert list(list_supported_fields(name)) == list(MODEL_FIELDS)
 
 
 def test_a_format_that_is_only_read_holds_nothing_and_an_unknown_one_is_refused():
-    assert list_holdings("rig") == {}
-    assert list_holdings("tum")["sensors.lidar.id"].fate == Fate.DROPPED
+    assert list_supported_fields("rig") == {}
+    assert list_supported_fields("tum")["sensors.lidar.id"].support == Support.DROPPED
     with pytest.raises(OptionError, match="no format or form 'nope'"):
-        list_holdings("nope")
+        list_supported_fields("nope")

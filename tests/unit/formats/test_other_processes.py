@@ -1,4 +1,4 @@
-"""Scenes and samples in other processes: the same frames and pictures, bit for bit, and files of their own."""
+"""Scenes and samples in other processes: the same frames and images, bit for bit, and files of their own."""
 
 import hashlib
 import inspect
@@ -21,9 +21,9 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
 from sceneloom.formats.video.png_folder import PngFolder
 from sceneloom.formats.video.reader import VideoReader, open_video
+from sceneloom.pipeline.aligned.origin import moved_scene
 from sceneloom.pipeline.deskewing.job import deskewed_scene
-from sceneloom.pipeline.woven.origin import moved_scene
-from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, Picture, PointsSensor, Scene
+from sceneloom.scene import CameraImage, LazyFrames, LidarFrame, LidarPoints, LidarSensor, PointsSensor, Scene
 from sceneloom.scene.part import cut_scene
 from sceneloom.simulate import (
     CameraSpec,
@@ -36,7 +36,7 @@ from sceneloom.simulate import (
     simulate_street,
 )
 
-LENSES = (
+CAMERA_MODELS = (
     Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5),
     Camera("fisheye", 64, 48, 30.0, 30.0, 31.5, 23.5, (0.02, -0.004)),
 )
@@ -44,26 +44,26 @@ LENSES = (
 
 def digest(scene):
     """One number for all that can be read of a scene."""
-    said = hashlib.sha256()
+    stated = hashlib.sha256()
     for sensor in scene.sensors:
-        said.update(f"{sensor.id!r} {sorted(sensor.extras)}".encode())
+        stated.update(f"{sensor.id!r} {sorted(sensor.extras)}".encode())
     for cloud in [sensor for sensor in scene.sensors if sensor.type in ("lidar", "radar")]:
         for frame in cloud.frames:
             arrays = [
                 getattr(frame.points, name, None)
                 for name in ("positions", "intensities", "timestamps_ns", "rings")
             ]
-            said.update(b"".join(a.tobytes() for a in arrays if a is not None))
-            said.update(repr((frame.timestamp_ns, sorted(frame.extras))).encode())
+            stated.update(b"".join(a.tobytes() for a in arrays if a is not None))
+            stated.update(repr((frame.timestamp_ns, sorted(frame.extras))).encode())
     for camera in scene.cameras:
-        for picture in camera.pictures:
-            said.update(repr((picture.timestamp_ns, picture.camera, sorted(picture.extras))).encode())
-            said.update(picture.rgb.tobytes())
-            said.update(b"" if picture.encoded is None else picture.encoded())
+        for image in camera.images:
+            stated.update(repr((image.timestamp_ns, image.camera, sorted(image.extras))).encode())
+            stated.update(image.rgb.tobytes())
+            stated.update(b"" if image.encoded is None else image.encoded())
         if camera.video is not None:
             with camera.video.open() as file:
-                said.update(file.read())
-    return said.hexdigest()
+                stated.update(file.read())
+    return stated.hexdigest()
 
 
 IN_ANOTHER = (
@@ -71,8 +71,8 @@ IN_ANOTHER = (
     + inspect.getsource(digest)
     + """
 found = {}
-for name, place in json.load(sys.stdin).items():
-    with open(place, "rb") as file:
+for name, location in json.load(sys.stdin).items():
+    with open(location, "rb") as file:
         scene = pickle.load(file)
     found[name] = digest(scene)
     scene.close()
@@ -96,24 +96,24 @@ def take(blob):
 if __name__ == "__main__":
     # a process that has threads of its own may be forked: what could hang there is what is tested
     warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
-    places = json.load(sys.stdin)
-    for place in places:
-        with open(place, "rb") as file:
+    locations = json.load(sys.stdin)
+    for location in locations:
+        with open(location, "rb") as file:
             SAMPLES = pickle.load(file)
         numbers = range(len(SAMPLES))
         expected = [arrays(number) for number in numbers]
         blob = pickle.dumps(SAMPLES)
         for method in sys.argv[1:]:
-            # forked processes find the samples open, with a decoder on its way; others get them pickled
+            # forked processes find the samples open, with a decoder on its trajectory; others get them pickled
             started = {} if method == "fork" else {"initializer": take, "initargs": (blob,)}
             with multiprocessing.get_context(method).Pool(2, **started) as pool:
-                assert pool.map(arrays, numbers, chunksize=1) == expected, (place, method)
+                assert pool.map(arrays, numbers, chunksize=1) == expected, (location, method)
                 sent = pool.map(SAMPLES.__getitem__, numbers, chunksize=1)
-                assert [hashed(sample.arrays()) for sample in sent] == expected, (place, method)
+                assert [hashed(sample.arrays()) for sample in sent] == expected, (location, method)
                 # and the parent, too, goes on
                 assert arrays(0) == expected[0]
         SAMPLES.scene.close()
-    print("done", len(places))
+    print("done", len(locations))
 """
 
 
@@ -138,19 +138,19 @@ id = "front"
 type = "camera"
 video = "data.mkv"
 times = { rate_hz = 10 }
-lens = { fx = 60, fy = 60, cx = 47.5, cy = 31.5 }
+camera_model = { fx = 60, fy = 60, cx = 47.5, cy = 31.5 }
 extrinsic = { to = "base", matrix = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]] }
 """
 
 
 @pytest.fixture(scope="module")
-def places(tmp_path_factory):
-    """A drive as recordings with videos and with PNG files, as scene files raw and fused, and with JPEG pictures."""
+def locations(tmp_path_factory):
+    """A drive as recordings with videos and with PNG files, as scene files raw and fused, and with JPEG images."""
     folder = tmp_path_factory.mktemp("drives")
-    cameras = tuple(CameraSpec(lens) for lens in LENSES)
+    cameras = tuple(CameraSpec(camera_model) for camera_model in CAMERA_MODELS)
     drive = simulate_street(1, frames=5, lidar=LidarSpec(beams=8, steps=90), cameras=cameras).scene
     sceneloom.write(drive, folder / "video")
-    sceneloom.write(drive, folder / "png", pictures="png")
+    sceneloom.write(drive, folder / "png", images="png")
     sceneloom.write(drive, folder / "raw.sfs")
     sceneloom.fuse(drive, folder / "fused.sfs")
     (folder / "rig").mkdir()
@@ -161,17 +161,17 @@ def places(tmp_path_factory):
 
 
 def jpeg_camera(camera):
-    """The same camera, its pictures JPEG files."""
-    files = [partial(simplejpeg.encode_jpeg, picture.rgb, 90, "RGB", "444") for picture in camera.pictures]
-    pictures = [replace(p, encoded=file) for p, file in zip(camera.pictures, files, strict=True)]
-    return replace(camera, pictures=LazyFrames.of(pictures, camera.pictures.timestamps_ns))
+    """The same camera, its images JPEG files."""
+    files = [partial(simplejpeg.encode_jpeg, image.rgb, 90, "RGB", "444") for image in camera.images]
+    images = [replace(p, encoded=file) for p, file in zip(camera.images, files, strict=True)]
+    return replace(camera, images=LazyFrames.of(images, camera.images.timestamps_ns))
 
 
 def living_street():
     """A simulated drive of all that moves and measures, with something wrong in it."""
     lidars = (LidarSpec(beams=4, steps=40), SolidStateSpec())
     wrong = Faults({"lidar0": SensorFaults(clock_skew_ppm=50.0), "camera0": SensorFaults(lost_frames=(1,))})
-    cameras, radars = (CameraSpec(LENSES[0]),), (RadarSpec(),)
+    cameras, radars = (CameraSpec(CAMERA_MODELS[0]),), (RadarSpec(),)
     traffic = TrafficSpec()
     return simulate_street(
         2, frames=2, lidars=lidars, cameras=cameras, radars=radars, traffic=traffic, faults=wrong
@@ -179,15 +179,15 @@ def living_street():
 
 
 @pytest.fixture(scope="module")
-def scenes(places):
+def scenes(locations):
     """Scenes of every kind."""
     small = LidarSpec(beams=4, steps=40)
-    simulated = simulate_street(2, frames=2, lidar=small, cameras=(CameraSpec(LENSES[0]),)).scene
+    simulated = simulate_street(2, frames=2, lidar=small, cameras=(CameraSpec(CAMERA_MODELS[0]),)).scene
     names = ("video", "png", "raw.sfs", "fused.sfs", "jpeg.sfs", "rig")
-    opened = {name: sceneloom.open(places / name) for name in names}
-    kept = [replace(picture, extras={}) for picture in opened["png"].cameras[0].pictures]
-    in_memory = [Picture.of(picture.timestamp_ns, picture.camera, picture.rgb) for picture in kept]
-    stamps = [picture.timestamp_ns for picture in kept]
+    opened = {name: sceneloom.open(locations / name) for name in names}
+    kept = [replace(image, extras={}) for image in opened["png"].cameras[0].images]
+    in_memory = [CameraImage.of(image.timestamp_ns, image.camera, image.rgb) for image in kept]
+    timestamps = [image.timestamp_ns for image in kept]
     yield {
         **opened,
         "simulated": simulated,
@@ -198,7 +198,7 @@ def scenes(places):
                 LidarSensor(
                     "top", LazyFrames.of([LidarFrame(5, LidarPoints(np.ones((4, 3), np.float32)))], [5])
                 ),
-                replace(opened["png"].cameras[0], pictures=LazyFrames.of(in_memory, stamps)),
+                replace(opened["png"].cameras[0], images=LazyFrames.of(in_memory, timestamps)),
             )
         ),
         "cut": cut_scene(opened["raw.sfs"], start=0.1, stop=0.3),
@@ -217,21 +217,21 @@ def scenes(places):
 def pickled(objects, folder):
     """Write pickles to files, and give where they are."""
     found = {name: str(folder / f"{k}.pickle") for k, name in enumerate(objects)}
-    for name, place in found.items():
-        Path(place).write_bytes(pickle.dumps(objects[name]))
+    for name, location in found.items():
+        Path(location).write_bytes(pickle.dumps(objects[name]))
     return found
 
 
 def test_scenes_of_every_kind_give_the_same_bits_in_another_process(scenes, tmp_path):
     expected = {name: digest(scene) for name, scene in scenes.items()}
     assert len(set(expected.values())) == len(expected)
-    assert scenes["jpeg.sfs"].cameras[0].pictures[0].encoded is not None
+    assert scenes["jpeg.sfs"].cameras[0].images[0].encoded is not None
     found = json.loads(run(IN_ANOTHER, pickled(scenes, tmp_path)))
     assert found == expected
 
 
-def test_scenes_that_were_never_read_can_go_as_well(places, tmp_path):
-    fresh = {name: sceneloom.open(places / name) for name in ("video", "raw.sfs")}
+def test_scenes_that_were_never_read_can_go_as_well(locations, tmp_path):
+    fresh = {name: sceneloom.open(locations / name) for name in ("video", "raw.sfs")}
     found = json.loads(run(IN_ANOTHER, pickled(fresh, tmp_path)))
     assert found == {name: digest(scene) for name, scene in fresh.items()}
     for scene in fresh.values():
@@ -247,12 +247,12 @@ def test_samples_are_the_same_in_spawned_and_forked_workers_and_as_sent_back_by_
     assert run(program, list(pickled(chosen, tmp_path).values()), *methods).strip() == "done 3"
 
 
-def test_closing_a_scene_closes_nothing_elsewhere(places):
-    scene = sceneloom.open(places / "raw.sfs")
-    rgb = scene.cameras[0].pictures[1].rgb
+def test_closing_a_scene_closes_nothing_elsewhere(locations):
+    scene = sceneloom.open(locations / "raw.sfs")
+    rgb = scene.cameras[0].images[1].rgb
     elsewhere = pickle.loads(pickle.dumps(scene))
     scene.close()
-    np.testing.assert_array_equal(elsewhere.cameras[0].pictures[1].rgb, rgb)
+    np.testing.assert_array_equal(elsewhere.cameras[0].images[1].rgb, rgb)
     elsewhere.close()
     with pytest.raises(DataError, match="the scene is closed"):
         elsewhere.lidars[0].frames[0]
@@ -260,30 +260,30 @@ def test_closing_a_scene_closes_nothing_elsewhere(places):
         pickle.loads(pickle.dumps(scene)).lidars[0].frames[0]
 
 
-def test_closing_a_recording_closes_nothing_elsewhere(places):
-    scene = sceneloom.open(places / "video")
-    rgb = scene.cameras[1].pictures[2].rgb
+def test_closing_a_recording_closes_nothing_elsewhere(locations):
+    scene = sceneloom.open(locations / "video")
+    rgb = scene.cameras[1].images[2].rgb
     elsewhere = pickle.loads(pickle.dumps(scene))
     scene.close()
-    np.testing.assert_array_equal(elsewhere.cameras[1].pictures[2].rgb, rgb)
+    np.testing.assert_array_equal(elsewhere.cameras[1].images[2].rgb, rgb)
     elsewhere.close()
     for closed in (scene, elsewhere, pickle.loads(pickle.dumps(scene))):
         with pytest.raises(DataError, match="is closed"):
-            closed.cameras[1].pictures[2].rgb  # noqa: B018
+            closed.cameras[1].images[2].rgb  # noqa: B018
 
 
 @pytest.mark.parametrize(
     ("name", "file", "read"),
     [
         ("raw.sfs", "raw.sfs", lambda scene: scene.lidars[0].frames[0]),
-        ("video", "video/data.mkv", lambda scene: scene.cameras[0].pictures[0].rgb),
+        ("video", "video/data.mkv", lambda scene: scene.cameras[0].images[0].rgb),
     ],
 )
-def test_a_file_that_was_changed_meanwhile_is_refused(places, name, file, read):
-    scene = sceneloom.open(places / name)
+def test_a_file_that_was_changed_meanwhile_is_refused(locations, name, file, read):
+    scene = sceneloom.open(locations / name)
     read(scene)
     parcel = pickle.dumps(scene)
-    changed = next((places / file).parent.glob(f"{(places / file).stem}.*"))
+    changed = next((locations / file).parent.glob(f"{(locations / file).stem}.*"))
     status = changed.stat()
     os.utime(changed, ns=(status.st_atime_ns, status.st_mtime_ns + 1_000_000_000))
     try:
@@ -294,8 +294,8 @@ def test_a_file_that_was_changed_meanwhile_is_refused(places, name, file, read):
         scene.close()
 
 
-def test_a_file_that_was_removed_meanwhile_is_named(places, tmp_path):
-    content = (places / "raw.sfs").read_bytes()
+def test_a_file_that_was_removed_meanwhile_is_named(locations, tmp_path):
+    content = (locations / "raw.sfs").read_bytes()
     (tmp_path / "gone.sfs").write_bytes(content)
     with sceneloom.open(tmp_path / "gone.sfs") as scene:
         parcel = pickle.dumps(scene)
@@ -306,17 +306,17 @@ def test_a_file_that_was_removed_meanwhile_is_named(places, tmp_path):
 
 
 def test_a_scene_of_a_file_is_small_when_pickled_and_one_in_memory_takes_its_arrays(scenes):
-    """What is pickled are stamps, poses and tables; points and pixels stay in the file."""
+    """What is pickled are timestamps, poses and tables; points and pixels stay in the file."""
     for name in ("video", "png", "raw.sfs", "fused.sfs"):
         scene = scenes[name]
         points = sum(frame.points.positions.nbytes for lidar in scene.lidars for frame in lidar.frames)
-        pixels = sum(picture.rgb.nbytes for camera in scene.cameras for picture in camera.pictures)
+        pixels = sum(image.rgb.nbytes for camera in scene.cameras for image in camera.images)
         assert len(pickle.dumps(scene)) < (points + pixels) / 2, name
     assert len(pickle.dumps(scenes["memory"])) > 5 * 96 * 64 * 3
 
 
-def test_a_video_takes_its_list_of_pictures_along(places, monkeypatch):
-    video = open_video(next((places / "video").glob("data.*kv")))
+def test_a_video_takes_its_list_of_images_along(locations, monkeypatch):
+    video = open_video(next((locations / "video").glob("data.*kv")))
     rgb = video.rgb(3)
     monkeypatch.setattr(
         "sceneloom.formats.video.reader.read_index", lambda *_: pytest.fail("walked through again")
@@ -326,30 +326,30 @@ def test_a_video_takes_its_list_of_pictures_along(places, monkeypatch):
     assert again.count == 5
 
 
-def test_a_scene_file_takes_the_lists_of_its_videos_along(places, monkeypatch):
-    scene = sceneloom.open(places / "raw.sfs")
-    rgb = scene.cameras[1].pictures[3].rgb
+def test_a_scene_file_takes_the_lists_of_its_videos_along(locations, monkeypatch):
+    scene = sceneloom.open(locations / "raw.sfs")
+    rgb = scene.cameras[1].images[3].rgb
     parcel = pickle.dumps(pickle.loads(pickle.dumps(scene)))
     monkeypatch.setattr(
         "sceneloom.formats.video.reader.read_index", lambda *_: pytest.fail("walked through again")
     )
-    np.testing.assert_array_equal(pickle.loads(parcel).cameras[1].pictures[3].rgb, rgb)
+    np.testing.assert_array_equal(pickle.loads(parcel).cameras[1].images[3].rgb, rgb)
 
 
-def test_a_video_of_bytes_takes_its_bytes_along(places):
-    content = next((places / "video").glob("data.*kv")).read_bytes()
+def test_a_video_of_bytes_takes_its_bytes_along(locations):
+    content = next((locations / "video").glob("data.*kv")).read_bytes()
     for source in (content, bytearray(content), memoryview(content)):
         video = open_video(source)
         np.testing.assert_array_equal(pickle.loads(pickle.dumps(video)).rgb(4), video.rgb(4))
 
 
-def test_a_folder_of_pictures_can_be_pickled(places):
-    folder = PngFolder(places / "png" / "frames1")
+def test_a_folder_of_images_can_be_pickled(locations):
+    folder = PngFolder(locations / "png" / "frames1")
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(folder)).rgb(2), folder.rgb(2))
 
 
-def test_a_sample_that_is_pickled_needs_no_file(places, tmp_path):
-    content = (places / "raw.sfs").read_bytes()
+def test_a_sample_that_is_pickled_needs_no_file(locations, tmp_path):
+    content = (locations / "raw.sfs").read_bytes()
     (tmp_path / "gone.sfs").write_bytes(content)
     with sceneloom.open(tmp_path / "gone.sfs") as scene:
         sample = scene.samples()[2]
@@ -361,16 +361,16 @@ def test_a_sample_that_is_pickled_needs_no_file(places, tmp_path):
         np.testing.assert_array_equal(found[name], array)
 
 
-def test_a_sample_with_a_damaged_picture_can_be_pickled_and_says_so_later(scenes):
+def test_a_sample_with_a_damaged_image_can_be_pickled_and_says_so_later(scenes):
     sample = scenes["raw.sfs"].samples(cameras="camera0")[0]
-    damaged = replace(sample.pictures["camera0"], decode=partial(_refuse, "is torn"))
-    again = pickle.loads(pickle.dumps(replace(sample, pictures={"camera0": damaged})))
+    damaged = replace(sample.images["camera0"], decode=partial(_refuse, "is torn"))
+    again = pickle.loads(pickle.dumps(replace(sample, images={"camera0": damaged})))
     with pytest.raises(DataError, match="is torn"):
-        again.pictures["camera0"].rgb  # noqa: B018
+        again.images["camera0"].rgb  # noqa: B018
 
 
 def _refuse(problem):
-    raise DataError("drive", "picture 0", problem)
+    raise DataError("drive", "image 0", problem)
 
 
 def test_a_map_of_a_file_stays_in_it_and_one_in_memory_goes_along(tmp_path):
@@ -397,18 +397,18 @@ def test_a_worker_that_goes_forward_seeks_in_each_video_once(scenes, monkeypatch
         VideoReader, "_seek", lambda reader, k: sought.append((reader.name, k)) or seek(reader, k)
     )
     for sample in samples:
-        assert all(picture.rgb.any() for picture in sample.pictures.values())
+        assert all(image.rgb.any() for image in sample.images.values())
     assert sorted(k for _, k in sought) == [0, 0]
     assert len({name for name, _ in sought}) == 2
 
 
 def test_poses_and_mountings_refuse_writing_after_the_journey_too(scenes):
     camera = pickle.loads(pickle.dumps(scenes["video"])).cameras[0]
-    for array in (camera.poses.positions, camera.mount.rotation, camera.pictures.timestamps_ns):
+    for array in (camera.poses.positions, camera.mount.rotation, camera.images.timestamps_ns):
         assert not array.flags.writeable
 
 
-def test_pictures_in_memory_refuse_writing_after_the_journey_too(scenes):
-    rgb = pickle.loads(pickle.dumps(scenes["memory"])).cameras[0].pictures[0].rgb
+def test_images_in_memory_refuse_writing_after_the_journey_too(scenes):
+    rgb = pickle.loads(pickle.dumps(scenes["memory"])).cameras[0].images[0].rgb
     with pytest.raises(ValueError, match="read-only"):
         rgb[:] = 0

@@ -15,7 +15,7 @@ from sceneloom.formats.output import FolderKind, Source, check_output, filling, 
 KIND = FolderKind("folder of ours", (r"data\.jsonl", r"images/\d+\.png"), r"data\.jsonl")
 
 
-def test_a_file_takes_its_place_when_it_is_whole(tmp_path: Path) -> None:
+def test_a_file_takes_its_location_when_it_is_whole(tmp_path: Path) -> None:
     target = tmp_path / "drive.sfs"
     with replacing(target, overwrite=False) as draft:
         draft.write_text("whole")
@@ -97,7 +97,7 @@ def test_a_fault_of_reading_is_not_called_a_fault_of_writing(tmp_path: Path) -> 
 
 
 def test_filling_keeps_the_strangers_in_a_folder(tmp_path: Path) -> None:
-    folder = tmp_path / "pictures"
+    folder = tmp_path / "images"
     folder.mkdir()
     with filling(folder, overwrite=False) as draft:
         (draft / "camera0").mkdir()
@@ -113,7 +113,7 @@ def test_filling_keeps_the_strangers_in_a_folder(tmp_path: Path) -> None:
 
 
 def test_a_failed_filling_leaves_no_trace(tmp_path: Path) -> None:
-    folder = tmp_path / "pictures"
+    folder = tmp_path / "images"
     with pytest.raises(DataError), filling(folder, overwrite=False) as draft:
         (draft / "0.png").write_text("half")
         raise DataError("source", "", "broken")
@@ -284,16 +284,16 @@ def dies_at(k, target, overwrite):
 deaths = 0
 for overwrite in (False, True):
     for k in range(500):
-        place = top / f"{overwrite}-{k}"
-        target = place / "target"
-        place.mkdir()
+        location = top / f"{overwrite}-{k}"
+        target = location / "target"
+        location.mkdir()
         if job in ("trial", "together"):
             target.mkdir()
         if overwrite:
             run(target, "old", False)
         died = dies_at(k, target, overwrite)
         deaths += died
-        hidden = place / ".target.sceneloom"
+        hidden = location / ".target.sceneloom"
         here = found(target)
         whole = {"old", "new"} if overwrite else {None, "new"}
         assert set(here) <= whole or (None in here and {*found(hidden / "replaced")} == {"old"}), (k, here)
@@ -302,10 +302,10 @@ for overwrite in (False, True):
             check_output(check, overwrite=True)
         here = found(target)
         assert here in [[word] * len(here) for word in whole], (k, here)
-        assert [path for path in place.rglob(".*")] == [], (k, [*place.rglob("*")])
+        assert [path for path in location.rglob(".*")] == [], (k, [*location.rglob("*")])
         run(target, "next", True)
         assert set(found(target)) == {"next"}, k
-        assert [path for path in place.rglob(".*")] == [], k
+        assert [path for path in location.rglob(".*")] == [], k
         if not died:
             break
 print(deaths)

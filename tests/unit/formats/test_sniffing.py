@@ -1,4 +1,4 @@
-"""What a path is told to be where no format claims it, or more than one does."""
+"""What a path is reported to be where no format claims it, or more than one does."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ def test_two_formats_in_one_folder_are_both_named_and_one_can_be_chosen(tmp_path
     log_line(tmp_path)
     (tmp_path / "rig.toml").write_text("[sensors.top]\n")
     with pytest.raises(
-        UnknownFormatError, match=r"more than one reader claims this: recording, .*; rig, .*--read-as"
+        UnknownFormatError, match=r"more than one reader claims this: recording, .*; rig, .*--input-format"
     ):
         find_format(tmp_path)
     with open_scene(tmp_path, format="recording") as scene:
@@ -46,7 +46,7 @@ def test_a_path_that_nothing_knows_lists_all_formats_that_are_read(tmp_path):
     assert str(caught.value).endswith(f"expected one of: {', '.join(named)}")
 
 
-def test_what_is_empty_is_told_to_be(tmp_path):
+def test_what_is_empty_is_reported_to_be(tmp_path):
     (tmp_path / "nothing.sfs").write_bytes(b"")
     (tmp_path / "folder").mkdir()
     for name in ("nothing.sfs", "folder"):
@@ -72,7 +72,7 @@ TWIN = FormatSpec(
 
 def test_a_suffix_of_two_formats_asks_for_a_name(tmp_path, monkeypatch):
     monkeypatch.setattr(table, "all_formats", lambda: [*map(format_named, FORMATS), TWIN])
-    with pytest.raises(OptionError, match=r"belongs to several formats; say `--to sfs` or `--to twin`"):
+    with pytest.raises(OptionError, match=r"belongs to several formats; state `--to sfs` or `--to twin`"):
         format_for_output(tmp_path / "drive.sfs")
 
 

@@ -52,7 +52,7 @@ def test_a_format_of_another_package_is_asked_of_every_path(tmp_path, monkeypatc
         assert scene.metadata["loud"] is True
 
 
-def test_options_that_are_not_said_are_none_and_unknown_ones_are_refused(monkeypatch):
+def test_options_that_are_not_stated_are_none_and_unknown_ones_are_refused(monkeypatch):
     monkeypatch.setattr("sceneloom.formats.spec.imported", lambda name: globals()[name.partition(":")[2]])
     assert THEIRS.open("a", loud=None).metadata["loud"] is False
     with pytest.raises(UnknownOptionError, match="opening theirs"):

@@ -5,7 +5,7 @@ import pytest
 
 import sceneloom
 from sceneloom.formats.clouds.table import read_cloud
-from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, PointsFrame, PosePath, Scene
+from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, PointsFrame, Poses, Scene
 from sceneloom.scene.clouds import grey_where_unseen, white_where_unseen
 
 COLORS = np.array([[255, 255, 255], [255, 255, 255], [10, 20, 30], [1, 2, 3]], np.uint8)
@@ -17,7 +17,7 @@ GREY = [[128, 128, 128], *COLORS[1:].tolist()]
 @pytest.fixture
 def fused():
     points = LidarPoints(np.eye(4, 3, dtype=np.float32) + 1, colors=COLORS, camera_index=SEEN_BY)
-    poses = PosePath([0], [[0, 0, 0]], [[0, 0, 0, 1]], endless=True)
+    poses = Poses([0], [[0, 0, 0]], [[0, 0, 0, 1]], static=True)
     frames = LazyFrames.of([LidarFrame(10**9, points)], [10**9])
     return Scene((LidarSensor("top", frames, poses=poses, points_frame=PointsFrame.WORLD),))
 

@@ -32,14 +32,14 @@ def calibration(**changed):
     )
 
 
-def stamp(milliseconds):
+def timestamp(milliseconds):
     return Timestamp.of(START_NS + round(milliseconds * 1_000_000))
 
 
 def image(milliseconds, seq, *, level=7, sensor_id=1, width=WIDTH, height=HEIGHT):
     return ImageData(
         sensor_id=sensor_id,
-        timestamp=stamp(milliseconds),
+        timestamp=timestamp(milliseconds),
         seq=seq,
         height=height,
         width=width,
@@ -56,7 +56,7 @@ def cloud(milliseconds, seq, points=((10.0, 0.0, 0.0),), *, sensor_id=0, times=N
         data, fields = np.column_stack([data, np.array(times, np.float32)]), (*fields, "time")
     return PointCloudData(
         sensor_id=sensor_id,
-        timestamp=stamp(milliseconds),
+        timestamp=timestamp(milliseconds),
         seq=seq,
         number=len(data),
         fields=fields,
@@ -66,7 +66,9 @@ def cloud(milliseconds, seq, points=((10.0, 0.0, 0.0),), *, sensor_id=0, times=N
 
 
 def raw(milliseconds, seq, data, *, sensor_id):
-    return RawData(sensor_id=sensor_id, timestamp=stamp(milliseconds), seq=seq, length=len(data), data=data)
+    return RawData(
+        sensor_id=sensor_id, timestamp=timestamp(milliseconds), seq=seq, length=len(data), data=data
+    )
 
 
 def box_3d(milliseconds, seq, **changed):
@@ -76,7 +78,7 @@ def box_3d(milliseconds, seq, **changed):
             "class_name": "Car",
             "points_seq": seq,
             "confidence": 0.8,
-            "timestamp": stamp(milliseconds),
+            "timestamp": timestamp(milliseconds),
             "X": 20.0,
             "Y": 0.0,
             "Z": 0.0,
@@ -97,7 +99,7 @@ def box_2d(milliseconds, seq, **changed):
             "class_name": "Car",
             "image_seq": seq,
             "confidence": 0.9,
-            "timestamp": stamp(milliseconds),
+            "timestamp": timestamp(milliseconds),
             "x1": 28,
             "y1": 21,
             "x2": 35,
@@ -116,8 +118,8 @@ def boxes_2d(milliseconds, seq, *, sensor_id=1, **changed):
 
 
 def no_boxes_3d(milliseconds, seq, *, sensor_id=0):
-    return Boxes3d.empty(sensor_id, seq, stamp(milliseconds))
+    return Boxes3d.empty(sensor_id, seq, timestamp(milliseconds))
 
 
 def no_boxes_2d(milliseconds, seq, *, sensor_id=1):
-    return Boxes2d.empty(sensor_id, seq, stamp(milliseconds))
+    return Boxes2d.empty(sensor_id, seq, timestamp(milliseconds))

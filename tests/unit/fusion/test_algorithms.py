@@ -110,6 +110,6 @@ def test_a_package_that_cannot_be_loaded_is_a_0_that_names_it(fusion, tmp_path, 
     assert target in outcome.reason
 
 
-def test_an_unknown_one_is_told_with_those_that_are_there():
+def test_an_unknown_one_is_reported_with_those_that_are_there():
     with pytest.raises(OptionError, match="'magic'; there are projection"):
         algorithm(FusionType.DETECTIONS, "magic")

@@ -1,4 +1,4 @@
-"""The file that a fusion system starts from: what it sets, and what is said of faults in it."""
+"""The file that a fusion system starts from: what it sets, and what is stated for faults in it."""
 
 import numpy as np
 import pytest
@@ -81,7 +81,7 @@ def test_an_empty_file_changes_nothing(read):
 
 
 @pytest.mark.parametrize(
-    ("text", "place", "words"),
+    ("text", "location", "words"),
     [
         ("propertes = 1", "propertes", "expected one of properties"),
         ("properties = 1", "properties", r"expected a table \[properties\]"),
@@ -110,6 +110,6 @@ def test_an_empty_file_changes_nothing(read):
         ("a = " + "[" * 5000, "", "no TOML"),
     ],
 )
-def test_a_fault_is_told_with_its_place(read, text, place, words):
-    with pytest.raises(DataError, match=rf"rig\.toml: {place}.*{words}"):
+def test_a_fault_is_reported_with_its_location(read, text, location, words):
+    with pytest.raises(DataError, match=rf"rig\.toml: {location}.*{words}"):
         read(text)

@@ -25,7 +25,7 @@ from .sending import (
     no_boxes_2d,
     no_boxes_3d,
     raw,
-    stamp,
+    timestamp,
 )
 
 
@@ -48,7 +48,7 @@ def test_before_a_calibration_nothing_is_taken():
             assert (outcome.status, outcome.cause) == (0, Cause.NO_CALIBRATION)
 
 
-def test_a_calibration_against_the_axes_is_told_at_the_first_send_and_stops_no_other_sensor(fusion):
+def test_a_calibration_against_the_axes_is_reported_at_the_first_send_and_stops_no_other_sensor(fusion):
     mirrored = calibration(extrinsic_matrix=(0, 0, 1, 0, 1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0.5, 1))
     assert fusion.set_calibration(mirrored, camera_id=2, lidar_id=3)
     outcome = fusion.send(cloud(0, 1, sensor_id=3))
@@ -59,17 +59,17 @@ def test_a_calibration_against_the_axes_is_told_at_the_first_send_and_stops_no_o
     assert pairs(fusion) == [(1, 1)]
 
 
-def test_a_camera_that_looks_backward_is_taken_with_a_remark_that_is_told_once(fusion):
+def test_a_camera_that_looks_backward_is_taken_with_a_note_that_is_reported_once(fusion):
     backward = (0, 0, -1, 0, 1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 1)
     assert fusion.set_calibration(calibration(extrinsic_matrix=backward), camera_id=1, lidar_id=0)
     first, second = fusion.send(cloud(0, 1)), fusion.send(image(0, 1))
     assert first.status == second.status == 1
     assert "mirrored or transposed?" in first.reason
     assert second.reason == ""
-    assert fusion.counters.counts()["remarks.calibration"] == 1
+    assert fusion.counters.counts()["notes.calibration"] == 1
 
 
-def test_clouds_without_points_and_pictures_of_one_pixel_are_fused():
+def test_clouds_without_points_and_images_of_one_pixel_are_fused():
     with FusionInterface(inline=True) as fusion:
         one = calibration(image_size=(1, 1), intrinsic_matrix=(1, 0, 0, 0, 1, 0, 0, 0, 1))
         assert fusion.set_calibration(one, camera_id=1, lidar_id=0)
@@ -108,7 +108,7 @@ def test_raw_points_that_are_not_finite_are_left_out_and_counted(fusion):
     )
     row = np.zeros(3, [("xyz", "<f4", 3), ("i", "u1"), ("r", "<u2"), ("t", "<f8")])
     row["xyz"] = [(np.nan, 0, 0), (10, 0, 0), (10, 1, 0)]
-    row["t"] = [stamp(0).nanoseconds / 1e9, stamp(0).nanoseconds / 1e9, np.nan]
+    row["t"] = [timestamp(0).nanoseconds / 1e9, timestamp(0).nanoseconds / 1e9, np.nan]
     assert fusion.send(image(0, 1))
     assert fusion.send(raw(0, 1, row.tobytes(), sensor_id=0))
     fusion.flush()
@@ -120,7 +120,7 @@ def test_raw_points_that_are_not_finite_are_left_out_and_counted(fusion):
 
 
 @pytest.mark.parametrize("axes", ["+x,-y,+z", "+z,+x,-y"])
-def test_a_box_that_heads_straight_up_is_refused_for_it_does_not_say_how_it_lies(fusion, axes):
+def test_a_box_that_heads_straight_up_is_refused_for_it_does_not_state_how_it_lies(fusion, axes):
     assert fusion.set_property("lidar_axes", axes)
     up = (0.0, 0.0, 2.0) if axes.endswith("z") else (0.0, -2.0, 0.0)
     if not axes.endswith("z"):
@@ -139,7 +139,7 @@ def test_every_box_that_was_taken_is_in_a_result_or_counted(fusion):
         two = Boxes2d(
             sensor_id=1,
             seq=seq,
-            timestamp=stamp(100 * seq),
+            timestamp=timestamp(100 * seq),
             id=np.arange(6, dtype=np.int32),
             class_names=("Car",) * 6,
             confidence=rng.random(6, np.float32),
@@ -148,7 +148,7 @@ def test_every_box_that_was_taken_is_in_a_result_or_counted(fusion):
         three = Boxes3d(
             sensor_id=0,
             seq=seq,
-            timestamp=stamp(100 * seq),
+            timestamp=timestamp(100 * seq),
             id=np.arange(6, dtype=np.int32),
             class_names=("Car",) * 6,
             confidence=rng.random(6, np.float32),
@@ -204,7 +204,7 @@ def test_raw_data_of_each_declared_form_are_fused(fusion, form):
     assert fusion.send(raw(0, 8, data, sensor_id=1))
     row = np.zeros(2, [("xyz", "<f4", 3), ("i", "u1"), ("r", "<u2"), ("t", "<f8")])
     row["xyz"], row["i"], row["r"] = [(10, 0, 0), (-10, 0, 0)], 30, 5
-    row["t"] = stamp(0).nanoseconds / 1e9
+    row["t"] = timestamp(0).nanoseconds / 1e9
     assert row.itemsize == 23
     assert fusion.send(raw(0, 9, row.tobytes(), sensor_id=0))
     fusion.flush()
@@ -222,14 +222,14 @@ def test_raw_data_of_a_sensor_that_nobody_declared_are_refused(fusion):
     assert fusion.send(cloud(0, 1, sensor_id=1)).cause is Cause.UNKNOWN_SENSOR
 
 
-def test_a_picture_that_cannot_be_decoded_is_counted_and_ends_nothing(fusion):
+def test_an_image_that_cannot_be_decoded_is_counted_and_ends_nothing(fusion):
     assert fusion.set_property("sensors", '{"0": {"kind": "lidar"}, "1": {"kind": "camera", "raw": "jpeg"}}')
     assert fusion.send(raw(0, 1, encoded("JPEG")[:200], sensor_id=1))
     assert fusion.send(cloud(0, 1))
     assert fusion.send(raw(100, 2, encoded("JPEG"), sensor_id=1))
     assert fusion.send(cloud(100, 2))
     assert pairs(fusion) == [(2, 2)]
-    assert fusion.counters.counts()["errors.unreadable-picture"] == 1
+    assert fusion.counters.counts()["errors.unreadable-image"] == 1
 
 
 def test_late_and_out_of_order_arrivals_find_their_partners(fusion):
@@ -258,7 +258,7 @@ def test_after_all_clocks_were_set_pairs_go_on(fusion, hours):
     assert fusion.counters.counts()[f"clock.set-{'back' if hours < 0 else 'forward'}"] >= 1
 
 
-def test_one_wrong_stamp_far_ahead_costs_one_record(fusion):
+def test_one_wrong_timestamp_far_ahead_costs_one_record(fusion):
     for seq in range(10):
         jump = 3_600_000 if seq == 4 else 0
         assert fusion.send(image(100 * seq, seq))
@@ -281,7 +281,7 @@ def test_numbers_wrap_at_2_to_the_32(fusion):
     assert pairs(fusion) == [(seq, seq) for seq in numbers]
 
 
-def test_a_picture_of_another_size_is_refused(fusion):
+def test_an_image_of_another_size_is_refused(fusion):
     outcome = fusion.send(image(0, 1, width=32))
     assert (outcome.cause, "expected 64" in outcome.reason) == (Cause.BAD_RECORD, True)
 
@@ -310,13 +310,13 @@ def test_an_algorithm_that_fails_is_counted_and_ends_nothing(fusion, kind, monke
     assert counts[f"failed.{('points', 'boxes_3d')[kind]}"] == 1
 
 
-def test_an_algorithm_that_fails_for_one_lidar_leaves_the_other_its_pictures(monkeypatch):
+def test_an_algorithm_that_fails_for_one_lidar_leaves_the_other_its_images(monkeypatch):
     from sceneloom.colouring.algorithms import fuse_by_projection
 
-    def fails_near(points, requests, visibility, /, *, way=None):
+    def fails_near(points, requests, visibility, /, *, trajectory=None):
         if points[0, 0] < 15:
             failing()
-        return fuse_by_projection(points, requests, visibility, way=way)
+        return fuse_by_projection(points, requests, visibility, trajectory=trajectory)
 
     monkeypatch.setattr("sceneloom.fusion.system.algorithm", lambda kind, name: fails_near)
     with FusionInterface(inline=True) as fusion:
@@ -351,7 +351,7 @@ def test_one_that_never_fetches_keeps_only_the_newest_results(fusion):
     assert [result.number for result in fusion.results(0)] == [7, 8, 9]
 
 
-def test_only_so_many_sweeps_and_pictures_wait_for_one_another(fusion):
+def test_only_so_many_sweeps_and_images_wait_for_one_another(fusion):
     assert fusion.set_property("queue_length", 4)
     for seq in range(20):
         assert fusion.send(image(10 * seq, seq))
@@ -361,7 +361,7 @@ def test_only_so_many_sweeps_and_pictures_wait_for_one_another(fusion):
     assert fusion.counters.counts()["dropped.waiting.image"] == 16
 
 
-def test_a_full_queue_refuses_where_it_is_told_to(fusion):
+def test_a_full_queue_refuses_where_it_is_reported_to(fusion):
     assert fusion.set_property("queue_policy", "refuse")
     assert fusion.set_property("queue_length", 2)
     outcomes = [fusion.send(cloud(100 * seq, seq)) for seq in range(4)]
@@ -418,7 +418,7 @@ def test_a_box_alone_belongs_to_the_sensor_that_sent_its_frame():
     assert (record.lidar_id, record.points_seq) == (2, 7)
 
 
-def test_without_pictures_sweeps_are_not_kept_waiting():
+def test_without_images_sweeps_are_not_kept_waiting():
     with FusionInterface() as fusion:
         assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
         assert fusion.set_property("pairing_timeout_ms", 0)
@@ -539,7 +539,7 @@ def test_a_cloud_leaves_room_for_colours_in_the_result(fusion):
         fields = ("x", "y", "z", *(f"f{k}" for k in range(count - 3)))
         sent = PointCloudData(
             sensor_id=0,
-            timestamp=stamp(count),
+            timestamp=timestamp(count),
             seq=count,
             number=1,
             fields=fields,

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.messages import CalibrationData
 from sceneloom.fusion.messages.protobuf_form import encode
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 
 from .sending import HEIGHT, START_NS, WIDTH, boxes_2d, boxes_3d, cloud, image
 
@@ -27,8 +27,8 @@ CAMERA_AT = np.array([0.5, 0.25, -0.5])
 def axes_matrix(words):
     """Columns: where forward, right and up point, read off the words one by one."""
     columns = np.zeros((3, 3))
-    for place, word in enumerate(words.split(",")):
-        columns["xyz".index(word[1]), place] = -1.0 if word[0] == "-" else 1.0
+    for location, word in enumerate(words.split(",")):
+        columns["xyz".index(word[1]), location] = -1.0 if word[0] == "-" else 1.0
     return columns
 
 
@@ -112,27 +112,30 @@ def test_boxes_come_back_in_the_frame_that_was_declared(lidar_words, camera_word
         record = fusion.get(1).record
     with interface("+x,-y,+z", "+z,+x,-y") as fusion:
         standard = axes_matrix("+x,-y,+z")
-        turned = dict(zip("XYZ", (standard @ lidar.T @ center).tolist(), strict=True))
+        rotated = dict(zip("XYZ", (standard @ lidar.T @ center).tolist(), strict=True))
         heads = tuple((standard @ lidar.T @ heading).tolist())
         speeds = tuple((standard @ lidar.T @ vector).tolist())
-        assert fusion.send(boxes_3d(0, 1, **turned, direction=heads, velocity=5.4, velocity_vector=speeds))
+        assert fusion.send(boxes_3d(0, 1, **rotated, direction=heads, velocity=5.4, velocity_vector=speeds))
         assert fusion.send(boxes_2d(0, 2, x1=25, y1=20, x2=38, y2=28))
         fusion.flush()
         known = fusion.get(1).record
     assert len(record) == len(known) == 1
-    assert (record.box_3d_ids, record.box_2d_ids) == ((4,), (6,))  # the ray through the lens decides the pair
-    turn = lidar @ standard.T
-    np.testing.assert_allclose(record.centers, known.centers @ turn.T, atol=1e-5)
+    assert (record.box_3d_ids, record.box_2d_ids) == (
+        (4,),
+        (6,),
+    )  # the ray through the camera model decides the pair
+    rotation = lidar @ standard.T
+    np.testing.assert_allclose(record.centers, known.centers @ rotation.T, atol=1e-5)
     np.testing.assert_allclose(record.directions, [heading], atol=1e-6)
     np.testing.assert_allclose(record.velocities, [5.4], atol=1e-6)  # 0.6 * 3 + 0.8 * 4.5
     np.testing.assert_allclose(record.velocity_vectors, [vector], atol=1e-5)
-    np.testing.assert_allclose(record.center_covs, turn @ known.center_covs @ turn.T, atol=1e-6)
+    np.testing.assert_allclose(record.center_covs, rotation @ known.center_covs @ rotation.T, atol=1e-6)
     np.testing.assert_allclose(record.size_covs, known.size_covs)
     np.testing.assert_array_equal(record.corners_xyxy, known.corners_xyxy)
 
 
-SPEED, TURN = 20.0, 0.8
-"""Of the vehicle along its way: forward [m/s], to the left [rad/s]."""
+SPEED, ROTATION = 20.0, 0.8
+"""Of the vehicle along its trajectory: forward [m/s], to the left [rad/s]."""
 
 WORLD_POINT = np.array([1_000_000.0 + 15.0, 2_000_000.0 - 1.0, 0.5])
 """Something that stands, x, y, z in a world far from its origin [m]."""
@@ -140,7 +143,7 @@ WORLD_POINT = np.array([1_000_000.0 + 15.0, 2_000_000.0 - 1.0, 0.5])
 
 def pose(seconds):
     """The lidar on a circle: rotation (yaw alone) and position, in closed form."""
-    yaw, radius = TURN * seconds, SPEED / TURN
+    yaw, radius = ROTATION * seconds, SPEED / ROTATION
     position = np.array([1e6 + radius * np.sin(yaw), 2e6 + radius * (1 - np.cos(yaw)), 0.0])
     return Rotation.from_euler("z", yaw), position
 
@@ -148,7 +151,7 @@ def pose(seconds):
 def path(first_ms, last_ms):
     times = np.arange(first_ms, last_ms + 1)
     poses = [pose(ms / 1e3) for ms in times]
-    return PosePath(
+    return Poses(
         START_NS + times.astype(np.int64) * 1_000_000,
         np.array([position for _, position in poses]),
         np.array([rotation.as_quat() for rotation, _ in poses]),
@@ -169,13 +172,13 @@ def moving_sweep(words="+x,-y,+z"):
     return cloud(0, 1, forward_right_up @ axes_matrix(words).T, times=seconds)
 
 
-def fused_with_motion(words, camera_words, pieces, *, picture_ms=90, order="before", compensate=1):
+def fused_with_motion(words, camera_words, chunks, *, image_ms=90, order="before", compensate=1):
     with interface(words, camera_words) as fusion:
         assert fusion.set_property("motion_compensation", compensate)
-        records = [moving_sweep(words), image(picture_ms, 1)]
-        sent = [*pieces, *records] if order == "before" else [records[0], *pieces, records[1]]
+        records = [moving_sweep(words), image(image_ms, 1)]
+        sent = [*chunks, *records] if order == "before" else [records[0], *chunks, records[1]]
         for what in sent:
-            assert fusion.send_motion(what) if isinstance(what, PosePath) else fusion.send(what)
+            assert fusion.send_motion(what) if isinstance(what, Poses) else fusion.send(what)
         fusion.flush()
         return fusion.get(0).record, fusion.counters.counts()
 
@@ -183,14 +186,15 @@ def fused_with_motion(words, camera_words, pieces, *, picture_ms=90, order="befo
 @pytest.mark.parametrize(("words", "camera_words"), FRAMES[:4])
 @pytest.mark.parametrize("order", ["before", "between"])
 @pytest.mark.parametrize("cuts", [(-50, 200), (-50, 30, 200)])
-def test_what_stands_is_at_one_place_whenever_it_was_measured(words, camera_words, order, cuts):
-    pieces = [path(first + 1, last) for first, last in itertools.pairwise(cuts)]
-    record, counts = fused_with_motion(words, camera_words, pieces, order=order)
+def test_what_stands_is_at_one_location_whenever_it_was_measured(words, camera_words, order, cuts):
+    chunks = [path(first + 1, last) for first, last in itertools.pairwise(cuts)]
+    record, counts = fused_with_motion(words, camera_words, chunks, order=order)
     assert record.motion_compensated == 1
     expected = axes_matrix(words) @ (
         from_lidar(0.04) * (1, -1, 1)
     )  # the reference is the middle point's time
-    # the way between poses of each millisecond is straight: 20 m/s * 1 ms bends by less than a tenth of a millimetre
+    # the trajectory between poses of each millisecond is straight: 20 m/s * 1 ms bends by less than a tenth of a
+    # millimetre
     np.testing.assert_allclose(record.points[:, :3], np.tile(expected, (5, 1)), atol=2e-4)
     column, row, depth = seen(from_lidar(0.09) * (1, -1, 1))
     assert record.depths[row, column] == pytest.approx(depth, abs=2e-4)
@@ -198,15 +202,17 @@ def test_what_stands_is_at_one_place_whenever_it_was_measured(words, camera_word
 
 
 @pytest.mark.parametrize(
-    ("pieces", "compensate", "counted"),
+    ("chunks", "compensate", "counted"),
     [
         ([], 1, False),
-        ([path(-2000, -400)], 1, True),  # the way ends 400 ms before, and is continued for 200
+        ([path(-2000, -400)], 1, True),  # the trajectory ends 400 ms before, and is continued for 200
         ([path(-50, 200)], 0, False),
     ],
 )
-def test_without_a_way_that_reaches_all_is_fused_as_if_standing_and_says_so(pieces, compensate, counted):
-    record, counts = fused_with_motion("+x,-y,+z", "+z,+x,-y", pieces, compensate=compensate)
+def test_without_a_trajectory_that_reaches_all_is_fused_as_if_stationary_and_says_so(
+    chunks, compensate, counted
+):
+    record, counts = fused_with_motion("+x,-y,+z", "+z,+x,-y", chunks, compensate=compensate)
     assert record.motion_compensated == 0
     np.testing.assert_array_equal(record.points[:, :3], moving_sweep().points[:, :3])
     column, row, depth = seen(from_lidar(0.0) * (1, -1, 1))
@@ -215,15 +221,15 @@ def test_without_a_way_that_reaches_all_is_fused_as_if_standing_and_says_so(piec
 
 
 ROLL_S = 0.1
-"""From the first line of a picture to its last: the vehicle goes 2 m meanwhile, and turns by 5 degrees."""
+"""From the first line of an image to its last: the vehicle goes 2 m meanwhile, and rotates by 5 degrees."""
 
 
-def seen_by_line(picture_s, *, over_columns):
-    """Column, row and depth of the thing in a picture of a rolling shutter: the line's time is looked for by halves."""
+def seen_by_line(image_s, *, over_columns):
+    """Column, row and depth of the thing in an image of a rolling shutter: the line's time is looked for by halves."""
     size = WIDTH if over_columns else HEIGHT
 
     def look(line):
-        seconds = picture_s + ((line + 0.5) / size - 0.5) * ROLL_S
+        seconds = image_s + ((line + 0.5) / size - 0.5) * ROLL_S
         forward, right, up = from_lidar(seconds) * (1, -1, 1) - CAMERA_AT
         return 31.5 + 50.0 * right / forward, 23.5 - 50.0 * up / forward, forward
 
@@ -235,16 +241,16 @@ def seen_by_line(picture_s, *, over_columns):
 
 
 @pytest.mark.parametrize("over_columns", [False, True])
-@pytest.mark.parametrize("told", ["before", "after"])
-def test_a_shutter_that_rolls_sees_each_point_at_the_time_of_its_line(over_columns, told):
+@pytest.mark.parametrize("reported", ["before", "after"])
+def test_a_shutter_that_rolls_sees_each_point_at_the_time_of_its_line(over_columns, reported):
     camera = {"kind": "camera", "shutter_roll_s": ROLL_S, "shutter_left_to_right": over_columns}
     sensors = json.dumps({"0": {"kind": "lidar"}, "1": camera})
     with interface("+x,-y,+z", "+z,+x,-y") as fusion:
-        if told == "before":
+        if reported == "before":
             assert fusion.set_property("sensors", sensors)
         assert fusion.send_motion(path(-50, 200))
         assert fusion.send(moving_sweep())
-        if told == "after":  # what waits for its picture goes by it as well
+        if reported == "after":  # what waits for its image goes by it as well
             assert fusion.set_property("sensors", sensors)
         assert fusion.send(image(90, 1))
         fusion.flush()
@@ -257,13 +263,13 @@ def test_a_shutter_that_rolls_sees_each_point_at_the_time_of_its_line(over_colum
 def test_a_shutter_that_does_not_roll_any_more_takes_all_lines_at_once():
     with interface("+x,-y,+z", "+z,+x,-y") as fusion:
         assert fusion.send_motion(path(-50, 200))
-        for told in (
+        for reported in (
             json.dumps({"0": {"kind": "lidar"}, "1": {"kind": "camera", "shutter_roll_s": 0.1}}),
             "",
         ):
-            assert fusion.set_property("sensors", told)
-            assert fusion.send(moving_sweep() if told else replace(moving_sweep(), seq=2))
-            assert fusion.send(image(90, 1 if told else 2))
+            assert fusion.set_property("sensors", reported)
+            assert fusion.send(moving_sweep() if reported else replace(moving_sweep(), seq=2))
+            assert fusion.send(image(90, 1 if reported else 2))
             fusion.flush()
             record = fusion.get(0).record
     column, row, depth = seen(from_lidar(0.09) * (1, -1, 1))
@@ -271,7 +277,7 @@ def test_a_shutter_that_does_not_roll_any_more_takes_all_lines_at_once():
 
 
 @pytest.mark.parametrize(
-    ("entry", "place", "problem"),
+    ("entry", "location", "problem"),
     [
         ({"kind": "camera", "shutter_roll_s": 33}, "1.shutter_roll_s", "expected seconds, 0 to 1"),
         ({"kind": "camera", "shutter_roll_s": -0.01}, "1.shutter_roll_s", "expected seconds, 0 to 1"),
@@ -282,35 +288,35 @@ def test_a_shutter_that_does_not_roll_any_more_takes_all_lines_at_once():
         ({"kind": "camera", "shutter": 0.03}, "1.shutter", "expected kind and perhaps raw, shutter_roll_s"),
     ],
 )
-def test_a_shutter_that_is_none_is_refused(entry, place, problem):
+def test_a_shutter_that_is_none_is_refused(entry, location, problem):
     with FusionInterface(inline=True) as fusion:
         outcome = fusion.set_property("sensors", json.dumps({"1": entry}))
         assert outcome.status == 0
-        assert place in outcome.reason
+        assert location in outcome.reason
         assert problem in outcome.reason
 
 
 BODY_FROM_LIDAR = (Rotation.from_euler("zyx", [0.4, -0.1, 0.2]), np.array([1.5, -0.7, 2.0]))
-"""How the lidar is mounted on a vehicle whose way is told."""
+"""How the lidar is mounted on a vehicle whose trajectory is reported."""
 
 
-def way_of_the_vehicle(first_ms, last_ms):
+def trajectory_of_the_vehicle(first_ms, last_ms):
     """That of `path`, which is the lidar's, as the vehicle has it: `world_from_lidar ∘ lidar_from_body`."""
-    of_lidar, (turn, place) = path(first_ms, last_ms), BODY_FROM_LIDAR
-    turns = Rotation.from_quat(of_lidar.quaternions_xyzw) * turn.inv()
-    return PosePath(of_lidar.timestamps_ns, of_lidar.positions - turns.apply(place), turns.as_quat())
+    of_lidar, (rotation, location) = path(first_ms, last_ms), BODY_FROM_LIDAR
+    rotations = Rotation.from_quat(of_lidar.quaternions_xyzw) * rotation.inv()
+    return Poses(of_lidar.timestamps_ns, of_lidar.positions - rotations.apply(location), rotations.as_quat())
 
 
 @pytest.mark.parametrize("words", ["+x,-y,+z", "+y,+x,+z"])
 def test_poses_of_the_vehicle_do_where_the_mounting_of_the_lidar_is_known(words):
-    turn, place = BODY_FROM_LIDAR
-    mounting = {"position": place.tolist(), "quaternion_xyzw": turn.as_quat().tolist()}
+    rotation, location = BODY_FROM_LIDAR
+    mounting = {"position": location.tolist(), "quaternion_xyzw": rotation.as_quat().tolist()}
     sensors = {"0": {"kind": "lidar", "body_from_lidar": mounting}, "1": {"kind": "camera"}}
     found = []
-    for told in (json.dumps(sensors), ""):
+    for reported in (json.dumps(sensors), ""):
         with interface(words, "+z,+x,-y" if handed(words) == handed("+z,+x,-y") else "+x,-y,+z") as fusion:
-            assert fusion.set_property("sensors", told)
-            assert fusion.send_motion(way_of_the_vehicle(-50, 200))
+            assert fusion.set_property("sensors", reported)
+            assert fusion.send_motion(trajectory_of_the_vehicle(-50, 200))
             assert fusion.send(moving_sweep(words))
             assert fusion.send(image(90, 1))
             fusion.flush()
@@ -320,7 +326,7 @@ def test_poses_of_the_vehicle_do_where_the_mounting_of_the_lidar_is_known(words)
     np.testing.assert_allclose(mounted.points[:, :3], np.tile(expected, (5, 1)), atol=2e-4)
     column, row, depth = seen(from_lidar(0.09) * (1, -1, 1))
     assert mounted.depths[row, column] == pytest.approx(depth, abs=2e-4)
-    assert not np.allclose(alone.points[:, :3], expected, atol=0.01)  # taken for the lidar's own way
+    assert not np.allclose(alone.points[:, :3], expected, atol=0.01)  # taken for the lidar's own trajectory
 
 
 @pytest.mark.parametrize(
@@ -336,34 +342,34 @@ def test_poses_of_the_vehicle_do_where_the_mounting_of_the_lidar_is_known(words)
 )
 def test_a_mounting_that_is_none_is_refused(mounting, problem):
     with FusionInterface(inline=True) as fusion:
-        for kind, told in (("lidar", problem), ("camera", "")):
+        for kind, reported in (("lidar", problem), ("camera", "")):
             outcome = fusion.set_property(
                 "sensors", json.dumps({"0": {"kind": kind, "body_from_lidar": mounting}})
             )
             assert outcome.status == 0
-            assert told in outcome.reason
+            assert reported in outcome.reason
             assert "0.body_from_lidar" in outcome.reason
         good = {"0": {"kind": "camera", "body_from_lidar": {"position": [0, 0, 0]}}}
         assert "expected of lidars" in fusion.set_property("sensors", json.dumps(good)).reason
 
 
-def fused_by_cameras(pictures_ms):
-    """Records of cameras that stand at one place, whose pictures come at these times, by camera."""
+def fused_by_cameras(images_ms):
+    """Records of cameras that stand at one location, whose images come at these times, by camera."""
     with interface("+x,-y,+z", "+z,+x,-y") as fusion:
-        for camera_id in pictures_ms:
+        for camera_id in images_ms:
             calibration = declared_calibration("+x,-y,+z", "+z,+x,-y")
             assert fusion.set_calibration(calibration, camera_id=camera_id, lidar_id=0)
         assert fusion.set_property("pairing_tolerance_ms", 600.0)
         assert fusion.send_motion(path(-50, 100))  # continued to 300 ms
         assert fusion.send(moving_sweep())
-        for camera_id, picture_ms in pictures_ms.items():
-            assert fusion.send(image(picture_ms, 1, sensor_id=camera_id))
+        for camera_id, image_ms in images_ms.items():
+            assert fusion.send(image(image_ms, 1, sensor_id=camera_id))
         fusion.flush()
         found = {result.record.camera_id: result.record for result in fusion.results(0)}
         return found, fusion.counters.counts().get("motion.beyond-reach", 0)
 
 
-def test_a_picture_beyond_the_way_leaves_those_of_other_cameras_as_they_are():
+def test_an_image_beyond_the_trajectory_leaves_those_of_other_cameras_as_they_are():
     both, counted = fused_by_cameras({1: 90, 2: 500})
     near, _ = fused_by_cameras({1: 90})
     far, _ = fused_by_cameras({2: 500})
@@ -375,10 +381,10 @@ def test_a_picture_beyond_the_way_leaves_those_of_other_cameras_as_they_are():
     np.testing.assert_array_equal(both[2].points[:, :3], moving_sweep().points[:, :3])
 
 
-def test_a_way_that_ends_shortly_before_is_continued():
+def test_a_trajectory_that_ends_shortly_before_is_continued():
     record, _ = fused_with_motion("+x,-y,+z", "+z,+x,-y", [path(-500, 0)])
     assert record.motion_compensated == 1
-    # constant speed and turning off a circle: half of a * t² = 0.5 * 16 m/s² * (0.08 s)² is the most
+    # constant speed and rotating off a circle: half of a * t² = 0.5 * 16 m/s² * (0.08 s)² is the most
     np.testing.assert_allclose(record.points[:, :3], np.tile(from_lidar(0.04), (5, 1)), atol=0.06)
 
 
@@ -396,8 +402,8 @@ def test_a_setting_counts_for_the_sweeps_that_come_after_it():
     np.testing.assert_allclose(first.points[:, :3], np.tile(from_lidar(0.04), (5, 1)), atol=2e-4)
 
 
-def test_boxes_are_put_where_they_are_at_the_time_of_the_picture():
-    """A car that stands, seen 90 ms later: by then the vehicle is 1.8 m nearer and turned by 4°."""
+def test_boxes_are_put_where_they_are_at_the_time_of_the_image():
+    """A car that stands, seen 90 ms later: by then the vehicle is 1.8 m nearer and rotated by 4°."""
     center = from_lidar(0.0)
     then = seen(from_lidar(0.09) * (1, -1, 1))
     box = boxes_3d(
@@ -405,9 +411,9 @@ def test_boxes_are_put_where_they_are_at_the_time_of_the_picture():
     )
     edges = {"x1": then[0] - 1, "y1": then[1] - 1, "x2": then[0] + 2, "y2": then[1] + 2}
     matched = []
-    for pieces in ([path(-50, 200)], []):
+    for chunks in ([path(-50, 200)], []):
         with interface("+x,-y,+z", "+z,+x,-y") as fusion:
-            for piece in pieces:
+            for piece in chunks:
                 assert fusion.send_motion(piece)
             assert fusion.send(box)
             assert fusion.send(boxes_2d(90, 2, **edges))
@@ -422,6 +428,6 @@ def test_motion_that_is_none_or_older_is_refused():
         assert fusion.send_motion(path(0, 10))
         again = fusion.send_motion(path(5, 20))
         assert (again.cause, "expected newer ones" in again.reason) == ("bad-motion", True)
-        assert fusion.send_motion(PosePath.identity()).cause == "bad-motion"
+        assert fusion.send_motion(Poses.identity()).cause == "bad-motion"
         assert fusion.send_motion(path(11, 20))
         assert fusion.send_motion(path(-100_000, -99_990))  # a clock was set back

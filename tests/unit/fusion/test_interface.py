@@ -29,7 +29,7 @@ def calibration(**changed):
     )
 
 
-def stamp(milliseconds):
+def timestamp(milliseconds):
     return Timestamp.of(1_595_682_678_000_000_000 + milliseconds * 1_000_000)
 
 
@@ -37,7 +37,7 @@ def image(milliseconds, seq, level=7, sensor_id=1):
     pixels = np.full(HEIGHT * WIDTH * 3, level, np.uint8)
     return ImageData(
         sensor_id=sensor_id,
-        timestamp=stamp(milliseconds),
+        timestamp=timestamp(milliseconds),
         seq=seq,
         height=HEIGHT,
         width=WIDTH,
@@ -51,7 +51,7 @@ def cloud(milliseconds, seq, points=((10.0, 0.0, 0.0), (-10.0, 0.0, 0.0)), senso
     data = np.array(points, np.float32)
     return PointCloudData(
         sensor_id=sensor_id,
-        timestamp=stamp(milliseconds),
+        timestamp=timestamp(milliseconds),
         seq=seq,
         number=len(data),
         fields=("x", "y", "z"),
@@ -75,7 +75,7 @@ def test_a_pair_comes_back_as_a_record_of_table_9(fusion):
     record = result.record
     assert (result.number, record.image_seq, record.points_seq) == (0, 5, 9)
     assert (record.camera_id, record.lidar_id) == (1, 0)
-    assert record.timestamp == stamp(0)
+    assert record.timestamp == timestamp(0)
     assert record.point_fields == ("x", "y", "z", "r", "g", "b")
     np.testing.assert_array_equal(record.points, [[10, 0, 0, 7, 7, 7], [-10, 0, 0, 128, 128, 128]])
     assert (
@@ -86,7 +86,7 @@ def test_a_pair_comes_back_as_a_record_of_table_9(fusion):
     assert fusion.get(0) is None
 
 
-def test_axes_that_were_declared_turn_points_on_the_way_in_and_back(fusion):
+def test_axes_that_were_declared_rotate_points_on_the_way_in_and_back(fusion):
     assert fusion.set_property("lidar_coordinate", (1, 0, 2))  # y forward, x right, z up
     by_columns = (1, 0, 0, 0, 0, 0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1)
     assert fusion.set_calibration(calibration(extrinsic_matrix=by_columns), camera_id=1, lidar_id=0)
@@ -143,7 +143,7 @@ def test_the_same_number_again_is_refused(fusion):
     assert fusion.send(cloud(0, 1)).cause is Cause.DUPLICATE
 
 
-def test_a_picture_of_another_size_is_refused(fusion):
+def test_an_image_of_another_size_is_refused(fusion):
     assert fusion.set_calibration(calibration(image_size=(32, 24)), camera_id=1, lidar_id=0)
     assert fusion.send(image(0, 1)).cause is Cause.BAD_RECORD
 
@@ -164,7 +164,7 @@ def test_after_the_end_nothing_is_taken(fusion):
     assert fusion.send(cloud(0, 1)).cause is Cause.CLOSED
 
 
-def test_points_have_the_colours_of_the_picture_in_the_result_however_many_pictures_there_are():
+def test_points_have_the_colours_of_the_image_in_the_result_however_many_images_there_are():
     points = ((10.0, 0.0, 0.0), (10.0, 1.0, 0.5), (-10.0, 0.0, 0.0))
     for cameras in ((1,), (1, 2)):
         with FusionInterface(inline=True) as fusion:
@@ -206,11 +206,11 @@ def test_point_fields_go_by_the_names_that_were_sent_and_never_by_the_values(fus
         data = draw(rng, (4, len(fields))).astype(np.float32)
         for axis, value in zip("xyz", (10.0, 0.0, 0.0), strict=True):
             data[:, fields.index(axis)] = value
-        if "time" in fields:  # pictures are paired by it
+        if "time" in fields:  # images are paired by it
             data[:, fields.index("time")] *= 1e-8
         sent = PointCloudData(
             sensor_id=0,
-            timestamp=stamp(100 * seq),
+            timestamp=timestamp(100 * seq),
             seq=seq,
             number=len(data),
             fields=fields,
@@ -241,7 +241,7 @@ _PIXELS = {
 
 @pytest.mark.parametrize("encoding", [*_PIXELS, "jpeg", "png"])
 @pytest.mark.parametrize("cameras", [1, 2])
-def test_a_picture_comes_back_in_the_encoding_in_which_it_was_sent(encoding, cameras):
+def test_an_image_comes_back_in_the_encoding_in_which_it_was_sent(encoding, cameras):
     pixel = _PIXELS.get(encoding, (200, 100, 50))
     pixels = np.tile(np.array(pixel, np.uint8), (HEIGHT, WIDTH, 1))
     data = pixels.reshape(-1)

@@ -7,7 +7,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.detections.results import FusedBoxes
 from sceneloom.fusion.outgoing import declared_columns
 
-TURN = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])
+ROTATION = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])
 CAMERA = Camera("pinhole", 640, 480, 500.0, 500.0, 319.5, 239.5)
 NAMES = ("scores", "centers", "center_covs", "sizes", "size_covs", "yaws", "velocities", "corners")
 
@@ -46,24 +46,24 @@ def declared(found):
         rows_3d=found["rows_3d"],
         rows_2d=np.full(count, -1),
     )
-    columns, sound = declared_columns(fused, TURN, CAMERA)
+    columns, sound = declared_columns(fused, ROTATION, CAMERA)
     pixels = columns.pop("corners_xyxy")
     return *columns.values(), pixels, sound
 
 
-def test_objects_are_turned_and_rounded_as_numpy_does_it():
+def test_objects_are_rotated_and_rounded_as_numpy_does_it():
     found = objects()
     headings = np.column_stack([np.cos(found["yaws"]), np.sin(found["yaws"]), np.zeros(7)])
-    both = TURN @ found["center_covs"] @ TURN.T
+    both = ROTATION @ found["center_covs"] @ ROTATION.T
     expected = (
         np.clip(found["scores"], 0, 1),
-        found["centers"] @ TURN.T,
+        found["centers"] @ ROTATION.T,
         both,
         found["sizes"],
         found["size_covs"],
-        headings @ TURN.T,
+        headings @ ROTATION.T,
         (found["velocities"] * headings).sum(axis=1),
-        found["velocities"] @ TURN.T,
+        found["velocities"] @ ROTATION.T,
     )
     *columns, pixels, sound = declared(found)
     assert sound
@@ -97,7 +97,7 @@ def test_a_number_that_is_not_finite_is_not_sound(name, value):
 
 
 def test_what_makes_no_sense_is_not_sound():
-    for name, place, value, row, expected in (
+    for name, location, value, row, expected in (
         ("sizes", (3, 1), -1.0, -1, False),
         ("sizes", (3, 1), 0.0, -1, True),
         ("sizes", (3, 1), 0.0, 4, False),
@@ -109,7 +109,7 @@ def test_what_makes_no_sense_is_not_sound():
         found["corners"][3] = 100, 100, 200, 200
         if name == "corners":
             found[name][3, 0] = 50.0
-        found[name][place], found["rows_3d"][3] = value, row
+        found[name][location], found["rows_3d"][3] = value, row
         assert declared(found)[-1] == expected, name
 
 

@@ -1,4 +1,4 @@
-"""Pictures are paired with sweeps as an exhaustive search over all pictures would."""
+"""Images are paired with sweeps as an exhaustive search over all images would."""
 
 import numpy as np
 from hypothesis import given
@@ -6,19 +6,19 @@ from hypothesis import strategies as st
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.fusion.pairing import TimedQueue
-from sceneloom.scene import Picture
+from sceneloom.scene import CameraImage
 
 CAMERA = Camera("pinhole", 2, 2, 1.0, 1.0, 0.5, 0.5)
 
 
-def picture(time_ns: int) -> Picture:
-    return Picture.of(time_ns, CAMERA, np.zeros((2, 2, 3), np.uint8))
+def image(time_ns: int) -> CameraImage:
+    return CameraImage.of(time_ns, CAMERA, np.zeros((2, 2, 3), np.uint8))
 
 
-def queue_of(times_ns: list[int]) -> TimedQueue[Picture]:
+def queue_of(times_ns: list[int]) -> TimedQueue[CameraImage]:
     queue = TimedQueue("camera0")
     for time_ns in times_ns:
-        queue.add(picture(time_ns))
+        queue.add(image(time_ns))
     return queue
 
 
@@ -33,7 +33,7 @@ def exhaustive(times_ns: list[int], time_ns: int, tolerance_ns: int) -> int | No
 
 
 @given(st.lists(st.integers(-100, 100), max_size=20, unique=True), st.integers(-120, 120), st.integers(0, 50))
-def test_the_nearest_picture_is_found_and_ties_go_to_the_earlier(
+def test_the_nearest_image_is_found_and_ties_go_to_the_earlier(
     times: list[int], time: int, tolerance: int
 ) -> None:
     near = queue_of(times).nearest(time, tolerance)
@@ -53,7 +53,7 @@ def test_forgetting_changes_no_later_pair(times: list[int], start: int, later: i
     assert near.timestamp_ns == exhaustive(times, start + later, 1000)
 
 
-def test_a_picture_is_known_to_be_nearest_only_when_one_at_or_after_the_time_has_come() -> None:
+def test_an_image_is_known_to_be_nearest_only_when_one_at_or_after_the_time_has_come() -> None:
     queue = queue_of([10])
     assert queue.reaches(10)
     assert not queue.reaches(11)

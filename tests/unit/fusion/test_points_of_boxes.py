@@ -1,4 +1,4 @@
-"""Tests of sweeps that place what pictures alone show, in a system that is sent both."""
+"""Tests of sweeps that position what images alone show, in a system that is sent both."""
 
 import numpy as np
 import pytest
@@ -9,14 +9,14 @@ from sceneloom.fusion.system import FusionSystem
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Boxes2D, Boxes3D, LidarFrame, LidarPoints
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 
 CAMERA = Camera("pinhole", 1200, 400, 700.0, 700.0, 599.5, 199.5)
 PERIOD_NS = 100_000_000
-STILL = PosePath.identity()
+STILL = Poses.identity()
 AT_EGO = PoseSource(STILL, RigidTransform.identity())
 EGO_FROM_CAMERA = RigidTransform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))
-# a pedestrian of 1.72 m, 15 m ahead, by height; the points say 12 m
+# a pedestrian of 1.72 m, 15 m ahead, by height; the points state 12 m
 PEDESTRIAN = Boxes2D(0, np.array([[590.0, 199.0, 610.0, 279.3]]), np.array([0.9]), ("pedestrian",))
 
 
@@ -30,7 +30,7 @@ def a_sweep(time_ns, distance=12.0):
 @pytest.fixture
 def system():
     made = FusionSystem()
-    made.add_lidar("lidar", AT_EGO, period_ns=PERIOD_NS, place=AT_EGO)
+    made.add_lidar("lidar", AT_EGO, period_ns=PERIOD_NS, location=AT_EGO)
     made.add_camera("camera", PoseSource(STILL, EGO_FROM_CAMERA), index=0)
     return made
 
@@ -49,7 +49,7 @@ def _columns():
     return PEDESTRIAN.corners_xyxy, PEDESTRIAN.scores, PEDESTRIAN.labels
 
 
-def test_from_the_first_boxes_on_sweeps_place_what_pictures_alone_show(system):
+def test_from_the_first_boxes_on_sweeps_location_what_images_alone_show(system):
     assert found(system, 0, a_sweep(0)).by_points is None
     fused = found(system, PERIOD_NS, a_sweep(PERIOD_NS))
     assert fused.by_points.tolist() == [True]
@@ -57,7 +57,7 @@ def test_from_the_first_boxes_on_sweeps_place_what_pictures_alone_show(system):
     assert fused.centers[0, 0] == pytest.approx(12.16, abs=0.1)
 
 
-def test_sweeps_of_other_times_say_nothing(system):
+def test_sweeps_of_other_times_state_nothing(system):
     found(system, 0)
     assert found(system, 5 * PERIOD_NS, a_sweep(PERIOD_NS)).by_points is None
 
@@ -72,7 +72,7 @@ def test_after_a_clock_was_set_back_old_sweeps_are_gone(system):
 def test_points_in_the_egos_frame_are_taken_to_the_lidar():
     system = FusionSystem()
     mount = RigidTransform(np.eye(3), np.array([2.0, 0.0, 0.0]))
-    system.add_lidar("lidar", AT_EGO, period_ns=PERIOD_NS, place=PoseSource(STILL, mount))
+    system.add_lidar("lidar", AT_EGO, period_ns=PERIOD_NS, location=PoseSource(STILL, mount))
     camera = mount @ EGO_FROM_CAMERA
     system.add_camera("camera", PoseSource(STILL, camera), index=0)
     found(system, 0)

@@ -10,14 +10,14 @@ from sceneloom.colouring import ALGORITHMS, FusedFrame
 from sceneloom.errors import DataError, OptionError
 from sceneloom.fusion import FusionConfiguration, FusionSystem
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import LidarFrame, LidarPoints, Picture, PosePath
+from sceneloom.scene import CameraImage, LidarFrame, LidarPoints, Poses
 from sceneloom.scene.point_times import SOUND, PointTimes
 from sceneloom.scene.pose_source import PoseSource
 
 CAMERA = Camera("pinhole", 8, 6, 4.0, 4.0, 3.5, 2.5)
 EGO_FROM_CAMERA = RigidTransform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))
 PERIOD = 100
-STILL = PosePath.identity()
+STILL = Poses.identity()
 
 
 def sweep(start_ns: int, points: LidarPoints | None = None) -> LidarFrame:
@@ -25,11 +25,11 @@ def sweep(start_ns: int, points: LidarPoints | None = None) -> LidarFrame:
     return LidarFrame(start_ns, default if points is None else points)
 
 
-def picture(time_ns: int, level: int = 7) -> Picture:
-    return Picture.of(time_ns, CAMERA, np.full((6, 8, 3), level, np.uint8))
+def image(time_ns: int, level: int = 7) -> CameraImage:
+    return CameraImage.of(time_ns, CAMERA, np.full((6, 8, 3), level, np.uint8))
 
 
-def system_with(cameras: int = 1, path: PosePath = STILL, **settings: int) -> FusionSystem:
+def system_with(cameras: int = 1, path: Poses = STILL, **settings: int) -> FusionSystem:
     system = FusionSystem(FusionConfiguration(**settings))
     system.add_lidar("lidar", PoseSource(path, RigidTransform.identity()), period_ns=PERIOD)
     for index in range(cameras):
@@ -41,12 +41,12 @@ def results(system: FusionSystem) -> Iterator[FusedFrame]:
     return iter(system.get, None)
 
 
-def test_a_sweep_is_fused_as_soon_as_a_picture_at_or_after_its_time_has_come() -> None:
+def test_a_sweep_is_fused_as_soon_as_an_image_at_or_after_its_time_has_come() -> None:
     system = system_with()
-    system.send("camera0", picture(0, level=1))
+    system.send("camera0", image(0, level=1))
     system.send("lidar", sweep(40))
     assert system.get() is None
-    system.send("camera0", picture(60, level=2))
+    system.send("camera0", image(60, level=2))
     fused = system.get()
     assert fused is not None
     assert fused.views[0].timestamp_ns == 60
@@ -54,24 +54,24 @@ def test_a_sweep_is_fused_as_soon_as_a_picture_at_or_after_its_time_has_come() -
     np.testing.assert_array_equal(fused.points.camera_index, [0, 255])
 
 
-def test_a_sweep_does_not_wait_for_pictures_that_can_no_longer_come() -> None:
+def test_a_sweep_does_not_wait_for_images_that_can_no_longer_come() -> None:
     system = system_with(cameras=2)
-    system.send("camera0", picture(5))
+    system.send("camera0", image(5))
     system.send("lidar", sweep(0))
     system.send("lidar", sweep(100))
     assert system.get() is None
-    system.send("camera0", picture(101))
+    system.send("camera0", image(101))
     fused = system.get()
     assert fused is not None
     assert (fused.timestamp_ns, fused.unpaired) == (0, ("camera1",))
 
 
-def test_a_late_picture_is_waited_for_as_long_as_said() -> None:
+def test_a_late_image_is_waited_for_as_long_as_stated() -> None:
     patient = system_with(lateness_ns=50)
     patient.send("lidar", sweep(0))
     patient.send("lidar", sweep(150))
     assert patient.get() is None
-    patient.send("camera0", picture(3))
+    patient.send("camera0", image(3))
     fused = patient.get()
     assert fused is not None
     assert fused.views[0].timestamp_ns == 3
@@ -81,7 +81,7 @@ def test_results_come_in_the_order_of_the_sweeps_and_flush_leaves_none_behind() 
     system = system_with()
     for start in (0, 100, 200):
         system.send("lidar", sweep(start))
-        system.send("camera0", picture(start + 10))
+        system.send("camera0", image(start + 10))
     system.flush()
     fused = list(results(system))
     assert [(frame.index, frame.timestamp_ns) for frame in fused] == [(0, 0), (1, 100), (2, 200)]
@@ -89,17 +89,17 @@ def test_results_come_in_the_order_of_the_sweeps_and_flush_leaves_none_behind() 
     assert list(results(system)) == []
 
 
-def test_a_picture_beyond_the_tolerance_is_no_pair() -> None:
+def test_an_image_beyond_the_tolerance_is_no_pair() -> None:
     system = system_with(pairing_tolerance_ns=20)
     system.send("lidar", sweep(0))
-    system.send("camera0", picture(21))
+    system.send("camera0", image(21))
     fused = system.get()
     assert fused is not None
     assert fused.unpaired == ("camera0",)
     np.testing.assert_array_equal(fused.points.camera_index, 255)
 
 
-def test_two_sweeps_share_a_picture_that_is_decoded_once() -> None:
+def test_two_sweeps_share_an_image_that_is_decoded_once() -> None:
     decoded: list[int] = []
 
     def decode() -> np.ndarray:
@@ -109,14 +109,14 @@ def test_two_sweeps_share_a_picture_that_is_decoded_once() -> None:
     system = system_with()
     system.send("lidar", sweep(0))
     system.send("lidar", sweep(60))
-    system.send("camera0", Picture(70, CAMERA, decode))
+    system.send("camera0", CameraImage(70, CAMERA, decode))
     system.flush()
     assert len(list(results(system))) == 2
     assert decoded == [1]
 
 
-def test_points_beyond_the_trajectory_keep_their_frame_and_say_why() -> None:
-    path = PosePath(np.array([0, 50], np.int64), np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
+def test_points_beyond_the_trajectory_keep_their_frame_and_state_why() -> None:
+    path = Poses(np.array([0, 50], np.int64), np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
     system = system_with(path=path)
     system.send("lidar", sweep(60))
     system.flush()
@@ -128,30 +128,30 @@ def test_points_beyond_the_trajectory_keep_their_frame_and_say_why() -> None:
     assert fused.points.colors is None
 
 
-def test_a_picture_beyond_the_trajectory_is_named_and_colours_nothing() -> None:
-    path = PosePath(np.array([0, 50], np.int64), np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
+def test_an_image_beyond_the_trajectory_is_named_and_colours_nothing() -> None:
+    path = Poses(np.array([0, 50], np.int64), np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
     system = system_with(path=path)
     system.send("lidar", sweep(40))
-    system.send("camera0", picture(70))
+    system.send("camera0", image(70))
     fused = system.get()
     assert fused is not None
     assert (fused.unposed, fused.views) == (("camera0",), ())
 
 
-def test_a_mounting_of_the_picture_itself_wins() -> None:
+def test_a_mounting_of_the_image_itself_wins() -> None:
     backwards = RigidTransform(np.array([[0.0, 0, -1], [1, 0, 0], [0, -1, 0]]), np.zeros(3))
     system = system_with()
     system.send("lidar", sweep(0))
     rgb = np.full((6, 8, 3), 9, np.uint8)
-    system.send("camera0", Picture(0, CAMERA, lambda: rgb, mount=backwards))
+    system.send("camera0", CameraImage(0, CAMERA, lambda: rgb, mount=backwards))
     fused = system.get()
     assert fused is not None
     np.testing.assert_array_equal(fused.points.camera_index, [255, 0])
 
 
-def test_a_picture_that_cannot_be_decoded_raises_unless_someone_listens() -> None:
+def test_an_image_that_cannot_be_decoded_raises_unless_someone_listens() -> None:
     def broken() -> np.ndarray:
-        raise DataError("data.mkv", "picture 3", "truncated")
+        raise DataError("data.mkv", "image 3", "truncated")
 
     for listener in (None, []):
         system = system_with()
@@ -159,10 +159,10 @@ def test_a_picture_that_cannot_be_decoded_raises_unless_someone_listens() -> Non
             system.on_unreadable = listener.append
         system.send("lidar", sweep(0))
         if listener is None:
-            with pytest.raises(DataError, match="picture 3"):
-                system.send("camera0", Picture(0, CAMERA, broken))
+            with pytest.raises(DataError, match="image 3"):
+                system.send("camera0", CameraImage(0, CAMERA, broken))
         else:
-            system.send("camera0", Picture(0, CAMERA, broken))
+            system.send("camera0", CameraImage(0, CAMERA, broken))
             fused = system.get()
             assert fused is not None
             assert fused.unpaired == ("camera0",)
@@ -178,16 +178,18 @@ def test_without_cameras_the_colours_of_the_source_stay() -> None:
     np.testing.assert_array_equal(fused.points.colors, colors)
 
 
-def late_sweep(stamp_ns: int, late_ns: int) -> LidarFrame:
-    times = np.array([stamp_ns - late_ns, stamp_ns - late_ns + 50, stamp_ns - late_ns + 99], np.int64)
-    return sweep(stamp_ns, LidarPoints(np.ones((3, 3), np.float32), timestamps_ns=times))
+def late_sweep(timestamp_ns: int, late_ns: int) -> LidarFrame:
+    times = np.array(
+        [timestamp_ns - late_ns, timestamp_ns - late_ns + 50, timestamp_ns - late_ns + 99], np.int64
+    )
+    return sweep(timestamp_ns, LidarPoints(np.ones((3, 3), np.float32), timestamps_ns=times))
 
 
-def test_sweeps_that_are_stamped_long_after_their_points_get_the_pictures_of_their_points() -> None:
+def test_sweeps_that_are_timestamped_long_after_their_points_get_the_images_of_their_points() -> None:
     system, seen = system_with(), []
     for now in range(0, 3000, 10):
         if now % 100 == 50:
-            system.send("camera0", picture(now))
+            system.send("camera0", image(now))
         if now % 100 == 70:
             system.send("lidar", late_sweep(now, late_ns=470))
         seen += list(results(system))
@@ -198,15 +200,15 @@ def test_sweeps_that_are_stamped_long_after_their_points_get_the_pictures_of_the
     assert [pair for pair in pairs if pair[0] > 0] == [(50 + 100 * k, [50 + 100 * k]) for k in range(26)]
 
 
-def test_pictures_do_not_pile_up_where_no_sweep_comes() -> None:
+def test_images_do_not_pile_up_where_no_sweep_comes() -> None:
     system = system_with()
     for second in range(1000):
-        system.send("camera0", picture(second * 1_000_000_000))
+        system.send("camera0", image(second * 1_000_000_000))
     assert len(system._sweeps.queues["camera0"].items) <= 12
 
 
 def test_one_time_for_all_points_far_from_the_sweep_is_no_time() -> None:
-    path = PosePath(
+    path = Poses(
         np.array([0, 5000], np.int64), np.array([[0.0, 0, 0], [50, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1))
     )
     system = system_with(path=path)
@@ -222,18 +224,18 @@ def test_one_time_for_all_points_far_from_the_sweep_is_no_time() -> None:
 
 
 def test_points_whose_times_count_from_the_sweep_are_moved_by_their_own_times() -> None:
-    path = PosePath(
+    path = Poses(
         np.array([0, 5000], np.int64), np.array([[0.0, 0, 0], [50, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1))
     )
     system = system_with(path=path)
-    for stamp in (1000, 1100):
+    for timestamp in (1000, 1100):
         points = LidarPoints(np.zeros((2, 3), np.float32), timestamps_ns=np.array([0, 90], np.int64))
-        system.send("lidar", sweep(stamp, points))
+        system.send("lidar", sweep(timestamp, points))
     system.flush()
-    for fused, stamp in zip(results(system), (1000, 1100), strict=True):
+    for fused, timestamp in zip(results(system), (1000, 1100), strict=True):
         assert fused.times.kind is PointTimes.RELATIVE
-        np.testing.assert_array_equal(fused.points.timestamps_ns, [stamp, stamp + 90])
-        np.testing.assert_allclose(fused.points.positions[:, 0], [stamp / 100, (stamp + 90) / 100])
+        np.testing.assert_array_equal(fused.points.timestamps_ns, [timestamp, timestamp + 90])
+        np.testing.assert_allclose(fused.points.positions[:, 0], [timestamp / 100, (timestamp + 90) / 100])
 
 
 def test_a_sweep_that_is_passed_over_keeps_its_number() -> None:
@@ -259,8 +261,8 @@ def test_unknown_sensors_and_wrong_measurements_are_refused_by_name() -> None:
     system = system_with()
     with pytest.raises(OptionError, match="from 'roof'; known are"):
         system.send("roof", sweep(0))
-    with pytest.raises(OptionError, match="a Picture from 'lidar'"):
-        system.send("lidar", picture(0))
+    with pytest.raises(OptionError, match="a Image from 'lidar'"):
+        system.send("lidar", image(0))
     with pytest.raises(OptionError, match="known already"):
         system.add_lidar("camera0", None, period_ns=1)
     with pytest.raises(OptionError, match="index 255"):
@@ -275,7 +277,7 @@ def test_an_unknown_algorithm_is_refused_with_the_known_ones() -> None:
 def test_memory_holds_what_waits_and_not_what_has_passed() -> None:
     system = system_with()
     for start in range(0, 100_000, 100):
-        system.send("camera0", picture(start))
+        system.send("camera0", image(start))
         system.send("lidar", sweep(start))
         list(results(system))
     assert len(system._sweeps.waiting) <= 2
@@ -283,26 +285,26 @@ def test_memory_holds_what_waits_and_not_what_has_passed() -> None:
 
 
 @pytest.mark.parametrize("known", [False, True])
-def test_the_algorithm_is_told_from_where_the_lidar_measured(
+def test_the_algorithm_is_distinguished_from_where_the_lidar_measured(
     known: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ways = []
+    trajectories = []
 
-    def algorithm(points_world, requests, visibility, /, *, way=None):
-        ways.append(way)
-        return ALGORITHMS["projection"](points_world, requests, visibility, way=way)
+    def algorithm(points_world, requests, visibility, /, *, trajectory=None):
+        trajectories.append(trajectory)
+        return ALGORITHMS["projection"](points_world, requests, visibility, trajectory=trajectory)
 
     monkeypatch.setattr("sceneloom.fusion.system.algorithm", lambda fusion_type, name: algorithm)
     system = FusionSystem()
     mount = RigidTransform(np.eye(3), np.array([0.0, 0.0, 1.5]))
     source = PoseSource(STILL, mount)
-    system.add_lidar("lidar", source, period_ns=PERIOD, place=source if known else None)
+    system.add_lidar("lidar", source, period_ns=PERIOD, location=source if known else None)
     system.add_camera("camera0", PoseSource(STILL, EGO_FROM_CAMERA), index=0)
     system.send("lidar", sweep(0))
-    system.send("camera0", picture(0))
+    system.send("camera0", image(0))
     assert system.get() is not None
     if known:
-        np.testing.assert_array_equal(ways[0].ends_world, [[0, 0, 1.5]] * 2)
-        assert len(ways[0].fractions) == 2
+        np.testing.assert_array_equal(trajectories[0].ends_world, [[0, 0, 1.5]] * 2)
+        assert len(trajectories[0].fractions) == 2
     else:
-        assert ways == [None]
+        assert trajectories == [None]

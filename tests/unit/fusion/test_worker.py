@@ -7,14 +7,14 @@ import numpy as np
 from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.messages import Boxes2d, Boxes3d
 
-from .sending import calibration, cloud, image, stamp
+from .sending import calibration, cloud, image, timestamp
 
 
 def boxes_2d(milliseconds, seq, count=0):
     return Boxes2d(
         sensor_id=1,
         seq=seq,
-        timestamp=stamp(milliseconds),
+        timestamp=timestamp(milliseconds),
         id=np.arange(count, dtype=np.int32),
         class_names=("car",) * count,
         confidence=np.full(count, 0.5, np.float32),
@@ -23,14 +23,14 @@ def boxes_2d(milliseconds, seq, count=0):
 
 
 def boxes_3d(milliseconds, seq):
-    return Boxes3d.empty(0, seq, stamp(milliseconds))
+    return Boxes3d.empty(0, seq, timestamp(milliseconds))
 
 
 def test_boxes_that_wait_are_fused_after_a_while_though_nothing_more_comes():
     with FusionInterface() as fusion:
         assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
         for seq in range(3):
-            # a picture shortly before the sweep: one after it could be nearer
+            # an image shortly before the sweep: one after it could be nearer
             assert fusion.send(boxes_2d(1000 * seq, seq))
             assert fusion.send(boxes_3d(1000 * seq + 10, seq))
             result = fusion.get(1, timeout_s=30.0)

@@ -6,17 +6,17 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.geometry.boxes import EDGES, box_corners, points_in_box
 
-NO_TURN = (0.0, 0.0, 0.0, 1.0)
+NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
 
 
 def test_corners_come_bottom_first_from_the_front_left_counter_clockwise():
-    corners = box_corners((10, 20, 30), (4, 2, 1.5), NO_TURN)
+    corners = box_corners((10, 20, 30), (4, 2, 1.5), NO_ROTATION)
     bottom = [(12, 21, 29.25), (8, 21, 29.25), (8, 19, 29.25), (12, 19, 29.25)]
     assert np.allclose(corners[:4], bottom)
     assert np.allclose(corners[4:], np.add(bottom, (0, 0, 1.5)))
 
 
-def test_a_box_turned_left_has_its_front_on_the_left():
+def test_a_box_rotated_left_has_its_front_on_the_left():
     corners = box_corners((0, 0, 0), (4, 2, 1), Rotation.from_euler("z", 90, degrees=True).as_quat())
     assert np.allclose(corners[[0, 3], 1], 2.0)  # the front corners lie 2 m to the left now
 
@@ -30,18 +30,22 @@ def test_edges_join_neighbours_only():
 
 def test_many_boxes_at_once_give_what_each_gives_alone():
     rng = np.random.default_rng(0)
-    centers, sizes, turns = rng.normal(size=(5, 3)), rng.uniform(1, 5, (5, 3)), rng.normal(size=(5, 4))
-    together = box_corners(centers, sizes, turns)
+    centers, sizes, rotations = rng.normal(size=(5, 3)), rng.uniform(1, 5, (5, 3)), rng.normal(size=(5, 4))
+    together = box_corners(centers, sizes, rotations)
     assert together.shape == (5, 8, 3)
     for k in range(5):
-        assert np.allclose(together[k], box_corners(centers[k], sizes[k], turns[k]))
+        assert np.allclose(together[k], box_corners(centers[k], sizes[k], rotations[k]))
 
 
 def test_points_inside_are_those_between_all_six_faces():
     rng = np.random.default_rng(1)
-    turn, center, size = Rotation.from_rotvec([0.2, -0.5, 2]), np.array([5.0, -3, 1]), np.array([4.0, 2, 1.5])
+    rotation, center, size = (
+        Rotation.from_rotvec([0.2, -0.5, 2]),
+        np.array([5.0, -3, 1]),
+        np.array([4.0, 2, 1.5]),
+    )
     points = center + rng.uniform(-3, 3, (2000, 3))
-    rows = turn.as_matrix().T  # each row is one of the box's axes
+    rows = rotation.as_matrix().T  # each row is one of the box's axes
     expected = [
         all(
             abs(sum(a * d for a, d in zip(rows[k], point - center, strict=True))) <= size[k] / 2
@@ -49,15 +53,15 @@ def test_points_inside_are_those_between_all_six_faces():
         )
         for point in points
     ]
-    found = points_in_box(points, center, size, turn.as_quat())
+    found = points_in_box(points, center, size, rotation.as_quat())
     assert found.tolist() == expected
     assert 50 < found.sum() < 1950
 
 
 def test_faces_belong_to_the_box_and_a_margin_widens_it():
     points = [(2, 0, 0), (2.0001, 0, 0), (0, 0, -0.5), (2.1, 0, 0)]
-    assert points_in_box(points, (0, 0, 0), (4, 2, 1), NO_TURN).tolist() == [True, False, True, False]
-    assert points_in_box(points, (0, 0, 0), (4, 2, 1), NO_TURN, margin=0.05).tolist() == [
+    assert points_in_box(points, (0, 0, 0), (4, 2, 1), NO_ROTATION).tolist() == [True, False, True, False]
+    assert points_in_box(points, (0, 0, 0), (4, 2, 1), NO_ROTATION, margin=0.05).tolist() == [
         True,
         True,
         True,
@@ -69,4 +73,4 @@ def test_faces_belong_to_the_box_and_a_margin_widens_it():
 def test_a_point_with_a_missing_coordinate_lies_in_no_box(axis):
     point = np.zeros((1, 3))
     point[0, axis] = np.nan
-    assert not points_in_box(point, (0, 0, 0), (4, 2, 1), NO_TURN).any()
+    assert not points_in_box(point, (0, 0, 0), (4, 2, 1), NO_ROTATION).any()

@@ -30,29 +30,32 @@ def test_the_default_is_roll_times_pitch_times_yaw_in_degrees():
 
 
 def test_yaw_alone_means_the_same_in_every_order():
-    turns = [rotation_from_cuboid_angles((0, 0, 0.7), unit="radians", order=order) for order in ORDERS]
-    assert all(np.allclose(turn, Rotation.from_euler("z", 0.7).as_matrix(), atol=ROUNDING) for turn in turns)
+    rotations = [rotation_from_cuboid_angles((0, 0, 0.7), unit="radians", order=order) for order in ORDERS]
+    assert all(
+        np.allclose(rotation, Rotation.from_euler("z", 0.7).as_matrix(), atol=ROUNDING)
+        for rotation in rotations
+    )
 
 
 @pytest.mark.parametrize("unit", ["degrees", "radians"])
 @pytest.mark.parametrize("order", ORDERS)
 def test_angles_come_back(order, unit):
-    turns = Rotation.random(200, np.random.default_rng(1)).as_matrix()
-    angles = cuboid_angles_from_rotation(turns, unit=unit, order=order)
+    rotations = Rotation.random(200, np.random.default_rng(1)).as_matrix()
+    angles = cuboid_angles_from_rotation(rotations, unit=unit, order=order)
     middle = angles[:, "xyz".index(order[1])]
-    assert np.abs(rotation_from_cuboid_angles(angles, unit=unit, order=order) - turns).max() < ROUNDING
+    assert np.abs(rotation_from_cuboid_angles(angles, unit=unit, order=order) - rotations).max() < ROUNDING
     assert np.abs(middle).max() <= (90 if unit == "degrees" else np.pi / 2)
 
 
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("short_of", [0.0, 1e-15, 1e-9, 1e-5])
 @pytest.mark.parametrize("side", [1, -1])
-def test_near_a_quarter_turn_of_the_middle_axis_the_rotation_still_comes_back(order, short_of, side):
+def test_near_a_quarter_rotation_of_the_middle_axis_the_rotation_still_comes_back(order, short_of, side):
     angles = np.array([0.4, -1.1, 2.3])
     angles["xyz".index(order[1])] = side * (np.pi / 2 - short_of)
-    turn = rotation_from_cuboid_angles(angles, unit="radians", order=order)
-    found = cuboid_angles_from_rotation(turn, unit="radians", order=order)
-    assert np.abs(rotation_from_cuboid_angles(found, unit="radians", order=order) - turn).max() < ROUNDING
+    rotation = rotation_from_cuboid_angles(angles, unit="radians", order=order)
+    found = cuboid_angles_from_rotation(rotation, unit="radians", order=order)
+    assert np.abs(rotation_from_cuboid_angles(found, unit="radians", order=order) - rotation).max() < ROUNDING
 
 
 def test_a_unit_that_nobody_knows_is_refused_with_those_known():

@@ -1,4 +1,4 @@
-"""Places on the earth against published numbers and against the ellipse drawn by hand."""
+"""Locations on the earth against published numbers and against the ellipse drawn by hand."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ PUBLISHED = [
 
 
 @pytest.mark.parametrize(("lla", "ecef", "tolerance"), PUBLISHED)
-def test_published_places_are_met_to_their_last_digit(lla, ecef, tolerance):
+def test_published_locations_are_met_to_their_last_digit(lla, ecef, tolerance):
     assert np.allclose(ecef_from_geodetic(lla), ecef, rtol=0, atol=tolerance)
     assert np.allclose(ecef_from_geodetic(geodetic_from_ecef(ecef)), ecef, rtol=0, atol=NANOMETRES)
     assert geodetic_from_ecef(ecef)[2] == pytest.approx(lla[2], abs=tolerance)
@@ -38,7 +38,7 @@ def test_a_published_offset_east_north_and_up_is_met():
     assert np.allclose(found, (165.72, 222.18, 799.99), atol=0.006)
 
 
-def test_places_agree_with_the_ellipse_drawn_by_its_reduced_latitude():
+def test_locations_agree_with_the_ellipse_drawn_by_its_reduced_latitude():
     rng = np.random.default_rng(0)
     lla = np.column_stack(
         [rng.uniform(-90, 90, 200), rng.uniform(-180, 180, 200), rng.uniform(-1e4, 1e6, 200)]
@@ -53,7 +53,7 @@ def test_places_agree_with_the_ellipse_drawn_by_its_reduced_latitude():
         assert np.allclose(found, expected, rtol=0, atol=NANOMETRES * 2)
 
 
-def test_places_from_the_sea_floor_to_satellites_come_back():
+def test_locations_from_the_sea_floor_to_satellites_come_back():
     rng = np.random.default_rng(1)
     lla = np.column_stack(
         [rng.uniform(-90, 90, 3000), rng.uniform(-180, 180, 3000), rng.choice([-1e4, 0, 1e3, 1e5, 2e7], 3000)]
@@ -70,7 +70,7 @@ def test_near_the_poles_and_the_equator_heights_keep_their_digits():
     )
 
 
-def test_east_north_and_up_point_where_they_say():
+def test_east_north_and_up_point_where_they_state():
     origin = (48.0, 11.0, 500.0)
     north = enu_from_geodetic((48.001, 11.0, 500.0), origin)
     east = enu_from_geodetic((48.0, 11.001, 500.0), origin)
@@ -82,12 +82,12 @@ def test_east_north_and_up_point_where_they_say():
     assert abs(east[1]) < 0.01  # the parallel of latitude bends towards the pole
 
 
-def test_offsets_of_a_drive_come_back_to_their_places():
+def test_offsets_of_a_drive_come_back_to_their_locations():
     origin = (49.0, 8.4, 112.0)
     enu = np.random.default_rng(2).uniform(-2e4, 2e4, (500, 3))
     back = enu_from_geodetic(geodetic_from_enu(enu, origin), origin)
     assert np.abs(back - enu).max() < 2e-8  # rounding of degrees, 1e-14 of 6e6 m, and of coordinates
 
 
-def test_a_missing_height_gives_a_missing_place():
+def test_a_missing_height_gives_a_missing_location():
     assert np.isnan(ecef_from_geodetic([10.0, 20.0, np.nan])).all()

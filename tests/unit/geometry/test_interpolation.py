@@ -14,11 +14,11 @@ SECOND_NS = 1_000_000_000
 
 @pytest.fixture
 def path() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Six uneven poses at today's epoch, turning by up to a third of a circle from one to the next."""
+    """Six uneven poses at today's epoch, rotating by up to a third of a circle from one to the next."""
     rng = np.random.default_rng(0)
     times = EPOCH_NS + np.array([0, 100, 250, 251, 400, 1000]) * 1_000_000
-    turns = Rotation.from_rotvec(np.cumsum(rng.uniform(-1, 1, (6, 3)), axis=0)).as_quat()
-    return times, rng.uniform(-100, 100, (6, 3)), turns
+    rotations = Rotation.from_rotvec(np.cumsum(rng.uniform(-1, 1, (6, 3)), axis=0)).as_quat()
+    return times, rng.uniform(-100, 100, (6, 3)), rotations
 
 
 def slow_pose(times, positions, quaternions, query):
@@ -56,12 +56,12 @@ def test_a_nanosecond_counts_at_todays_epoch():
     assert positions[0, 0] == 1.0  # float64 seconds would resolve 238 ns
 
 
-def test_beyond_the_ends_velocity_and_turning_go_on_as_far_as_the_reach():
+def test_beyond_the_ends_velocity_and_rotating_go_on_as_far_as_the_reach():
     times = np.array([0, SECOND_NS])
-    turns = Rotation.from_euler("z", [[0], [10]], degrees=True).as_quat()
+    rotations = Rotation.from_euler("z", [[0], [10]], degrees=True).as_quat()
     queries = np.array([-SECOND_NS - 1, -SECOND_NS, 0, SECOND_NS, 2 * SECOND_NS, 2 * SECOND_NS + 1])
     positions, quaternions, coverage = interpolate_poses(
-        times, np.array([[0.0, 0, 0], [3.0, 0, 0]]), turns, queries, reach_ns=SECOND_NS
+        times, np.array([[0.0, 0, 0], [3.0, 0, 0]]), rotations, queries, reach_ns=SECOND_NS
     )
     assert coverage.tolist() == [2, 1, 0, 0, 1, 2]
     assert coverage.dtype == np.uint8
@@ -79,7 +79,7 @@ def test_without_reach_nothing_beyond_the_ends_is_given(path):
     assert np.isnan(quaternions).all()
 
 
-def test_a_path_of_one_pose_stands_still_within_its_reach():
+def test_a_path_of_one_pose_is_stationary_within_its_reach():
     positions, quaternions, coverage = interpolate_poses(
         np.array([50]),
         np.array([[1.0, 2, 3]]),

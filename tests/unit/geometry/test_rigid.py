@@ -1,4 +1,4 @@
-"""Rigid transforms: frames chain as their names say, and what is not rigid is refused."""
+"""Rigid transforms: frames chain as their names state, and what is not rigid is refused."""
 
 import pickle
 
@@ -9,22 +9,22 @@ from scipy.spatial.transform import Rotation
 from sceneloom.errors import CalibrationError
 from sceneloom.geometry.rigid import RigidTransform
 
-TURN = Rotation.from_rotvec([0.3, -0.2, 1.0])
-WORLD_FROM_EGO = RigidTransform(TURN.as_matrix(), np.array([10.0, 20.0, 0.5]))
+ROTATION = Rotation.from_rotvec([0.3, -0.2, 1.0])
+WORLD_FROM_EGO = RigidTransform(ROTATION.as_matrix(), np.array([10.0, 20.0, 0.5]))
 EGO_FROM_LIDAR = RigidTransform.from_quaternion(np.array([0.0, 0, 2]), np.array([0.0, 0, 0.1, 1]))
 POINTS = np.random.default_rng(0).normal(size=(7, 3))
 
 
-def test_points_are_turned_then_moved():
-    expected = np.add(TURN.apply(POINTS), [10, 20, 0.5])
+def test_points_are_rotated_then_moved():
+    expected = np.add(ROTATION.apply(POINTS), [10, 20, 0.5])
     assert np.allclose(WORLD_FROM_EGO.apply(POINTS), expected, atol=1e-14)
 
 
-def test_directions_are_turned_only():
-    assert np.allclose(WORLD_FROM_EGO.rotate(POINTS), TURN.apply(POINTS), atol=1e-14)
+def test_directions_are_rotated_only():
+    assert np.allclose(WORLD_FROM_EGO.rotate(POINTS), ROTATION.apply(POINTS), atol=1e-14)
 
 
-def test_frames_chain_as_their_names_say():
+def test_frames_chain_as_their_names_state():
     world_from_lidar = WORLD_FROM_EGO @ EGO_FROM_LIDAR
     assert np.allclose(world_from_lidar.apply(POINTS), WORLD_FROM_EGO.apply(EGO_FROM_LIDAR.apply(POINTS)))
     assert np.allclose(world_from_lidar.matrix, WORLD_FROM_EGO.matrix @ EGO_FROM_LIDAR.matrix)
@@ -44,7 +44,7 @@ def test_position_and_quaternion_give_it_back():
     assert np.allclose(again.matrix, WORLD_FROM_EGO.matrix, atol=1e-14)
 
 
-def test_a_rounded_matrix_becomes_rigid_and_its_error_is_told():
+def test_a_rounded_matrix_becomes_rigid_and_its_error_is_reported():
     rounded = np.round(WORLD_FROM_EGO.matrix, 4)
     found, error = RigidTransform.nearest(rounded)
     assert 1e-6 < error < 1e-3

@@ -21,12 +21,12 @@ from sceneloom.geometry.rotations import (
 )
 
 ROUNDING = 1e-14  # some tens of operations on numbers of size 1, each rounded by 1e-16
-QUARTER_TURN_LEFT = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
+QUARTER_ROTATION_LEFT = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
 
 
 @pytest.fixture(scope="module")
 def quaternions() -> np.ndarray:
-    """Random rotations, and turns by half a circle or nearly none, where formulas lose their digits."""
+    """Random rotations, and rotates by half a circle or nearly none, where formulas lose their digits."""
     axes = np.vstack([np.eye(3), np.random.default_rng(1).normal(size=(20, 3))])
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     angles = [0.0, 1e-12, 1e-6, 1.0, np.pi - 1e-8, np.pi]
@@ -39,10 +39,10 @@ def same_rotation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.minimum(np.abs(a - b).max(axis=-1), np.abs(a + b).max(axis=-1))
 
 
-def test_a_quarter_turn_left_takes_forward_to_left():
+def test_a_quarter_rotation_left_takes_forward_to_left():
     forward, left = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
-    assert np.allclose(rotate_vectors(QUARTER_TURN_LEFT, forward), left, atol=ROUNDING)
-    assert np.allclose(matrix_from_quaternion(QUARTER_TURN_LEFT) @ forward, left, atol=ROUNDING)
+    assert np.allclose(rotate_vectors(QUARTER_ROTATION_LEFT, forward), left, atol=ROUNDING)
+    assert np.allclose(matrix_from_quaternion(QUARTER_ROTATION_LEFT) @ forward, left, atol=ROUNDING)
 
 
 def test_matrices_are_those_of_scipy(quaternions):
@@ -65,11 +65,11 @@ def test_rotating_vectors_agrees_with_scipy_for_quaternions_of_any_length(quater
 
 def test_one_quaternion_rotates_many_vectors_and_many_rotate_one():
     vectors = np.random.default_rng(3).normal(size=(5, 3))
-    turns = np.random.default_rng(4).normal(size=(5, 4))
+    rotations = np.random.default_rng(4).normal(size=(5, 4))
     assert np.allclose(
-        rotate_vectors(QUARTER_TURN_LEFT, vectors)[3], rotate_vectors(QUARTER_TURN_LEFT, vectors[3])
+        rotate_vectors(QUARTER_ROTATION_LEFT, vectors)[3], rotate_vectors(QUARTER_ROTATION_LEFT, vectors[3])
     )
-    assert np.allclose(rotate_vectors(turns, vectors[0])[4], rotate_vectors(turns[4], vectors[0]))
+    assert np.allclose(rotate_vectors(rotations, vectors[0])[4], rotate_vectors(rotations[4], vectors[0]))
 
 
 def test_products_are_those_of_scipy(quaternions):
@@ -79,17 +79,21 @@ def test_products_are_those_of_scipy(quaternions):
 
 
 def test_conjugates_are_the_inverses_of_scipy(quaternions):
-    turns = Rotation.from_quat(quaternions)
-    assert same_rotation(conjugate_quaternion(turns.as_quat()), turns.inv().as_quat()).max() < ROUNDING
+    rotations = Rotation.from_quat(quaternions)
+    assert (
+        same_rotation(conjugate_quaternion(rotations.as_quat()), rotations.inv().as_quat()).max() < ROUNDING
+    )
 
 
 def test_rotation_vectors_are_those_of_scipy(quaternions):
-    turns = Rotation.from_quat(quaternions)
-    expected, found = turns.as_rotvec(), rotation_vector_from_quaternion(quaternions)
-    half_turns = np.abs(np.linalg.norm(expected, axis=1) - np.pi) < 1e-7  # there v and -v are one rotation
-    assert np.abs(found - expected)[~half_turns].max() < ROUNDING
+    rotations = Rotation.from_quat(quaternions)
+    expected, found = rotations.as_rotvec(), rotation_vector_from_quaternion(quaternions)
+    half_rotations = (
+        np.abs(np.linalg.norm(expected, axis=1) - np.pi) < 1e-7
+    )  # there v and -v are one rotation
+    assert np.abs(found - expected)[~half_rotations].max() < ROUNDING
     back = quaternion_from_rotation_vector(found)
-    assert same_rotation(back, turns.as_quat()).max() < ROUNDING
+    assert same_rotation(back, rotations.as_quat()).max() < ROUNDING
 
 
 def test_tiny_rotation_vectors_keep_all_their_digits():
@@ -105,14 +109,14 @@ def test_slerp_is_that_of_scipy_inside_and_beyond_both_ends(quaternions):
         expected = [
             Slerp([0, 1], Rotation.from_quat([p, q]))(fraction).as_quat() for p, q in zip(a, b, strict=True)
         ]
-        # scipy goes through rotation vectors, which cost it some digits for turns of nearly half a circle
+        # scipy goes through rotation vectors, which cost it some digits for rotates of nearly half a circle
         assert angle_between(slerp(a, b, fraction), np.array(expected)).max() < 1e-12
-    beyond = slerp([0, 0, 0, 1], QUARTER_TURN_LEFT, [-1.0, 2.0])
+    beyond = slerp([0, 0, 0, 1], QUARTER_ROTATION_LEFT, [-1.0, 2.0])
     expected = Rotation.from_euler("z", [[-90], [180]], degrees=True).as_quat()
     assert same_rotation(beyond, expected).max() < ROUNDING
 
 
-def test_slerp_takes_the_shorter_way_whatever_the_signs():
+def test_slerp_takes_the_shorter_arc_whatever_the_signs():
     near = np.array([0.0, 0.0, np.sin(0.1), np.cos(0.1)])
     halfway = np.array([0.0, 0.0, np.sin(0.05), np.cos(0.05)])
     for sign in (1, -1):
@@ -120,10 +124,10 @@ def test_slerp_takes_the_shorter_way_whatever_the_signs():
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-100, 1e-12, np.pi - 1e-12, np.pi])
-def test_slerp_turns_at_constant_speed_near_no_turn_and_near_half_a_turn(angle):
+def test_slerp_rotates_at_constant_speed_near_no_rotation_and_near_half_a_rotation(angle):
     start, stop = quaternion_from_rotation_vector([[0.0, 0, 0], [0, angle, 0]])
-    turned = angle_between(start, slerp(start, stop, np.linspace(0, 1, 11)))
-    assert np.allclose(turned, np.linspace(0, angle, 11), rtol=1e-12, atol=ROUNDING * angle)
+    rotated = angle_between(start, slerp(start, stop, np.linspace(0, 1, 11)))
+    assert np.allclose(rotated, np.linspace(0, angle, 11), rtol=1e-12, atol=ROUNDING * angle)
 
 
 def test_angles_between_rotations_keep_their_digits_where_the_arc_cosine_does_not():
@@ -132,7 +136,7 @@ def test_angles_between_rotations_keep_their_digits_where_the_arc_cosine_does_no
     assert angle_between(start, -start) == 0.0
 
 
-def test_a_rounded_rotation_is_brought_back_and_its_error_told():
+def test_a_rounded_rotation_is_brought_back_and_its_error_reported():
     rotation = Rotation.from_euler("xyz", [0.1, -0.4, 2.0]).as_matrix()
     rounded = np.round(rotation, 3)
     found, error = nearest_rotation(rounded)
@@ -180,13 +184,13 @@ def test_missing_rotations_stay_missing_without_a_warning():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert np.isnan(rotate_vectors(missing, [1.0, 2, 3])).all()
-        assert np.isnan(multiply_quaternions(missing, QUARTER_TURN_LEFT)).all()
-        assert np.isnan(slerp(missing, QUARTER_TURN_LEFT, 0.5)).all()
+        assert np.isnan(multiply_quaternions(missing, QUARTER_ROTATION_LEFT)).all()
+        assert np.isnan(slerp(missing, QUARTER_ROTATION_LEFT, 0.5)).all()
 
 
 @pytest.mark.parametrize("scale", [1e-200, 1e200])
 def test_quaternions_of_extreme_length_are_normalised(scale):
-    quaternion = scale * np.array(QUARTER_TURN_LEFT)
+    quaternion = scale * np.array(QUARTER_ROTATION_LEFT)
     assert np.allclose(
-        matrix_from_quaternion(quaternion), matrix_from_quaternion(QUARTER_TURN_LEFT), atol=ROUNDING
+        matrix_from_quaternion(quaternion), matrix_from_quaternion(QUARTER_ROTATION_LEFT), atol=ROUNDING
     )

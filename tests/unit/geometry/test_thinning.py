@@ -67,7 +67,7 @@ def test_a_corner_is_kept_and_only_the_corner():
     assert thin_poses(*dense, dense[0][[0, -1]]).tolist() == [500]
 
 
-def test_a_turn_on_the_spot_is_kept_though_nothing_moves():
+def test_a_switch_on_the_spot_is_kept_though_nothing_moves():
     yaw = np.abs(np.arange(401) - 200) * 0.001
     dense = dense_path(np.zeros((401, 3)), np.outer(yaw, [0, 0, 1]))
     assert thin_poses(*dense, dense[0][[0, -1]]).tolist() == [200]

@@ -11,7 +11,7 @@ SIZE = (20, 30)
 
 @pytest.fixture
 def placed():
-    """Forty points, thirty of them in the picture."""
+    """Forty points, thirty of them in the image."""
     generator = np.random.default_rng(2)
     ids = np.sort(generator.choice(40, 30, replace=False)).astype(np.int64)
     pixels = generator.uniform((0.0, 0.0), (SIZE[1] - 1, SIZE[0] - 1), (30, 2)).astype(np.float32)

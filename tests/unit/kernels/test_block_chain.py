@@ -45,7 +45,7 @@ def test_damping_adds_its_share_of_the_diagonal():
     assert np.allclose(solution.ravel(), expected, rtol=1e-9)
 
 
-def test_a_matrix_that_is_not_positive_definite_is_told_with_its_block():
+def test_a_matrix_that_is_not_positive_definite_is_reported_with_its_block():
     blocks, couplings, right, _ = chain(4, 3, 1)
     blocks[2] -= 1e3 * np.eye(3)
     factors, gains, solution = np.empty_like(blocks), np.empty_like(couplings), np.empty_like(right)

@@ -36,12 +36,12 @@ def test_triangles_are_those_of_scipy_where_no_four_points_lie_on_a_circle(seed)
 
 
 @pytest.mark.parametrize("kind", ["grid", "lines", "circle", "one line", "same point twice", "one", "none"])
-def test_no_circumcircle_holds_another_point_and_no_place_is_left_out(kind):
-    turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+def test_no_circumcircle_holds_another_point_and_no_location_is_left_out(kind):
+    rotation_of_vector = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     inner = {
         "grid": np.stack(np.meshgrid(np.arange(0, 100, 10), np.arange(0, 100, 10)), -1).reshape(-1, 2),
         "lines": np.array([[2 * k, 10 * line + k % 2] for line in range(4) for k in range(20)]),
-        "circle": np.rint(500 + 400 * np.stack([np.cos(turn), np.sin(turn)], 1)),
+        "circle": np.rint(500 + 400 * np.stack([np.cos(rotation_of_vector), np.sin(rotation_of_vector)], 1)),
         "one line": np.array([[10 * k, 50] for k in range(20)]),
         "same point twice": np.array([[5, 5], [9, 3], [5, 5], [2, 8], [9, 3]]),
         "one": np.array([[7, 7]]),
@@ -70,17 +70,17 @@ def test_numbers_stay_exact_at_the_largest_extent():
     assert doubled_areas(points, triangles).sum() == 2 * (3 * side) ** 2
 
 
-def test_the_curve_goes_through_every_place_once_in_single_steps():
+def test_the_curve_goes_through_every_location_once_in_single_steps():
     side = 32
-    places = np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2).astype(np.int64)
-    codes = np.empty(len(places), np.int64)
-    hilbert_codes(places, codes)
-    assert len(set(codes.tolist())) == len(places)
-    steps = np.abs(np.diff(places[np.argsort(codes)], axis=0)).sum(axis=1)
+    locations = np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2).astype(np.int64)
+    codes = np.empty(len(locations), np.int64)
+    hilbert_codes(locations, codes)
+    assert len(set(codes.tolist())) == len(locations)
+    steps = np.abs(np.diff(locations[np.argsort(codes)], axis=0)).sum(axis=1)
     assert (steps == 1).all()
 
 
-def test_triangles_of_a_picture_leave_out_what_lies_outside_the_hull():
+def test_triangles_of_an_image_leave_out_what_lies_outside_the_hull():
     pixels = np.array([[10, 10], [50.5, 12], [30, 40.25]], np.float32)
     np.testing.assert_array_equal(np.sort(triangles_between(pixels, 60, 80)), [[0, 1, 2]])
     assert triangles_between(pixels[:2], 60, 80).shape == (0, 3)

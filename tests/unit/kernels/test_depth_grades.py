@@ -15,7 +15,7 @@ def test_each_pixel_gets_the_cell_of_its_doubt_and_its_gap():
     grade_depths(
         depths, trusts, spreads, gaps, 3.0, 0.5, 0.05, 0.1, doubt_steps, gap_steps, table, confidence
     )
-    for place in np.ndindex(depths.shape):
-        doubt = (1 - 0.9 * trusts[place]) * spreads[place] / max(0.5, 0.05 * depths[place])
-        cell = (doubt >= doubt_steps).sum(), (gaps[place] / 3 >= gap_steps).sum()
-        assert confidence[place] == (table[cell] if depths[place] > 0 else 0)
+    for location in np.ndindex(depths.shape):
+        doubt = (1 - 0.9 * trusts[location]) * spreads[location] / max(0.5, 0.05 * depths[location])
+        cell = (doubt >= doubt_steps).sum(), (gaps[location] / 3 >= gap_steps).sum()
+        assert confidence[location] == (table[cell] if depths[location] > 0 else 0)

@@ -10,7 +10,7 @@ WIDTH, HEIGHT = 7, 5
 
 
 def pixel_of(u, v, width, height):
-    """The nearest pixel, or None outside the picture, whose far border counts with the last row and column."""
+    """The nearest pixel, or None outside the image, whose far border counts with the last row and column."""
     if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
         return None
     return min(math.floor(v + 0.5), height - 1), min(math.floor(u + 0.5), width - 1)
@@ -19,22 +19,22 @@ def pixel_of(u, v, width, height):
 def drawn_one_by_one(pixels, depths, visible, width, height):
     image = np.zeros((height, width), np.float32)
     for (u, v), depth, seen in zip(pixels, depths, visible, strict=True):
-        place = pixel_of(float(u), float(v), width, height)
+        location = pixel_of(float(u), float(v), width, height)
         if (
             seen
-            and place is not None
+            and location is not None
             and 0 < depth < math.inf
-            and (image[place] == 0 or depth < image[place])
+            and (image[location] == 0 or depth < image[location])
         ):
-            image[place] = depth
+            image[location] = depth
     return image
 
 
 def nearest_one_by_one(pixels, depths, image):
-    places = [pixel_of(float(u), float(v), image.shape[1], image.shape[0]) for u, v in pixels]
+    locations = [pixel_of(float(u), float(v), image.shape[1], image.shape[0]) for u, v in pixels]
     return [
-        place is not None and bool(depth <= max(image[place], 0))
-        for place, depth in zip(places, depths, strict=True)
+        location is not None and bool(depth <= max(image[location], 0))
+        for location, depth in zip(locations, depths, strict=True)
     ]
 
 
@@ -78,7 +78,7 @@ def test_a_point_is_nearest_if_its_pixel_holds_nothing_less(count):
 
 
 @pytest.mark.parametrize(
-    ("u", "v", "place"),
+    ("u", "v", "location"),
     [
         (-0.5, -0.5, (0, 0)),
         (np.nextafter(np.float32(0.5), np.float32(0)), 0, (0, 0)),
@@ -87,13 +87,13 @@ def test_a_point_is_nearest_if_its_pixel_holds_nothing_less(count):
         (np.nextafter(np.float32(0.5), np.float32(0)), 1.5, (2, 0)),
     ],
 )
-def test_points_on_borders_fall_into_the_pixel_after_the_border_and_never_beyond_the_last(u, v, place):
+def test_points_on_borders_fall_into_the_pixel_after_the_border_and_never_beyond_the_last(u, v, location):
     image = np.zeros((HEIGHT, WIDTH), np.float32)
     draw_depths(numbered([[u, v]]), np.ones(1, np.float32), np.ones(1, bool), image)
-    assert np.argwhere(image).tolist() == [list(place)]
+    assert np.argwhere(image).tolist() == [list(location)]
 
 
-def test_a_picture_of_one_pixel_takes_the_nearest_point():
+def test_an_image_of_one_pixel_takes_the_nearest_point():
     image = np.zeros((1, 1), np.float32)
     numbers = numbered([[0, 0], [0.5, 0.5], [-0.5, 0], [0.6, 0]], (1, 1))
     draw_depths(numbers, np.array([3, 2, 4, 1], np.float32), np.ones(4, bool), image)

@@ -40,7 +40,7 @@ def by_kernel(planes, shares, full, half_columns, *, width) -> np.ndarray:
 @pytest.mark.parametrize(("height", "width"), [(2, 2), (2, 150), (40, 4), (64, 194)])
 def test_noise_comes_out_as_the_formula_says(height, width, matrix, full, half_columns):
     rng = np.random.default_rng(height + width)
-    # memory beyond the picture's columns, as decoders have it, must not come in
+    # memory beyond the image's columns, as decoders have it, must not come in
     stored = [
         rng.integers(0, 256, (height // n, width // n + extra), dtype=np.uint8)
         for n, extra in ((1, 31), (2, 15), (2, 16))

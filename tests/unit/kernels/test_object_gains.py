@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.kernels.object_gains import add_gains_in_picture, gains_in_space
+from sceneloom.kernels.object_gains import add_gains_in_image, gains_in_space
 
 LEAST, FREEDOM, MOST = 0.09, 4.0, 2.0
 
@@ -15,12 +15,12 @@ def covariances(random, count):
 
 def space(count=5, others=7):
     random = np.random.default_rng(0)
-    places, seen = random.normal(size=(count, 3)) * 2.0, random.normal(size=(others, 3)) * 2.0
+    locations, seen = random.normal(size=(count, 3)) * 2.0, random.normal(size=(others, 3)) * 2.0
     codes = np.array([[0, 0], [1, 0], [2, 1], [-1, -1], [3, -1]])
     seen_codes = np.array([[0, 0], [1, 0], [2, 1], [-1, -1], [3, -1], [4, -1], [0, 0]])
     doubts, density = -random.random(others), np.log(random.uniform(1e-4, 1e-2, count))
     return (
-        places,
+        locations,
         covariances(random, count),
         codes,
         density,
@@ -39,10 +39,10 @@ def as_table(rows, columns, gains, shape=(5, 7)):
 
 
 def test_gains_in_space_are_those_of_the_formula():
-    places, spreads, codes, density, seen, seen_spreads, seen_codes, doubts = space()
+    locations, spreads, codes, density, seen, seen_spreads, seen_codes, doubts = space()
     found = as_table(
         *gains_in_space(
-            places, spreads, codes, density, seen, seen_spreads, seen_codes, doubts, LEAST, FREEDOM, MOST
+            locations, spreads, codes, density, seen, seen_spreads, seen_codes, doubts, LEAST, FREEDOM, MOST
         )
     )
     for i in range(5):
@@ -53,40 +53,40 @@ def test_gains_in_space_are_those_of_the_formula():
                 assert found[i, j] == -np.inf
                 continue
             spread = spreads[i] + seen_spreads[j] + LEAST * np.eye(3)
-            apart = seen[j] - places[i]
+            apart = seen[j] - locations[i]
             square = apart @ np.linalg.inv(spread) @ apart
             far = (FREEDOM + 3) * np.log(1.0 + square / FREEDOM)
-            told = found[i, j]
+            reported = found[i, j]
             ground = -0.5 * np.log(np.linalg.det(2.0 * np.pi * spread[:2, :2]))
             expected = ground - far / 2.0 - density[i] + doubts[j]
-            # what pictures cannot make up for need not be told
-            assert told == pytest.approx(expected, rel=1e-9) or (told == -np.inf and expected < -MOST)
+            # what images cannot make up for need not be reported
+            assert reported == pytest.approx(expected, rel=1e-9) or (reported == -np.inf and expected < -MOST)
     assert np.isfinite(found).sum() > 8
 
 
 def test_what_is_hopelessly_far_is_no_pair():
-    places, spreads, codes, density, seen, seen_spreads, seen_codes, doubts = space()
+    locations, spreads, codes, density, seen, seen_spreads, seen_codes, doubts = space()
     found = gains_in_space(
-        places, spreads, codes, density, seen + 1e3, seen_spreads, seen_codes, doubts, LEAST, FREEDOM, MOST
+        locations, spreads, codes, density, seen + 1e3, seen_spreads, seen_codes, doubts, LEAST, FREEDOM, MOST
     )
     assert [len(column) for column in found] == [0, 0, 0]
 
 
-def test_boxes_in_pictures_speak_for_and_against():
+def test_boxes_in_images_speak_for_and_against():
     foreseen = np.array([[0.0, 0.0, 10.0, 10.0], [100.0, 0.0, 110.0, 10.0], [np.nan] * 4])
     corners = np.array([[0.0, 0.0, 10.0, 10.0], [4.0, 0.0, 14.0, 10.0], [np.nan] * 4, [8.0, 0.0, 18.0, 10.0]])
     measured = np.array([True, True, True, False])
     rows, columns = np.divmod(np.arange(12), 4)
     gains = np.zeros(12)
-    add_gains_in_picture(rows, columns, gains, foreseen, corners, measured, 0.25, 0.6, 0.3, FREEDOM)
+    add_gains_in_image(rows, columns, gains, foreseen, corners, measured, 0.25, 0.6, 0.3, FREEDOM)
     gains = gains.reshape(3, 4)
 
-    def told(share):
+    def reported(share):
         return -0.5 * (FREEDOM + 1) * np.log(1.0 + ((1.0 - share) / 0.25) ** 2 / FREEDOM)
 
-    assert gains[0, 0] == pytest.approx(told(1.0) - told(0.6))
-    assert gains[0, 1] == pytest.approx(told(60.0 / 140.0) - told(0.6))
-    assert gains[1, 0] == pytest.approx(told(0.0) - told(0.6))
-    assert gains[:, 2].tolist() == [0.0, 0.0, 0.0]  # no box in the picture says nothing
+    assert gains[0, 0] == pytest.approx(reported(1.0) - reported(0.6))
+    assert gains[0, 1] == pytest.approx(reported(60.0 / 140.0) - reported(0.6))
+    assert gains[1, 0] == pytest.approx(reported(0.0) - reported(0.6))
+    assert gains[:, 2].tolist() == [0.0, 0.0, 0.0]  # no box in the image says nothing
     assert gains[2, :3].tolist() == [0.0, 0.0, 0.0]  # nor does an object that it does not show
-    assert (gains[:, 3] == -np.inf).all()  # a box of the picture alone has to overlap
+    assert (gains[:, 3] == -np.inf).all()  # a box of the image alone has to overlap

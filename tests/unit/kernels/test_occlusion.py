@@ -26,12 +26,12 @@ def marked(
     """The kernel's answer; point i has row i of the fractions, which rise from 0 to 1."""
     count = len(inverse_ranges)
     visible = np.zeros(len(inverse_ranges), bool)
-    places, nearness = (np.ascontiguousarray(rows, np.float32) for rows in (directions, inverse_ranges))
+    locations, nearness = (np.ascontiguousarray(rows, np.float32) for rows in (directions, inverse_ranges))
     mark_unhidden(
-        places,
+        locations,
         nearness,
         nearness if hiding is None else np.ascontiguousarray(hiding, np.float32),
-        measure_extent(places, nearness),
+        measure_extent(locations, nearness),
         cell,
         window,
         *(ellipse() if near is None else near),
@@ -70,9 +70,9 @@ def hidden_one_by_one(directions, inverse_ranges, *, cell, window, near, slope, 
     per_cell = np.float32(1 / cell)
     steps = (directions * per_cell + np.float32(2.1) * per_cell).astype(np.int64)
     nearest = {}
-    for j, (place, inverse) in enumerate(zip(map(tuple, steps.T), inverse_ranges, strict=True)):
-        if inverse > 0 and (place not in nearest or inverse > inverse_ranges[nearest[place]]):
-            nearest[place] = j
+    for j, (location, inverse) in enumerate(zip(map(tuple, steps.T), inverse_ranges, strict=True)):
+        if inverse > 0 and (location not in nearest or inverse > inverse_ranges[nearest[location]]):
+            nearest[location] = j
     holders = np.array(list(nearest.values()), np.int64)
     hidden = np.zeros(len(inverse_ranges), bool)
     for i, inverse in enumerate(inverse_ranges.astype(np.float64)):
@@ -88,8 +88,8 @@ def hidden_one_by_one(directions, inverse_ranges, *, cell, window, near, slope, 
             # What the eye comes from, seen from there: the nearer thing has not yet made its larger shift.
             before = np.stack([x, y]) - gained * shift_by_small_step(directions[:, i], eye)[:, None]
             beside &= x * before[0] + y * before[1] <= NEARING / strictness * (before**2).sum(axis=0)
-        turn = np.floor(np.arctan2(y, x) / (math.pi / 2)).astype(int) % 4
-        quadrants = set(turn[hides & (np.hypot(x, y) <= window / strictness)])
+        rotation_of_vector = np.floor(np.arctan2(y, x) / (math.pi / 2)).astype(int) % 4
+        quadrants = set(rotation_of_vector[hides & (np.hypot(x, y) <= window / strictness)])
         hidden[i] = (hides & beside).any() or {0, 2} <= quadrants or {1, 3} <= quadrants
     return hidden
 
@@ -217,7 +217,7 @@ def test_points_that_shall_not_hide_others_are_hidden_themselves():
     np.testing.assert_array_equal(partly[hides], alone)
     for i in np.flatnonzero(~hides)[:40]:
         rows = np.append(np.flatnonzero(hides), i)
-        # Where it takes the place of a hiding one in the grid, the answer may not be compared.
+        # Where it takes the position of a hiding one in the grid, the answer may not be compared.
         in_cell = np.abs(directions[:, hides] - directions[:, [i]]).max(axis=0) < CELL
         if not in_cell.any():
             assert partly[i] == marked(directions[:, rows], inverse[rows])[-1]

@@ -10,7 +10,7 @@ WIDTH, HEIGHT, COUNT = 9, 6, 60
 
 
 def painted_one_by_one(views, count):
-    """Every point of every view in turn, with plain Python numbers."""
+    """Every point of every view in order, with plain Python numbers."""
     colors, camera_index, best = [[255] * 3 for _ in range(count)], [255] * count, [math.inf] * count
     for camera, (ids, pixels, visible, rgb) in enumerate(views):
         height, width = rgb.shape[:2]
@@ -62,7 +62,7 @@ def test_of_two_equally_central_views_the_first_counts():
     assert painted([(*view, red), (*view, blue)], 1) == ([[200, 0, 0]], [0])
 
 
-def test_read_only_pictures_are_taken():
+def test_read_only_images_are_taken():
     ids, pixels, visible, rgb = random_view(5)
     rgb.flags.writeable = False
     assert painted([(ids, pixels, visible, rgb)], COUNT) == painted_one_by_one(

@@ -13,16 +13,16 @@ def a_crowd(seed, *, boxes=40, points=3_000, spread=20.0, knots=1, dtype=np.floa
     centers = first + np.arange(knots)[:, None, None] * generator.uniform(-1.0, 1.0, (boxes, 3))
     start = Rotation.from_rotvec(np.tile(generator.uniform(-2, 2, (boxes, 3)), (knots, 1)))
     swing = np.repeat(np.arange(knots), boxes)[:, None] * np.tile([0.0, 0.0, 0.05], (knots * boxes, 1))
-    turns = (Rotation.from_rotvec(swing) * start).as_matrix()
+    rotations = (Rotation.from_rotvec(swing) * start).as_matrix()
     halves = np.tile(generator.uniform(0.2, 3.0, (1, boxes, 3)), (knots, 1, 1))
     cloud = generator.uniform(-1.1 * spread, 1.1 * spread, (points, 3)) * [1.0, 1.0, 0.15]
-    return cloud.astype(dtype), centers, np.ascontiguousarray(turns.reshape(knots, boxes, 3, 3)), halves
+    return cloud.astype(dtype), centers, np.ascontiguousarray(rotations.reshape(knots, boxes, 3, 3)), halves
 
 
-def inside_one_by_one(points, places, centers, rotations, halves):
+def inside_one_by_one(points, locations, centers, rotations, halves):
     """Every pair by the formula: (N, B) bool."""
-    after = np.minimum(places.astype(int) + 1, len(centers) - 1)
-    before, share = places.astype(int), places - places.astype(int)
+    after = np.minimum(locations.astype(int) + 1, len(centers) - 1)
+    before, share = locations.astype(int), locations - locations.astype(int)
     inside = np.zeros((len(points), centers.shape[1]), bool)
     for n, point in enumerate(points.astype(np.float64)):
         k, j, s = before[n], after[n], share[n]
@@ -53,10 +53,10 @@ def test_counts_and_lists_are_those_of_every_pair(seed, spread, dtype):
 
 def test_boxes_that_move_are_met_where_they_are_when_a_point_is_measured():
     points, centers, rotations, halves = a_crowd(3, knots=4, spread=8.0)
-    places = np.random.default_rng(4).uniform(0.0, 3.0, len(points))
-    expected = inside_one_by_one(points, places, centers, rotations, halves)
+    locations = np.random.default_rng(4).uniform(0.0, 3.0, len(points))
+    expected = inside_one_by_one(points, locations, centers, rotations, halves)
     counts = np.zeros(centers.shape[1], np.int64)
-    find_points_in_boxes(points, places, centers, rotations, halves, counts, np.zeros(0, np.int64))
+    find_points_in_boxes(points, locations, centers, rotations, halves, counts, np.zeros(0, np.int64))
     assert counts.sum() > 100
     np.testing.assert_array_equal(counts, expected.sum(axis=0))
 

@@ -9,7 +9,7 @@ from sceneloom.simulate.inertial import GRAVITY, ImuSpec, imu_truth
 from sceneloom.simulate.path import EgoPath, PathSpec, plan_path
 
 PATH = plan_path(
-    np.random.default_rng(0), start_ns=0, duration=10.0, spec=PathSpec(turn_rate=0.8, speeds=(3.0, 5.0))
+    np.random.default_rng(0), start_ns=0, duration=10.0, spec=PathSpec(yaw_rate=0.8, speeds=(3.0, 5.0))
 )
 KNOTS = np.arange(9) * 1_000_000_000 + 333_333_333  # between samples of every rate below
 
@@ -32,26 +32,26 @@ def summed(times: np.ndarray, values: np.ndarray, bias: np.ndarray, densities=(1
 
 
 def vectors(found: Preintegrated, reference: Preintegrated) -> np.ndarray:
-    apart = np.swapaxes(reference.turns, 1, 2) @ found.turns
-    turns = rotation_vector_from_quaternion(quaternion_from_matrix(apart))
-    return np.hstack([turns, found.gains - reference.gains, found.ways - reference.ways])
+    apart = np.swapaxes(reference.rotations, 1, 2) @ found.rotations
+    rotations = rotation_vector_from_quaternion(quaternion_from_matrix(apart))
+    return np.hstack([rotations, found.gains - reference.gains, found.trajectories - reference.trajectories])
 
 
 @pytest.mark.parametrize(
-    ("rate_hz", "turn", "speed", "way"),
+    ("rate_hz", "rotation_of_vector", "speed", "trajectory"),
     # the force between samples 0.1 s apart is known to a'' h² / 8, which shrinks with the square of the step
     [(10.0, 3e-3, 3e-2, 2e-2), (50.0, 1.2e-4, 1.2e-3, 8e-4), (200.0, 8e-6, 8e-5, 5e-5)],
 )
-def test_turn_gain_and_way_are_those_of_the_curve(rate_hz, turn, speed, way):
+def test_rotate_gain_and_trajectory_are_those_of_the_curve(rate_hz, rotation_of_vector, speed, trajectory):
     found = summed(*measured(rate_hz), np.zeros(6))
     states = PATH.at(KNOTS)
     before, gravity = states.rotations[:-1], np.array([0.0, 0.0, -GRAVITY])
-    turns = np.swapaxes(before, 1, 2) @ states.rotations[1:]
+    rotations = np.swapaxes(before, 1, 2) @ states.rotations[1:]
     gains = np.einsum("nji,nj->ni", before, np.diff(states.velocities, axis=0) - gravity)
     steps = np.diff(states.positions, axis=0) - states.velocities[:-1] - 0.5 * gravity
-    assert np.abs(found.turns - turns).max() < turn
+    assert np.abs(found.rotations - rotations).max() < rotation_of_vector
     assert np.abs(found.gains - gains).max() < speed
-    assert np.abs(found.ways - np.einsum("nji,nj->ni", before, steps)).max() < way
+    assert np.abs(found.trajectories - np.einsum("nji,nj->ni", before, steps)).max() < trajectory
 
 
 def test_slopes_are_what_small_biases_do():
@@ -87,5 +87,5 @@ def test_beyond_the_samples_the_last_one_holds():
     times = np.array([400_000_000, 500_000_000], np.int64)
     values = np.tile([0.0, 0.0, 0.1, 1.0, 0.0, 9.8], (2, 1))
     found = summed(times, values, np.zeros(6))
-    assert np.allclose(found.turns[5][:2, :2], [[np.cos(0.1), -np.sin(0.1)], [np.sin(0.1), np.cos(0.1)]])
-    assert np.allclose(found.gains[:, 2], 9.8)  # a second of that force, turned about its own axis
+    assert np.allclose(found.rotations[5][:2, :2], [[np.cos(0.1), -np.sin(0.1)], [np.sin(0.1), np.cos(0.1)]])
+    assert np.allclose(found.gains[:, 2], 9.8)  # a second of that force, rotated about its own axis

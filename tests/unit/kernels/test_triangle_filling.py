@@ -1,4 +1,4 @@
-"""Triangles in a picture against SciPy's interpolation."""
+"""Triangles in an image against SciPy's interpolation."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def test_pixels_are_filled_as_scipy_interpolates(mesh, trust):
     count = len(triangles)
     images = [np.zeros(SHAPE, np.float32) for _ in range(4)]
     trusts = np.full(count, trust, np.float32)
-    # without slopes, what corners tell of one another is missed by all there is
+    # without slopes, what corners report one another is missed by all there is
     slopes, lengths = np.zeros_like(pixels), np.full(count, 9, np.float32)
     fill_triangles(pixels, depths, slopes, triangles, np.ones(count, bool), trusts, lengths, *images)
     rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
@@ -36,7 +36,7 @@ def test_pixels_are_filled_as_scipy_interpolates(mesh, trust):
     expected = trust * ((1 - even) * surface + even * between) + (1 - trust) * between
     inside = np.isfinite(expected)
     off = np.abs(images[0][inside] / expected[inside] - 1)
-    # float32; pixels on the border of two triangles are told by either, or by both
+    # float32; pixels on the border of two triangles are reported by either, or by both
     assert np.quantile(off, 0.99) < 1e-5
     assert off.max() < 0.02
     assert (images[3][inside] == 9).all()
@@ -44,7 +44,7 @@ def test_pixels_are_filled_as_scipy_interpolates(mesh, trust):
     assert lone.sum() <= 0.002 * inside.sum()  # a ten-thousandth of a triangle beside the hull
 
 
-def test_across_jumps_what_the_image_told_stays(mesh):
+def test_across_jumps_what_the_image_reported_stays(mesh):
     pixels, depths, _, triangles = mesh
     images = [np.zeros(SHAPE, np.float32) for _ in range(4)]
     images[0][20:30] = 5.0
@@ -71,16 +71,16 @@ def test_what_bends_evenly_comes_out_as_it_is(mesh):
         pixels, depths, slopes.astype(np.float32), triangles, ones.astype(bool), ones, ones, *images
     )
     rows, columns = np.nonzero(images[0])
-    places = np.stack([columns, rows], axis=1)
-    told, straight = bent(places)[0], LinearNDInterpolator(triangulation, inverse)(places)
+    locations = np.stack([columns, rows], axis=1)
+    reported, straight = bent(locations)[0], LinearNDInterpolator(triangulation, inverse)(locations)
     known = np.isfinite(straight)
-    off = np.abs(1 / images[0][rows, columns] - told)[known]
-    # float32 tells 1e-8 of 0.06; where a place leaves the range of its corners, and where depth is taken as linear
+    off = np.abs(1 / images[0][rows, columns] - reported)[known]
+    # float32 reports 1e-8 of 0.06; where a location leaves the range of its corners, and where depth is taken as linear
     assert np.median(off) < 2e-8
-    assert np.median(off) < 0.1 * np.median(np.abs(straight - told)[known])
+    assert np.median(off) < 0.1 * np.median(np.abs(straight - reported)[known])
 
 
-def test_slopes_of_a_plane_are_its_own_at_every_corner_and_jumps_tell_none(mesh):
+def test_slopes_of_a_plane_are_its_own_at_every_corner_and_jumps_report_none(mesh):
     pixels, _, _, triangles = mesh
     inverse = (0.1 + 1e-4 * pixels[:, 0] - 3e-4 * pixels[:, 1]).astype(np.float32)
     slopes, room = np.empty_like(pixels), np.empty(len(pixels), np.float32)

@@ -16,8 +16,8 @@ def overlap(a, b):
 
 
 def are_twins(one, other):
-    (place, measured, corners), (where, placed, boxes) = one, other
-    if measured and np.hypot(*(place[:2] - where[:2])) < SHARE * where[2]:
+    (location, measured, corners), (where, placed, boxes) = one, other
+    if measured and np.hypot(*(location[:2] - where[:2])) < SHARE * where[2]:
         return True
     if measured and placed:
         return False
@@ -25,15 +25,15 @@ def are_twins(one, other):
 
 
 def things(rng, count):
-    places = np.column_stack([rng.uniform(0, 12, (count, 2)), rng.uniform(0.5, 2.5, count)])
+    locations = np.column_stack([rng.uniform(0, 12, (count, 2)), rng.uniform(0.5, 2.5, count)])
     low = rng.uniform(0, 60, (2, count, 2))
     corners = np.concatenate([low, low + rng.uniform(10, 40, (2, count, 2))], axis=2)
     corners[rng.random((2, count)) < 0.3] = np.nan
-    return places, rng.random(count) < 0.6, corners
+    return locations, rng.random(count) < 0.6, corners
 
 
-def listed(places, measured, corners):
-    return [(places[k], measured[k], corners[:, k]) for k in range(len(places))]
+def listed(locations, measured, corners):
+    return [(locations[k], measured[k], corners[:, k]) for k in range(len(locations))]
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -51,6 +51,6 @@ def test_what_is_kept_is_no_second_box_of_what_is_known_or_was_kept_before(seed)
     assert without_twins(rows, *boxes, *known, SHARE, OVERLAP).tolist() == expected
 
 
-def test_without_boxes_and_pictures_nothing_is_kept():
+def test_without_boxes_and_images_nothing_is_kept():
     none = np.zeros((0, 3)), np.zeros(0, np.bool_), np.zeros((0, 0, 4))
     assert without_twins(np.zeros(0, np.int64), *none, *none, SHARE, OVERLAP).tolist() == []

@@ -1,4 +1,4 @@
-"""Overlaps of turned boxes against outlines that Shapely intersects."""
+"""Overlaps of rotated boxes against outlines that Shapely intersects."""
 
 import numpy as np
 import pytest
@@ -11,8 +11,8 @@ shapely = pytest.importorskip("shapely", reason="no shapely: pip install shapely
 def outline(box: np.ndarray) -> "shapely.Polygon":
     x, y, _, length, width, _, yaw = box
     corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [length / 2, width / 2]
-    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-    return shapely.Polygon(corners @ turn.T + [x, y])
+    rotation_of_vector = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    return shapely.Polygon(corners @ rotation_of_vector.T + [x, y])
 
 
 def expected(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
@@ -34,34 +34,36 @@ def in_one_frame(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, ...
 
 
 def some_boxes(rng: np.random.Generator, count: int) -> np.ndarray:
-    places, sizes = rng.normal(0, 1.5, (count, 3)), rng.uniform(0.3, 5, (count, 3))
-    return np.column_stack([places, sizes, rng.uniform(-7, 7, count)])
+    locations, sizes = rng.normal(0, 1.5, (count, 3)), rng.uniform(0.3, 5, (count, 3))
+    return np.column_stack([locations, sizes, rng.uniform(-7, 7, count)])
 
 
-def test_boxes_at_any_place_overlap_as_their_outlines_do():
+def test_boxes_at_any_location_overlap_as_their_outlines_do():
     rng = np.random.default_rng(3)
     first, second = some_boxes(rng, 30), some_boxes(rng, 30)
     found = np.array(in_one_frame(first, second))
-    told = np.array([[expected(a, b) for b in second] for a in first]).transpose(2, 0, 1)
-    assert 0.3 < (told > 0).mean() < 0.9
-    np.testing.assert_allclose(found, told, rtol=0, atol=1e-9)  # sums of products of doubles
+    reported = np.array([[expected(a, b) for b in second] for a in first]).transpose(2, 0, 1)
+    assert 0.3 < (reported > 0).mean() < 0.9
+    np.testing.assert_allclose(found, reported, rtol=0, atol=1e-9)  # sums of products of doubles
 
 
-@pytest.mark.parametrize("turn", [0.0, np.pi / 2, np.pi, -np.pi / 2, 2 * np.pi, 1e-9, 0.3])
-def test_a_box_and_its_copy_are_one_however_they_are_turned(turn):
-    box = np.array([[100.0, -50, 1, 4, 2, 1.5, turn]])
+@pytest.mark.parametrize("rotation_of_vector", [0.0, np.pi / 2, np.pi, -np.pi / 2, 2 * np.pi, 1e-9, 0.3])
+def test_a_box_and_its_copy_are_one_however_they_are_rotated(rotation_of_vector):
+    box = np.array([[100.0, -50, 1, 4, 2, 1.5, rotation_of_vector]])
     above, space = in_one_frame(box, box)
     assert above[0, 0] == pytest.approx(1, abs=1e-12)
     assert space[0, 0] == pytest.approx(1, abs=1e-12)
 
 
-@pytest.mark.parametrize("turn", [0.0, np.pi / 2, np.pi, np.pi / 4])
-def test_edges_that_touch_or_coincide_are_no_trouble(turn):
+@pytest.mark.parametrize("rotation_of_vector", [0.0, np.pi / 2, np.pi, np.pi / 4])
+def test_edges_that_touch_or_coincide_are_no_trouble(rotation_of_vector):
     first = np.array([[0.0, 0, 0, 4, 2, 1, 0.0]])
-    second = np.array([[x, y, 0, 4, 2, 1, turn] for x in (0, 1, 2, 3, 4) for y in (0, 1, 2)], float)
+    second = np.array(
+        [[x, y, 0, 4, 2, 1, rotation_of_vector] for x in (0, 1, 2, 3, 4) for y in (0, 1, 2)], float
+    )
     above, _ = in_one_frame(first, second)
-    told = [expected(first[0], box)[0] for box in second]
-    np.testing.assert_allclose(above[0], told, rtol=0, atol=1e-9)  # as above
+    reported = [expected(first[0], box)[0] for box in second]
+    np.testing.assert_allclose(above[0], reported, rtol=0, atol=1e-9)  # as above
 
 
 def test_boxes_one_over_the_other_overlap_from_above_only():

@@ -7,16 +7,16 @@ from scipy.spatial.transform import Rotation, Slerp
 from sceneloom.errors import PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.deskew import points_at, points_to_world
-from sceneloom.scene import LidarFrame, LidarPoints, PosePath
+from sceneloom.scene import LidarFrame, LidarPoints, Poses
 from sceneloom.scene.pose_source import PoseSource
 
 MOUNT = RigidTransform(Rotation.from_euler("xyz", [0.1, -0.2, 0.3]).as_matrix(), np.array([1.0, 0.2, 1.7]))
 
 
-def random_path(rng: np.random.Generator, count: int = 9) -> PosePath:
+def random_path(rng: np.random.Generator, count: int = 9) -> Poses:
     times = np.cumsum(rng.integers(5_000_000, 20_000_000, count)).astype(np.int64)
-    turns = Rotation.from_rotvec(np.cumsum(rng.normal(scale=0.2, size=(count, 3)), axis=0))
-    return PosePath(times, np.cumsum(rng.normal(size=(count, 3)), axis=0), turns.as_quat())
+    rotations = Rotation.from_rotvec(np.cumsum(rng.normal(scale=0.2, size=(count, 3)), axis=0))
+    return Poses(times, np.cumsum(rng.normal(size=(count, 3)), axis=0), rotations.as_quat())
 
 
 def frame_at(times_ns: np.ndarray, positions: np.ndarray) -> LidarFrame:
@@ -24,15 +24,15 @@ def frame_at(times_ns: np.ndarray, positions: np.ndarray) -> LidarFrame:
 
 
 def scipy_world(
-    path: PosePath, mount: RigidTransform, times_ns: np.ndarray, positions: np.ndarray
+    path: Poses, mount: RigidTransform, times_ns: np.ndarray, positions: np.ndarray
 ) -> np.ndarray:
-    turns = Slerp(path.timestamps_ns.astype(float), Rotation.from_quat(path.quaternions_xyzw))(
+    rotations = Slerp(path.timestamps_ns.astype(float), Rotation.from_quat(path.quaternions_xyzw))(
         times_ns.astype(float)
     )
-    places = np.stack(
+    locations = np.stack(
         [np.interp(times_ns, path.timestamps_ns, path.positions[:, k]) for k in range(3)], axis=1
     )
-    return turns.apply(positions @ mount.rotation.T + mount.translation) + places
+    return rotations.apply(positions @ mount.rotation.T + mount.translation) + locations
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -65,10 +65,10 @@ def test_points_are_taken_to_any_moment_within_the_sweep_or_beyond(share: float)
 
 
 def test_neighbouring_poses_of_opposite_sign_are_joined_on_the_shorter_arc() -> None:
-    turns = Rotation.from_rotvec([[0, 0, 0.0], [0, 0, 0.4]]).as_quat()
+    rotations = Rotation.from_rotvec([[0, 0, 0.0], [0, 0, 0.4]]).as_quat()
     times = np.array([0, 100], np.int64)
-    plain = PosePath(times, np.zeros((2, 3)), turns)
-    flipped = PosePath(times, np.zeros((2, 3)), turns * [[1.0], [-1.0]])
+    plain = Poses(times, np.zeros((2, 3)), rotations)
+    flipped = Poses(times, np.zeros((2, 3)), rotations * [[1.0], [-1.0]])
     frame = frame_at(np.array([0, 50, 99], np.int64), np.ones((3, 3)))
     np.testing.assert_allclose(
         points_to_world(frame, PoseSource(flipped, MOUNT))[0],
@@ -86,7 +86,7 @@ def test_a_frame_without_point_times_moves_as_one_body_at_the_frames_time() -> N
 
 
 def test_points_beyond_the_path_follow_the_velocity_of_its_end_and_are_flagged() -> None:
-    path = PosePath(
+    path = Poses(
         np.array([0, 100_000_000], np.int64),
         np.array([[0.0, 0, 0], [1.0, 0, 0]]),
         np.tile([0.0, 0, 0, 1], (2, 1)),
@@ -113,8 +113,8 @@ def test_an_empty_frame_stays_empty() -> None:
     assert not extrapolated
 
 
-def test_an_ego_that_stands_still_for_ever_has_every_point_in_reach() -> None:
-    source = PoseSource(PosePath.identity(), MOUNT)
+def test_an_ego_that_is_stationary_for_ever_has_every_point_in_reach() -> None:
+    source = PoseSource(Poses.identity(), MOUNT)
     times = np.array([-(10**15), 10**18], np.int64)
     world, extrapolated = points_to_world(frame_at(times, np.ones((2, 3))), source)
     np.testing.assert_allclose(world, MOUNT.apply(np.ones((2, 3))))

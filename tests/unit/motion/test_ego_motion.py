@@ -1,4 +1,4 @@
-"""Which way of the ego is taken where several could be, or none is there."""
+"""Which ego trajectory is taken where several could be, or none is there."""
 
 import sys
 from types import ModuleType, SimpleNamespace
@@ -10,15 +10,15 @@ import pytest
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.motion.ego_motion import find_ego_motion
 from sceneloom.scene import (
+    DataWarning,
     LazyFrames,
     LidarFrame,
     LidarPoints,
     LidarSensor,
-    Notice,
-    NoticeKind,
     PointsFrame,
     Scene,
     Trajectory,
+    WarningKind,
 )
 
 FOUND = Trajectory(
@@ -29,7 +29,9 @@ FOUND = Trajectory(
     covariances=np.zeros((2, 6, 6)),
 )
 RECORDED = Trajectory("pose", np.zeros(1, np.int64), np.ones((1, 3)), np.array([[0.0, 0, 0, 1]]))
-REMARK = Notice(kind=NoticeKind.SKIPPED, code="few-points", place="lidar", message="a sweep was passed over")
+NOTE = DataWarning(
+    kind=WarningKind.SKIPPED, code="few-points", location="lidar", message="a sweep was passed over"
+)
 
 
 def lidar(points_frame: PointsFrame = PointsFrame.SENSOR, sweeps: int = 2) -> LidarSensor:
@@ -39,12 +41,12 @@ def lidar(points_frame: PointsFrame = PointsFrame.SENSOR, sweeps: int = 2) -> Li
 
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
-    """Put a stand-in in the place of the odometry, and give what it is asked."""
+    """Put a stand-in in the position of the odometry, and give what it is asked."""
     calls: list[dict[str, Any]] = []
 
     def lidar_odometry(scene: Scene, **options: Any) -> SimpleNamespace:
         calls.append(options)
-        return SimpleNamespace(trajectory=FOUND, notices=(REMARK,))
+        return SimpleNamespace(trajectory=FOUND, warnings=(NOTE,))
 
     module = ModuleType("sceneloom.motion.odometry")
     module.lidar_odometry = lidar_odometry  # type: ignore[attr-defined]
@@ -52,12 +54,12 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     return calls
 
 
-def test_a_drive_without_trajectory_is_placed_by_its_lidar_and_that_is_said(
+def test_a_drive_without_trajectory_is_placed_by_its_lidar_and_that_is_stated(
     asked: list[dict[str, Any]],
 ) -> None:
     ego = find_ego_motion(Scene((lidar(),)), lenient=True)
     assert (ego.name, len(ego.path.timestamps_ns)) == ("lidar", 2)
-    assert [notice.code for notice in ego.notices] == ["trajectory-from-lidar", "few-points"]
+    assert [warning.code for warning in ego.warnings] == ["trajectory-from-lidar", "few-points"]
     assert ego.covariances is not None
     assert asked == [{"progress": None, "lenient": True}]
 
@@ -67,10 +69,10 @@ def test_the_lidar_can_be_asked_for_where_a_trajectory_is_recorded(asked: list[d
     assert find_ego_motion(scene).name == "pose"
     assert not asked
     forced = find_ego_motion(scene, name="lidar")
-    assert (forced.name, [notice.code for notice in forced.notices]) == ("lidar", ["few-points"])
+    assert (forced.name, [warning.code for warning in forced.warnings]) == ("lidar", ["few-points"])
 
 
-def test_a_recorded_way_of_that_name_is_taken_as_it_is(asked: list[dict[str, Any]]) -> None:
+def test_a_recorded_trajectory_of_that_name_is_taken_as_it_is(asked: list[dict[str, Any]]) -> None:
     scene = Scene((lidar(),), trajectories={"lidar": RECORDED})
     assert find_ego_motion(scene, name="lidar").path.positions[0, 0] == 1
     assert not asked
@@ -82,7 +84,7 @@ def test_without_a_lidar_to_ask_a_trajectory_is_missing(
 ) -> None:
     with pytest.raises(PoseError, match="--trajectory identity"):
         find_ego_motion(Scene(sensors))
-    assert find_ego_motion(Scene(sensors), name="identity").path.endless
+    assert find_ego_motion(Scene(sensors), name="identity").path.static
     assert not asked
 
 

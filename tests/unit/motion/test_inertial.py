@@ -1,4 +1,4 @@
-"""How the ego turned by its gyroscope, against scipy and the simulator's truth."""
+"""How the ego rotated by its gyroscope, against scipy and the simulator's truth."""
 
 from dataclasses import replace
 
@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from sceneloom.errors import PoseError
 from sceneloom.geometry.rotations import angle_between
 from sceneloom.motion.inertial import imu_motion, integrate_rates
-from sceneloom.motion.standing import find_standing
-from sceneloom.scene import ImuSensor, NoticeKind, Scene, VectorSamples
+from sceneloom.motion.stationary import find_stationary
+from sceneloom.scene import ImuSensor, Scene, VectorSamples, WarningKind
 from sceneloom.simulate import simulate_street
 from sceneloom.simulate.inertial import ImuSpec
 from sceneloom.simulate.path import PathSpec
@@ -20,7 +20,7 @@ SECOND = 1_000_000_000
 
 
 def swinging_rates(seconds: np.ndarray) -> np.ndarray:
-    """A vehicle that turns, rolls and pitches at once, about axes that change."""
+    """A vehicle that rotations, rolls and pitches at once, about axes that change."""
     return np.stack(
         [0.4 * np.sin(7 * seconds), 0.3 * np.cos(5 * seconds + 1), 0.6 + 0.5 * np.sin(2 * seconds)], axis=1
     )
@@ -29,51 +29,51 @@ def swinging_rates(seconds: np.ndarray) -> np.ndarray:
 def finely_integrated(stop: float, rate_hz: int) -> Rotation:
     """The product of many tiny rotations, each with the rate in its middle."""
     middles = (np.arange(int(stop * rate_hz)) + 0.5) / rate_hz
-    turned = Rotation.identity()
+    rotated = Rotation.identity()
     for chunk in np.array_split(middles, len(middles) // 50):
         product = Rotation.identity()
-        for turn in Rotation.from_rotvec(swinging_rates(chunk) / rate_hz):
-            product = product * turn
-        turned = turned * product
-    return turned
+        for rotation in Rotation.from_rotvec(swinging_rates(chunk) / rate_hz):
+            product = product * rotation
+        rotated = rotated * product
+    return rotated
 
 
 @pytest.mark.slow
 def test_the_integral_of_a_swinging_motion_is_that_of_tiny_steps() -> None:
     seconds = np.arange(0, 401) / 200.0
-    turning = integrate_rates((seconds * SECOND).astype(np.int64), swinging_rates(seconds))
+    rotating = integrate_rates((seconds * SECOND).astype(np.int64), swinging_rates(seconds))
     true = finely_integrated(2.0, 20_000)
-    apart = (Rotation.from_quat(turning[-1]).inv() * true).magnitude()
-    # the trapezoid's error over 2 s at 200 Hz is some h² |ω''| t / 12 = 2e-4; a wrong order of turns gives 1e-1
+    apart = (Rotation.from_quat(rotating[-1]).inv() * true).magnitude()
+    # the trapezoid's error over 2 s at 200 Hz is some h² |ω''| t / 12 = 2e-4; a wrong order of rotations gives 1e-1
     assert apart < 3e-4
-    np.testing.assert_allclose(np.linalg.norm(turning, axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(rotating, axis=1), 1.0, atol=1e-12)
 
 
 def test_coning_is_not_lost() -> None:
-    """While the rate changes evenly from one axis to another, the turns do not simply add up."""
+    """While the rate changes evenly from one axis to another, the rotations do not simply add up."""
     rates = np.array([[2.0, 0, 0.3], [0, 2.0, 0.3]])
-    turned = Rotation.from_quat(integrate_rates(np.array([0, SECOND // 5]), rates)[1])
+    rotated = Rotation.from_quat(integrate_rates(np.array([0, SECOND // 5]), rates)[1])
     true = Rotation.identity()
     for fraction in (np.arange(2000) + 0.5) / 2000:
         true = true * Rotation.from_rotvec((rates[0] + fraction * (rates[1] - rates[0])) * 0.2 / 2000)
     missed = (Rotation.from_rotvec(0.2 * rates.mean(axis=0)).inv() * true).magnitude()
     assert missed > 0.01
-    assert (turned.inv() * true).magnitude() < missed / 20  # what is left is of the third order
+    assert (rotated.inv() * true).magnitude() < missed / 20  # what is left is of the third order
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 16, 17])
 def test_any_number_of_samples_is_integrated_in_order(count: int) -> None:
     rates = np.random.default_rng(count).normal(size=(count, 3))
-    turning = integrate_rates(np.arange(count) * SECOND // 10, rates)
+    rotating = integrate_rates(np.arange(count) * SECOND // 10, rates)
     expected = Rotation.identity()
     for k in range(count):
         if k:
             mean, cross = 0.5 * (rates[k - 1] + rates[k]), np.cross(rates[k - 1], rates[k])
             expected = expected * Rotation.from_rotvec(0.1 * mean + 0.01 / 12 * cross)
-        assert (Rotation.from_quat(turning[k]).inv() * expected).magnitude() < 1e-12
+        assert (Rotation.from_quat(rotating[k]).inv() * expected).magnitude() < 1e-12
 
 
-def test_a_simulated_drive_turns_as_it_truly_did_but_for_bias_and_noise() -> None:
+def test_a_simulated_drive_rotates_as_it_truly_did_but_for_bias_and_noise() -> None:
     drive = simulate_street(3, frames=20, cameras=(), imu=ImuSpec(gyroscope_bias_sigma=0.0))
     motion = imu_motion(drive.scene)
     times = motion.ego.path.timestamps_ns
@@ -82,7 +82,7 @@ def test_a_simulated_drive_turns_as_it_truly_did_but_for_bias_and_noise() -> Non
     # 2.4 s of white noise of 1e-4 rad/s/√Hz on three axes: 1e-4 √2.4 √3 = 2.7e-4 rad; four times that
     assert angle_between(found.as_quat(), true).max() < 1.1e-3
     assert motion.bias is None
-    assert [notice.code for notice in motion.ego.notices] == ["rotation-only", "gyroscope-bias-unknown"]
+    assert [warning.code for warning in motion.ego.warnings] == ["rotation-only", "gyroscope-bias-unknown"]
 
 
 def test_the_bias_is_found_while_the_ego_stands_and_only_then() -> None:
@@ -93,11 +93,11 @@ def test_the_bias_is_found_while_the_ego_stands_and_only_then() -> None:
     assert motion.bias is not None
     # 1e-4 rad/s/√Hz over 3 s: 6e-5 rad/s; five times that
     np.testing.assert_allclose(motion.bias, drive.truth.imu.gyroscope_bias, atol=3e-4)
-    told = next(notice for notice in motion.ego.notices if notice.code == "gyroscope-bias")
-    assert told.kind is NoticeKind.REPAIRED
+    reported = next(warning for warning in motion.ego.warnings if warning.code == "gyroscope-bias")
+    assert reported.kind is WarningKind.REPAIRED
 
 
-def standing_signals(seconds: float = 4.0, rate_hz: int = 100) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def stationary_signals(seconds: float = 4.0, rate_hz: int = 100) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng, count = np.random.default_rng(0), int(seconds * rate_hz)
     times = np.arange(count) * SECOND // rate_hz
     rates = np.array([0.01, -0.004, 0.002]) + 0.001 * rng.normal(size=(count, 3))
@@ -106,54 +106,54 @@ def standing_signals(seconds: float = 4.0, rate_hz: int = 100) -> tuple[np.ndarr
 
 
 def test_an_ego_that_stands_is_seen_to_stand() -> None:
-    times, rates, forces = standing_signals()
-    standing = find_standing(times, rates, times, forces)
-    assert standing is not None
-    assert standing.seconds == 4.0
-    np.testing.assert_allclose(standing.rate, [0.01, -0.004, 0.002], atol=3e-4)
+    times, rates, forces = stationary_signals()
+    stationary = find_stationary(times, rates, times, forces)
+    assert stationary is not None
+    assert stationary.seconds == 4.0
+    np.testing.assert_allclose(stationary.rate, [0.01, -0.004, 0.002], atol=3e-4)
 
 
 @pytest.mark.parametrize(
-    ("turn", "sway", "shake"),
+    ("rotation", "sway", "shake"),
     [(0.1, 0.0, 0.0), (0.0, 0.003, 0.0), (0.0, 0.0, 0.03), (0.0, 0.0, 2.0)],
-    ids=["turn", "sway", "drift", "shake"],
+    ids=["rotation", "sway", "drift", "shake"],
 )
-def test_an_ego_that_turns_evenly_sways_or_shakes_does_not_stand(
-    turn: float, sway: float, shake: float
+def test_an_ego_that_rotations_evenly_sways_or_shakes_does_not_stand(
+    rotation: float, sway: float, shake: float
 ) -> None:
-    times, rates, forces = standing_signals()
+    times, rates, forces = stationary_signals()
     swing = np.sin(times * 1e-9 * 6)[:, None] * np.ones(3)
-    moved = rates + [0, 0, turn] + sway * swing
-    assert find_standing(times, moved, times, forces + shake * swing) is None
+    moved = rates + [0, 0, rotation] + sway * swing
+    assert find_stationary(times, moved, times, forces + shake * swing) is None
 
 
-def test_an_even_turn_on_a_smooth_fast_road_is_not_standing() -> None:
-    path = PathSpec(speeds=(20.0, 25.0), turn_rate=0.05)
+def test_an_even_switch_on_a_smooth_fast_road_is_not_stationary() -> None:
+    path = PathSpec(speeds=(20.0, 25.0), yaw_rate=0.05)
     drive = simulate_street(2, frames=60, cameras=(), path=path)
     assert imu_motion(drive.scene).bias is None
 
 
-def test_samples_that_never_change_are_those_of_a_standing_ego() -> None:
+def test_samples_that_never_change_are_those_of_a_stationary_ego() -> None:
     times = np.arange(200) * 10_000_000
-    standing = find_standing(times, np.full((200, 3), 0.01), times, np.full((200, 3), 5.6))
-    assert standing is not None
-    assert standing.seconds == 2.0
+    stationary = find_stationary(times, np.full((200, 3), 0.01), times, np.full((200, 3), 5.6))
+    assert stationary is not None
+    assert stationary.seconds == 2.0
 
 
-def test_few_samples_or_none_tell_of_no_standing() -> None:
-    times, rates, forces = standing_signals(rate_hz=5)
-    assert find_standing(times, rates, times, forces) is None
+def test_few_samples_or_none_report_no_stationary() -> None:
+    times, rates, forces = stationary_signals(rate_hz=5)
+    assert find_stationary(times, rates, times, forces) is None
     none = np.zeros(0, np.int64), np.zeros((0, 3))
-    assert find_standing(*none, *none) is None
-    many = standing_signals()
-    assert find_standing(many[0], many[1], *none) is None
+    assert find_stationary(*none, *none) is None
+    many = stationary_signals()
+    assert find_stationary(many[0], many[1], *none) is None
 
 
 def imu_scene(times_ns: np.ndarray, rates: np.ndarray) -> Scene:
     return Scene((ImuSensor("imu", {"gyroscope": VectorSamples(times_ns, rates)}),), source="drive")
 
 
-def test_gaps_are_found_and_told() -> None:
+def test_gaps_are_found_and_reported() -> None:
     times = np.delete(np.arange(100) * 10_000_000, np.r_[30:34, 60:66])
     motion = imu_motion(imu_scene(times, np.zeros((90, 3))))
     assert motion.gaps_ns.tolist() == [[590_000_000, 660_000_000]]
@@ -161,7 +161,7 @@ def test_gaps_are_found_and_told() -> None:
     assert not motion.is_known(600_000_000, 610_000_000)
     assert motion.is_known(500_000_000, 590_000_000)
     assert motion.is_known(250_000_000, 400_000_000)
-    assert ("imu-gaps", 1) in [(notice.code, notice.count) for notice in motion.ego.notices]
+    assert ("imu-gaps", 1) in [(warning.code, warning.count) for warning in motion.ego.warnings]
 
 
 def test_samples_out_of_order_or_without_a_number_do_no_harm() -> None:
@@ -175,7 +175,7 @@ def test_samples_out_of_order_or_without_a_number_do_no_harm() -> None:
     )
     motion = imu_motion(imu_scene(times, rates))
     np.testing.assert_array_equal(motion.ego.path.quaternions_xyzw, sound.quaternions_xyzw)
-    assert ("imu-samples", 2) in [(notice.code, notice.count) for notice in motion.ego.notices]
+    assert ("imu-samples", 2) in [(warning.code, warning.count) for warning in motion.ego.warnings]
 
 
 def test_what_is_missing_is_named() -> None:
@@ -194,10 +194,10 @@ def test_the_first_imu_with_a_gyroscope_counts() -> None:
     assert len(imu_motion(replace(scene, sensors=(other, *scene.sensors))).ego.path.timestamps_ns) == 3
 
 
-def test_a_quiet_turn_among_stops_is_no_bias() -> None:
-    times, rates, forces = standing_signals(6.0)
+def test_a_quiet_rotate_among_stops_is_no_bias() -> None:
+    times, rates, forces = stationary_signals(6.0)
     rates[200:300, 2] += 0.03
-    standing = find_standing(times, rates, times, forces)
-    assert standing is not None
-    assert standing.seconds == 5.0
-    np.testing.assert_allclose(standing.rate, [0.01, -0.004, 0.002], atol=3e-4)
+    stationary = find_stationary(times, rates, times, forces)
+    assert stationary is not None
+    assert stationary.seconds == 5.0
+    np.testing.assert_allclose(stationary.rate, [0.01, -0.004, 0.002], atol=3e-4)

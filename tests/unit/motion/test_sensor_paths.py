@@ -8,17 +8,19 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion import sensor_paths
 from sceneloom.motion.sensor_paths import camera_path, sensor_path
-from sceneloom.scene import LazyFrames, Picture, PosePath
+from sceneloom.scene import CameraImage, LazyFrames, Poses
 from sceneloom.scene.pose_source import PoseSource
 
 MOUNT = RigidTransform(Rotation.from_euler("z", 0.4).as_matrix(), np.array([2.0, 0.5, 1.7]))
 
 
-def winding_path(seconds: float = 4.0, rate: int = 100) -> PosePath:
+def winding_path(seconds: float = 4.0, rate: int = 100) -> Poses:
     t = np.arange(0, seconds, 1 / rate)
     positions = np.stack([10 * t, 3 * np.sin(t), 0.1 * np.sin(5 * t)], axis=1)
-    turns = Rotation.from_euler("zyx", np.stack([0.5 * np.sin(2 * t), 0.02 * np.sin(7 * t), 0 * t], axis=1))
-    return PosePath((t * 1e9).astype(np.int64), positions, turns.as_quat())
+    rotations = Rotation.from_euler(
+        "zyx", np.stack([0.5 * np.sin(2 * t), 0.02 * np.sin(7 * t), 0 * t], axis=1)
+    )
+    return Poses((t * 1e9).astype(np.int64), positions, rotations.as_quat())
 
 
 def test_every_frame_has_its_pose_and_the_rest_stays_within_a_millimetre_and_a_hundredth_of_a_degree() -> (
@@ -40,9 +42,9 @@ def test_every_frame_has_its_pose_and_the_rest_stays_within_a_millimetre_and_a_h
     assert np.degrees(angle).max() < 0.011
 
 
-def test_a_straight_way_needs_no_pose_but_the_frames_own() -> None:
+def test_a_straight_trajectory_needs_no_pose_but_the_frames_own() -> None:
     t = np.arange(0, 100, dtype=np.int64) * 10_000_000
-    straight = PosePath(t, np.stack([t * 1e-8, 0 * t, 0 * t], axis=1), np.tile([0.0, 0, 0, 1], (100, 1)))
+    straight = Poses(t, np.stack([t * 1e-8, 0 * t, 0 * t], axis=1), np.tile([0.0, 0, 0, 1], (100, 1)))
     frames = np.arange(0, 900_000_000, 100_000_000, dtype=np.int64)
     thin = sensor_path(PoseSource(straight, MOUNT), frames)
     assert thin is not None
@@ -65,26 +67,26 @@ def test_looking_piece_by_piece_gives_the_path_that_looking_at_once_gives(
     frames = np.arange(100_000_000, 3_800_000_000, 130_000_000, dtype=np.int64)
     whole = sensor_path(source, frames)
     monkeypatch.setattr(sensor_paths, "_FRAMES_AT_ONCE", 3)
-    pieces = sensor_path(source, frames)
+    chunks = sensor_path(source, frames)
     assert whole is not None
-    assert pieces is not None
+    assert chunks is not None
     assert len(whole.timestamps_ns) > len(frames)
-    np.testing.assert_array_equal(pieces.timestamps_ns, whole.timestamps_ns)
+    np.testing.assert_array_equal(chunks.timestamps_ns, whole.timestamps_ns)
 
 
-def pictures_with(mounts: list[RigidTransform | None], times_ns: list[int]) -> LazyFrames[Picture]:
+def images_with(mounts: list[RigidTransform | None], times_ns: list[int]) -> LazyFrames[CameraImage]:
     camera, rgb = Camera("pinhole", 1, 1, 1.0, 1.0, 0.0, 0.0), np.zeros((1, 1, 3), np.uint8)
-    pictures = [Picture(t, camera, lambda: rgb, mount=m) for t, m in zip(times_ns, mounts, strict=True)]
-    return LazyFrames.of(pictures, times_ns)
+    images = [CameraImage(t, camera, lambda: rgb, mount=m) for t, m in zip(times_ns, mounts, strict=True)]
+    return LazyFrames.of(images, times_ns)
 
 
-def test_each_picture_has_the_pose_of_its_own_mounting() -> None:
+def test_each_image_has_the_pose_of_its_own_mounting() -> None:
     raised = RigidTransform(MOUNT.rotation, np.array([2.0, 0.5, 2.7]))
     same = RigidTransform(MOUNT.rotation, np.array([2.0, 0.5, 2.7]))
     mounts = [None, None, raised, same, None, raised]
     times = [400_000_000 + 100_000_000 * k for k in range(6)]
     source = PoseSource(winding_path(), MOUNT)
-    path = camera_path(source, pictures_with(mounts, times))
+    path = camera_path(source, images_with(mounts, times))
     assert path is not None
     for time, mount in zip(times, mounts, strict=True):
         at = np.array([time], np.int64)
@@ -95,20 +97,20 @@ def test_each_picture_has_the_pose_of_its_own_mounting() -> None:
     assert np.linalg.norm(path.interpolate(between).positions - truth, axis=1).max() < 1.1e-3
 
 
-def test_pictures_of_one_time_share_the_pose_of_the_first() -> None:
+def test_images_of_one_time_share_the_pose_of_the_first() -> None:
     raised = RigidTransform(MOUNT.rotation, np.array([2.0, 0.5, 2.7]))
-    path = camera_path(PoseSource(winding_path(), MOUNT), pictures_with([None, raised], [500, 500]))
+    path = camera_path(PoseSource(winding_path(), MOUNT), images_with([None, raised], [500, 500]))
     assert path is not None
     at = np.array([500], np.int64)
     np.testing.assert_allclose(path.positions, PoseSource(winding_path(), MOUNT).at(at).positions)
 
 
-def test_a_camera_with_poses_of_its_own_keeps_them_whatever_its_pictures_say() -> None:
+def test_a_camera_with_poses_of_its_own_keeps_them_whatever_its_images_state() -> None:
     source = PoseSource(winding_path(), RigidTransform.identity(), own=True)
-    path = camera_path(source, pictures_with([MOUNT, MOUNT], [0, 100_000_000]))
+    path = camera_path(source, images_with([MOUNT, MOUNT], [0, 100_000_000]))
     assert path is not None
     np.testing.assert_allclose(path.positions[0], winding_path().positions[0])
 
 
-def test_a_camera_without_pictures_has_no_path() -> None:
-    assert camera_path(PoseSource(winding_path(), MOUNT), pictures_with([], [])) is None
+def test_a_camera_without_images_has_no_path() -> None:
+    assert camera_path(PoseSource(winding_path(), MOUNT), images_with([], [])) is None

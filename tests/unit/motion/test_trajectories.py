@@ -1,4 +1,4 @@
-"""The choice of the ego's way, and headings from motion."""
+"""The choice of the ego trajectory, and headings from motion."""
 
 import numpy as np
 import pytest
@@ -17,9 +17,9 @@ def circle(radius: float = 20.0, count: int = 200) -> Trajectory:
 
 
 def test_the_heading_of_a_circle_is_its_tangent() -> None:
-    way = circle()
-    ahead = rotate_vectors(headed_poses(way).quaternions_xyzw, np.array([1.0, 0, 0]))
-    tangent = np.gradient(way.positions, axis=0)
+    trajectory = circle()
+    ahead = rotate_vectors(headed_poses(trajectory).quaternions_xyzw, np.array([1.0, 0, 0]))
+    tangent = np.gradient(trajectory.positions, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     angle = np.degrees(np.arccos(np.clip((ahead * tangent).sum(axis=1), -1, 1)))
     # a chord over 1 m of a 20 m circle is off by at most half its arc, at the ends where it is one-sided
@@ -32,16 +32,16 @@ def test_the_y_axis_of_a_heading_is_level() -> None:
     np.testing.assert_allclose(left[:, 2], 0, atol=1e-12)
 
 
-def test_a_standing_ego_keeps_the_direction_that_it_came_with() -> None:
+def test_a_stationary_ego_keeps_the_direction_that_it_came_with() -> None:
     x = np.concatenate([np.linspace(0, 10, 50), np.full(30, 10.0)])
-    way = Trajectory("fixes", np.arange(80, dtype=np.int64), np.stack([x, 0 * x, 0 * x], axis=1))
-    np.testing.assert_allclose(headed_poses(way).quaternions_xyzw[-1], [0, 0, 0, 1], atol=1e-12)
+    trajectory = Trajectory("fixes", np.arange(80, dtype=np.int64), np.stack([x, 0 * x, 0 * x], axis=1))
+    np.testing.assert_allclose(headed_poses(trajectory).quaternions_xyzw[-1], [0, 0, 0, 1], atol=1e-12)
 
 
 def test_an_ego_that_never_moves_has_no_heading() -> None:
-    way = Trajectory("fixes", np.arange(3, dtype=np.int64), np.zeros((3, 3)))
+    trajectory = Trajectory("fixes", np.arange(3, dtype=np.int64), np.zeros((3, 3)))
     with pytest.raises(PoseError, match=r"at least 0\.5 m"):
-        headed_poses(way)
+        headed_poses(trajectory)
 
 
 def test_the_first_trajectory_is_the_default_and_a_name_chooses_another() -> None:
@@ -55,7 +55,7 @@ def test_the_first_trajectory_is_the_default_and_a_name_chooses_another() -> Non
 def test_a_scene_without_trajectory_offers_identity() -> None:
     with pytest.raises(PoseError, match="--trajectory identity"):
         choose_trajectory(Scene(()))
-    assert choose_trajectory(Scene(()), name="identity").path.endless
+    assert choose_trajectory(Scene(()), name="identity").path.static
 
 
 def test_an_unknown_name_is_answered_with_the_known_ones() -> None:
@@ -66,7 +66,7 @@ def test_an_unknown_name_is_answered_with_the_known_ones() -> None:
 
 def test_positions_alone_need_the_heading_to_be_asked_for() -> None:
     scene = Scene((), trajectories={"gnssEnu": circle()})
-    with pytest.raises(PoseError, match="--heading motion"):
+    with pytest.raises(PoseError, match="--orientation-from motion"):
         choose_trajectory(scene)
     assert choose_trajectory(scene, heading="motion").heading == "motion"
 
@@ -74,8 +74,8 @@ def test_positions_alone_need_the_heading_to_be_asked_for() -> None:
 def test_a_heading_is_kept_in_a_part_in_which_the_ego_stands() -> None:
     x = np.concatenate([np.linspace(0, 10, 50), np.full(30, 10.0)])
     times = np.arange(80, dtype=np.int64) * 1_000_000_000
-    way = Trajectory("fixes", times, np.stack([0 * x, x, 0 * x], axis=1))
-    ego = choose_trajectory(Scene((), trajectories={"fixes": way}), heading="motion")
+    trajectory = Trajectory("fixes", times, np.stack([0 * x, x, 0 * x], axis=1))
+    ego = choose_trajectory(Scene((), trajectories={"fixes": trajectory}), heading="motion")
     part = ego.within((int(times[70]), int(times[75])))
     assert (part.heading, len(part.path.timestamps_ns)) == ("motion", 7)
     ahead = rotate_vectors(part.path.quaternions_xyzw, np.array([1.0, 0, 0]))

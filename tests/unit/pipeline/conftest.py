@@ -14,7 +14,7 @@ SMALL = Camera("pinhole", 160, 96, 90.0, 90.0, 79.5, 47.5)
 
 @pytest.fixture(scope="session")
 def keep() -> Callable[[Scene], Scene]:
-    """Makes the sweeps and pictures of a simulated scene once, and not whenever a test asks for them."""
+    """Makes the sweeps and images of a simulated scene once, and not whenever a test asks for them."""
     return lambda scene: replace(scene, sensors=tuple(map(kept, scene.sensors)))
 
 
@@ -29,10 +29,10 @@ def drive(keep: Callable[[Scene], Scene]) -> Scene:
 
 
 def kept(sensor: Sensor) -> Sensor:
-    """The sensor with its sweeps or pictures in memory."""
+    """The sensor with its sweeps or images in memory."""
     if isinstance(sensor, LidarSensor):
         return replace(sensor, frames=LazyFrames.of(list(sensor.frames), sensor.frames.timestamps_ns))
     if isinstance(sensor, CameraSensor):
-        pictures = [p.loaded() for p in sensor.pictures]
-        return replace(sensor, pictures=LazyFrames.of(pictures, sensor.pictures.timestamps_ns))
+        images = [p.loaded() for p in sensor.images]
+        return replace(sensor, images=LazyFrames.of(images, sensor.images.timestamps_ns))
     return sensor

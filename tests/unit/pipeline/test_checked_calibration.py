@@ -1,4 +1,4 @@
-"""The check of a drive whose pictures tell nothing, by boxes of made-up cars, and by how camera and lidar turn."""
+"""The check of a drive whose images state nothing, by boxes of synthetic cars, and by how camera and lidar rotate."""
 
 from dataclasses import replace
 
@@ -19,36 +19,41 @@ from sceneloom.scene.detections import Boxes2D, Boxes3D
 from sceneloom.scene.sensor_sources import sensor_source
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
-LENS = Camera("pinhole", 640, 320, 360.0, 360.0, 319.5, 159.5)
+CAMERA_MODEL = Camera("pinhole", 640, 320, 360.0, 360.0, 319.5, 159.5)
 SIZE = np.array([4.2, 1.8, 1.5])
 
 
 @pytest.fixture(scope="module")
 def drive():
-    """A lidar of few beams and a camera, whose pictures are of another lens than the one that boxes are made for."""
-    return simulate_street(2, frames=14, lidar=LidarSpec(beams=4, steps=60), cameras=(CameraSpec(LENS),))
+    """A lidar of few beams and a camera.
+
+    Whose images are of another camera model than the one that boxes are made for.
+    """
+    return simulate_street(
+        2, frames=14, lidar=LidarSpec(beams=4, steps=60), cameras=(CameraSpec(CAMERA_MODEL),)
+    )
 
 
-def lists(scene, folder, turn_deg):
-    """Boxes of five cars in each sweep and picture; the camera really is turned from where it is said to be."""
+def lists(scene, folder, rotation_deg):
+    """Boxes of five cars in each sweep and image; the camera really is rotated from where it is stated to be."""
     lidar, camera = scene.lidars[0], scene.cameras[0]
     times = [frame.reference_ns for frame in lidar.frames]
-    stamps = camera.pictures.timestamps_ns.tolist()
+    timestamps = camera.images.timestamps_ns.tolist()
     sources = [sensor_source(scene, sensor, None, reach_ns=10**9) for sensor in (lidar, camera)]
-    places = poses_at(sources[0], np.array(times)), poses_at(sources[1], np.array(stamps))
-    generator, turn = np.random.default_rng(5), Rotation.from_rotvec(turn_deg, degrees=True)
+    locations = poses_at(sources[0], np.array(times)), poses_at(sources[1], np.array(timestamps))
+    generator, rotation = np.random.default_rng(5), Rotation.from_rotvec(rotation_deg, degrees=True)
     lines = {"boxes3d": [], "boxes2d": []}
-    for k, (time, stamp) in enumerate(zip(times, stamps, strict=True)):
+    for k, (time, timestamp) in enumerate(zip(times, timestamps, strict=True)):
         ahead = generator.uniform(12.0, 30.0, 5)
         centers = np.column_stack(
             [ahead, ahead * generator.uniform(-0.5, 0.5, 5), generator.uniform(-1, 0, 5)]
         )
         corners = centers[:, None] + CORNER_SIGNS * SIZE / 2
-        seen = turn.apply((places[1][k].inverse() @ places[0][k]).apply(corners.reshape(-1, 3)))
+        seen = rotation.apply((locations[1][k].inverse() @ locations[0][k]).apply(corners.reshape(-1, 3)))
         pixels = (seen[:, :2] / seen[:, 2:] * 360.0 + [319.5, 159.5]).reshape(5, 8, 2) + 0.5
         boxes = np.hstack([pixels.min(axis=1), pixels.max(axis=1)])
         three = Boxes3D(time, centers, np.tile(SIZE, (5, 1)), np.zeros(5), np.ones(5), ("Car",) * 5)
-        two = Boxes2D(stamp, boxes, np.ones(5), ("Car",) * 5)
+        two = Boxes2D(timestamp, boxes, np.ones(5), ("Car",) * 5)
         lines["boxes3d"].append(format_json(boxes_3d_record(three, sensor_id=0, seq=k)))
         lines["boxes2d"].append(format_json(boxes_2d_record(two, sensor_id=0, seq=k)))
     for name, texts in lines.items():
@@ -57,35 +62,35 @@ def lists(scene, folder, turn_deg):
 
 
 @pytest.mark.parametrize(
-    ("turn_deg", "verdict"), [((0.0, 0.0, 0.0), Verdict.GOOD), ((2.0, -1.0, 0.0), Verdict.WRONG)]
+    ("rotation_deg", "verdict"), [((0.0, 0.0, 0.0), Verdict.GOOD), ((2.0, -1.0, 0.0), Verdict.WRONG)]
 )
-def test_boxes_tell_what_pictures_cannot(drive, tmp_path, turn_deg, verdict):
-    health = check_drive(drive.scene, most=2, **lists(drive.scene, tmp_path, turn_deg)).health
-    assert health.item("rotation").verdict is Verdict.CANNOT_TELL
+def test_boxes_report_what_images_cannot(drive, tmp_path, rotation_deg, verdict):
+    health = check_drive(drive.scene, most=2, **lists(drive.scene, tmp_path, rotation_deg)).health
+    assert health.item("rotation").verdict is Verdict.UNDETERMINED
     assert health.verdict is verdict
     # boxes of whole pixels, at 6 pixels a degree; a sigma is 0.12
-    np.testing.assert_allclose(health.item("boxes").values, turn_deg[:2], atol=0.2)
+    np.testing.assert_allclose(health.item("boxes").values, rotation_deg[:2], atol=0.2)
 
 
 def test_a_part_of_the_drive_is_judged_by_its_own_boxes(drive, tmp_path):
     found = lists(drive.scene, tmp_path, (2.0, -1.0, 0.0))
     health = check_drive(drive.scene, most=2, stop=0.5, **found).health
-    # five pictures are too few
-    assert health.item("boxes").verdict is Verdict.CANNOT_TELL
+    # five images are too few
+    assert health.item("boxes").verdict is Verdict.UNDETERMINED
 
 
 def test_boxes_of_one_kind_are_refused(drive, tmp_path):
     found = lists(drive.scene, tmp_path, (0.0, 0.0, 0.0))
-    with pytest.raises(OptionError, match="boxes of pictures alone"):
+    with pytest.raises(OptionError, match="boxes of images alone"):
         check_drive(drive.scene, boxes_2d=found["boxes_2d"])
 
 
 @pytest.mark.parametrize(("tilt_deg", "verdict"), [(0.0, Verdict.GOOD), (8.0, Verdict.WRONG)])
 @pytest.mark.few(1)
-def test_a_drive_that_turns_tells_of_a_camera_that_is_tilted(tilt_deg, verdict):
-    lens = Camera("pinhole", 320, 120, 180.0, 180.0, 159.5, 59.5)
+def test_a_drive_that_rotations_reports_a_camera_that_is_tilted(tilt_deg, verdict):
+    camera_model = Camera("pinhole", 320, 120, 180.0, 180.0, 159.5, 59.5)
     scene = simulate_street(
-        2, frames=30, lidar=LidarSpec(beams=4, steps=60), cameras=(CameraSpec(lens),)
+        2, frames=30, lidar=LidarSpec(beams=4, steps=60), cameras=(CameraSpec(camera_model),)
     ).scene
     (camera,) = scene.cameras
     tilt = RigidTransform(Rotation.from_euler("x", tilt_deg, degrees=True).as_matrix(), np.zeros(3))

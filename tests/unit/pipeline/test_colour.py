@@ -14,35 +14,37 @@ from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats.clouds.table import read_cloud
 from sceneloom.formats.clouds.written import NO_LABEL
 from sceneloom.pipeline import ColourOutputs, ColourSettings, colour, iter_fused
-from sceneloom.scene import LabeledPointsAnnotation, LazyFrames, LidarFrame, LidarPoints, Picture
+from sceneloom.scene import CameraImage, LabeledPointsAnnotation, LazyFrames, LidarFrame, LidarPoints
 from sceneloom.simulate import CameraSpec, ExposureSpec, LidarSpec, TrafficSpec, camera_mount, simulate_street
 
-LENS = Camera("pinhole", 320, 200, 190.0, 190.0, 159.5, 99.5)
+CAMERA_MODEL = Camera("pinhole", 320, 200, 190.0, 190.0, 159.5, 99.5)
 FRAMES = 4
 
 
 @pytest.fixture(scope="module")
 def exposed(tmp_path_factory):
-    """Two cameras that overlap, each with an automatic of its own; from files, so that pictures are made once."""
+    """Two cameras that overlap, each with an automatic of its own; from files, so that images are made once."""
     cameras = [
-        CameraSpec(LENS, camera_mount(yaw_deg=yaw), exposure=ExposureSpec(drift_stops=0.4), supersampling=2)
+        CameraSpec(
+            CAMERA_MODEL, camera_mount(yaw_deg=yaw), exposure=ExposureSpec(drift_stops=0.4), supersampling=2
+        )
         for yaw in (0.0, 55.0)
     ]
     drive = simulate_street(21, frames=FRAMES, lidar=LidarSpec(beams=32, steps=600), cameras=cameras)
     folder = tmp_path_factory.mktemp("drives") / "drive"
-    sceneloom.write(drive.scene, folder, pictures="png")
+    sceneloom.write(drive.scene, folder, images="png")
     with sceneloom.open(folder) as scene:
         yield replace(drive, scene=scene)
 
 
 def label_folder(scene, folder, *, name="{number:06d}", camera="camera0"):
     """Label images whose number is the column's hundred, so that left and right differ."""
-    place = folder / camera
-    place.mkdir(parents=True)
+    location = folder / camera
+    location.mkdir(parents=True)
     image = np.broadcast_to(np.where(np.arange(320) < 160, 3, 300).astype(np.uint16), (200, 320))
-    pictures = next(c for c in scene.cameras if c.id == camera).pictures
-    for number, time_ns in enumerate(pictures.timestamps_ns.tolist()):
-        Image.fromarray(image).save(place / (name.format(number=number, time_ns=time_ns) + ".png"))
+    images = next(c for c in scene.cameras if c.id == camera).images
+    for number, time_ns in enumerate(images.timestamps_ns.tolist()):
+        Image.fromarray(image).save(location / (name.format(number=number, time_ns=time_ns) + ".png"))
     return folder
 
 
@@ -70,7 +72,7 @@ def test_evening_out_exposures_takes_a_third_of_the_error_and_blending_adds_noth
     )
     assert weighted < 0.75 * plain
     assert weighted <= best  # the mean has less noise
-    assert best <= 1.05 * nearest  # pictures of few pixels: what lies between them is blurred
+    assert best <= 1.05 * nearest  # images of few pixels: what lies between them is blurred
 
 
 def test_a_map_holds_every_point_of_every_sweep_with_its_time_and_provenance(exposed, tmp_path):
@@ -82,14 +84,14 @@ def test_a_map_holds_every_point_of_every_sweep_with_its_time_and_provenance(exp
     np.testing.assert_allclose(np.asarray(read.gps_time), times, atol=1e-6)
     seen = np.asarray(read.camera) != 255
     assert report.coloured_percent == pytest.approx(100 * seen.mean())
-    assert (np.asarray(read.picture)[seen] >= 0).all()
-    assert (np.asarray(read.picture)[~seen] == -1).all()
+    assert (np.asarray(read.image)[seen] >= 0).all()
+    assert (np.asarray(read.image)[~seen] == -1).all()
     assert (np.asarray(read.weight)[seen] > 0).all()
     # the pixel that is named has the colour, but for the gain and what lies between pixels
     row = np.flatnonzero(seen)[::97]
     for k in row.tolist():
         camera = exposed.scene.cameras[int(read.camera[k])]
-        assert 0 <= read.u[k] + 0.5 <= camera.pictures[int(read.picture[k])].camera.width
+        assert 0 <= read.u[k] + 0.5 <= camera.images[int(read.image[k])].camera.width
 
 
 def test_positions_of_a_map_are_those_of_the_source_s_world(exposed, tmp_path):
@@ -139,7 +141,7 @@ def test_labels_go_onto_points_by_number_and_by_time_and_into_every_kind_of_file
         assert sum(len(e.labeled_points[0].point_ids) for e in scene.annotations) == first.labels.points
 
 
-def test_labels_of_sweeps_go_back_into_the_pictures_that_they_came_from(exposed, tmp_path):
+def test_labels_of_sweeps_go_back_into_the_images_that_they_came_from(exposed, tmp_path):
     labels = label_folder(exposed.scene, tmp_path / "labels")
     outputs = ColourOutputs(per_sweep=tmp_path / "drive.sfs")
     colour(exposed.scene, settings=ColourSettings(labels=labels), outputs=outputs)
@@ -210,7 +212,7 @@ def test_label_images_that_do_not_fit_are_refused_with_their_names(exposed, tmp_
     (small / "camera0" / "000002.png").write_bytes(b"nothing")
     refused(small, "is no PNG file")
     (small / "camera0" / "000002.png").rename(small / "camera0" / "rose.png")
-    refused(small, r"rose\.png: named for no picture")
+    refused(small, r"rose\.png: named for no image")
 
 
 def test_what_cannot_be_done_is_refused_before_anything_is_written(exposed, tmp_path):
@@ -219,7 +221,7 @@ def test_what_cannot_be_done_is_refused_before_anything_is_written(exposed, tmp_
     with pytest.raises(OptionError, match="nothing to write"):
         colour(exposed.scene)
     with pytest.raises(OptionError, match="named twice"):
-        outputs = ColourOutputs(map=tmp_path / "m.las", pictures=tmp_path / "m.las")
+        outputs = ColourOutputs(map=tmp_path / "m.las", images=tmp_path / "m.las")
         colour(exposed.scene, outputs=outputs)
     (tmp_path / "there.las").touch()
     with pytest.raises(OutputError, match="exists already"):
@@ -234,21 +236,21 @@ def test_what_cannot_be_done_is_refused_before_anything_is_written(exposed, tmp_
 
 
 def odd_scene(points, level=0, *, yaw_deg=0.0):
-    """Three sweeps of these points, and a camera that takes pictures of one grey level."""
+    """Three sweeps of these points, and a camera that takes images of one grey level."""
     drive = simulate_street(
         2,
         frames=3,
         lidar=LidarSpec(beams=4, steps=90),
-        cameras=[CameraSpec(LENS, camera_mount(yaw_deg=yaw_deg))],
+        cameras=[CameraSpec(CAMERA_MODEL, camera_mount(yaw_deg=yaw_deg))],
     )
     lidar, camera = drive.scene.lidars[0], drive.scene.cameras[0]
     times = lidar.frames.timestamps_ns.tolist()
     cloud = LidarPoints(np.asarray(points, np.float32).reshape(-1, 3))
     sweeps = LazyFrames.of([LidarFrame(time_ns, cloud) for time_ns in times], times)
-    stamps = camera.pictures.timestamps_ns.tolist()
+    timestamps = camera.images.timestamps_ns.tolist()
     rgb = np.full((200, 320, 3), level, np.uint8)
-    pictures = LazyFrames.of([Picture.of(time_ns, LENS, rgb) for time_ns in stamps], stamps)
-    sensors = (replace(lidar, frames=sweeps), replace(camera, pictures=pictures))
+    images = LazyFrames.of([CameraImage.of(time_ns, CAMERA_MODEL, rgb) for time_ns in timestamps], timestamps)
+    sensors = (replace(lidar, frames=sweeps), replace(camera, images=images))
     return replace(drive.scene, sensors=sensors)
 
 

@@ -1,4 +1,4 @@
-"""A conversion tells how far it is."""
+"""A conversion reports how far it is."""
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.formats import open_scene, write_scene
@@ -6,15 +6,17 @@ from sceneloom.pipeline import convert
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 
-def test_every_sweep_and_every_single_picture_is_told_once(tmp_path):
-    lens = Camera("pinhole", 64, 32, 40.0, 40.0, 31.5, 15.5)
-    drive = simulate_street(frames=3, lidar=LidarSpec(beams=4, steps=60), cameras=(CameraSpec(lens),))
+def test_every_sweep_and_every_single_image_is_reported_once(tmp_path):
+    camera_model = Camera("pinhole", 64, 32, 40.0, 40.0, 31.5, 15.5)
+    drive = simulate_street(frames=3, lidar=LidarSpec(beams=4, steps=60), cameras=(CameraSpec(camera_model),))
     write_scene(drive.scene, tmp_path / "drive.sfs")
-    told = []
+    reported = []
     convert(
-        tmp_path / "drive.sfs", tmp_path / "copy.sfs", progress=lambda done, total: told.append((done, total))
+        tmp_path / "drive.sfs",
+        tmp_path / "copy.sfs",
+        progress=lambda done, total: reported.append((done, total)),
     )
-    assert told[-1] == (6, 6)
-    assert [done for done, _ in told] == sorted(done for done, _ in told)
+    assert reported[-1] == (6, 6)
+    assert [done for done, _ in reported] == sorted(done for done, _ in reported)
     with open_scene(tmp_path / "copy.sfs") as copy:
-        assert [len(copy.lidars[0].frames), len(copy.cameras[0].pictures)] == [3, 3]
+        assert [len(copy.lidars[0].frames), len(copy.cameras[0].images)] == [3, 3]

@@ -65,7 +65,7 @@ def test_blind_sensors_make_no_depths_out_of_nothing(drive, tmp_path, sensor):
     always = ((0, 10**12),)
     blind = plant(drive, Faults({sensor: SensorFaults(blind=always)}, seed=1))
     write_depth_images(
-        blind.scene, tmp_path / "out", form="npz", cameras=["camera0"], pictures=tmp_path / "look"
+        blind.scene, tmp_path / "out", form="npz", cameras=["camera0"], images=tmp_path / "look"
     )
     depths, confidence = depths_of(tmp_path / "out", "camera0", 0)
     if sensor == "lidar":
@@ -78,7 +78,7 @@ def test_blind_sensors_make_no_depths_out_of_nothing(drive, tmp_path, sensor):
     assert len(list((tmp_path / "look" / "camera0").iterdir())) == 3
 
 
-def test_a_part_of_the_drive_keeps_the_numbers_that_the_index_tells(drive, tmp_path):
+def test_a_part_of_the_drive_keeps_the_numbers_that_the_index_reports(drive, tmp_path):
     write_depth_images(drive.scene, tmp_path / "out", method="fast", stop=0.35, cameras=["camera0"])
     lines = [json.loads(line) for line in (tmp_path / "out" / "index.jsonl").read_text().splitlines()]
     assert len(lines) == len(list((tmp_path / "out" / "camera0").glob("*.png"))) < 3
@@ -90,7 +90,7 @@ def test_values_that_cannot_be_followed_are_refused_before_anything_is_read(driv
         {"method": "best"},
         {"form": "tiff"},
         {"cameras": ["roof"]},
-        {"pictures": tmp_path / "out"},
+        {"images": tmp_path / "out"},
     ):
         with pytest.raises(OptionError):
             write_depth_images(drive.scene, tmp_path / "out", **options)

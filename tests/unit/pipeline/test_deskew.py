@@ -35,7 +35,7 @@ SWEEPS = 4
 
 @pytest.fixture(scope="module")
 def drive(keep: Callable[[Scene], Scene]) -> SimulatedDrive:
-    """A turning drive without noise of range, so that what is left is what deskewing left."""
+    """A rotating drive without noise of range, so that what is left is what deskewing left."""
     lidar = LidarSpec(beams=16, steps=180, range_sigma=0.0)
     imu = ImuSpec(gyroscope_bias_sigma=0.0)
     made = simulate_street(2, frames=SWEEPS, lidar=lidar, cameras=(), imu=imu)
@@ -82,24 +82,24 @@ def test_points_are_where_they_would_have_been_measured_at_that_moment(
     drive: SimulatedDrive, at: str
 ) -> None:
     frames = deskewed_scene(drive.scene, at=at).lidars[0].frames
-    # float32 at 100 m, and a trajectory of 100 poses a second between which the way is straight
+    # float32 at 100 m, and a trajectory of 100 poses a second between which the trajectory is straight
     assert errors(drive, frames).max() < 2e-3
-    for stamp, frame, measured in zip(
+    for timestamp, frame, measured in zip(
         frames.timestamps_ns, frames, drive.scene.lidars[0].frames, strict=True
     ):
         times = measured.points.timestamps_ns
         moment = {"start": times.min(), "middle": np.median(times), "end": times.max()}[at]
-        assert frame.timestamp_ns == stamp
+        assert frame.timestamp_ns == timestamp
         # one offset for all sweeps, in whole microseconds; the directions that hit nothing differ from sweep to sweep
-        assert abs(stamp - moment) < 2_000_000
-        np.testing.assert_array_equal(frame.points.timestamps_ns, np.full(len(times), stamp))
+        assert abs(timestamp - moment) < 2_000_000
+        np.testing.assert_array_equal(frame.points.timestamps_ns, np.full(len(times), timestamp))
         np.testing.assert_array_equal(frame.points.extras[MEASURED], times)
 
 
-def test_an_imu_alone_undoes_the_turning(drive: SimulatedDrive) -> None:
+def test_an_imu_alone_undoes_the_rotating(drive: SimulatedDrive) -> None:
     moved = errors(drive, deskewed_scene(drive.scene, trajectory="imu").lidars[0].frames)
     still = errors(drive, deskewed_scene(drive.scene, trajectory="identity").lidars[0].frames)
-    # what is left is the way of half a sweep at most, 0.5 m at 10 m/s, however far the point
+    # what is left is the trajectory of half a sweep at most, 0.5 m at 10 m/s, however far the point
     assert moved.max() < 0.55
     assert still.max() > 2 * moved.max()
     assert np.mean(still) > 1.1 * np.mean(moved)
@@ -119,7 +119,7 @@ def test_points_in_the_egos_frame_stay_in_it(drive: SimulatedDrive) -> None:
 
 def test_a_lidar_with_poses_of_its_own_needs_no_trajectory(drive: SimulatedDrive) -> None:
     scene = replace(with_lidar(drive.scene, mount=None), trajectories={})
-    # own poses are of the trajectory's times: between them the lidar's way is as straight as the ego's
+    # own poses are of the trajectory's times: between them the lidar's trajectory is as straight as the ego's
     assert errors(drive, deskewed_scene(scene).lidars[0].frames).max() < 3e-3
     with pytest.raises(PoseError, match="how lidar 'lidar' is mounted"):
         deskewed_scene(scene, trajectory="imu")
@@ -195,13 +195,15 @@ def test_a_recording_says_that_it_loses_the_measured_times_and_is_not_moved_agai
 def test_sweeps_beyond_the_trajectory_stay_as_measured_and_are_counted(
     drive: SimulatedDrive, tmp_path: Path
 ) -> None:
-    way = drive.scene.trajectories["groundTruth"]
-    rows = way.timestamps_ns < int(drive.scene.lidars[0].frames.timestamps_ns[1]) + 20_000_000
+    estimated_trajectory = drive.scene.trajectories["groundTruth"]
+    rows = (
+        estimated_trajectory.timestamps_ns < int(drive.scene.lidars[0].frames.timestamps_ns[1]) + 20_000_000
+    )
     short = replace(
-        way,
-        timestamps_ns=way.timestamps_ns[rows],
-        positions=way.positions[rows],
-        quaternions_xyzw=way.quaternions_xyzw[rows],
+        estimated_trajectory,
+        timestamps_ns=estimated_trajectory.timestamps_ns[rows],
+        positions=estimated_trajectory.positions[rows],
+        quaternions_xyzw=estimated_trajectory.quaternions_xyzw[rows],
     )
     scene = replace(drive.scene, trajectories={"short": short})
     report = deskew(scene, tmp_path / "drive.sfs")
@@ -233,14 +235,16 @@ def test_points_without_times_stay_as_they_are_and_that_is_counted(
     assert (report.deskewed, report.left) == (0, {"no times of the points": SWEEPS})
 
 
-def test_point_times_from_zero_are_understood_and_told(drive: SimulatedDrive, tmp_path: Path) -> None:
+def test_point_times_from_zero_are_understood_and_reported(drive: SimulatedDrive, tmp_path: Path) -> None:
     def relative(frame: LidarFrame) -> LidarFrame:
         times = frame.points.timestamps_ns - frame.timestamp_ns
         return replace(frame, points=replace(frame.points, timestamps_ns=times))
 
     scene = with_frames(drive.scene, relative)
     report = deskew(scene, tmp_path / "drive.sfs")
-    assert [(notice.code, notice.count) for notice in report.notices] == [("relative-point-times", SWEEPS)]
+    assert [(warning.code, warning.count) for warning in report.warnings] == [
+        ("relative-point-times", SWEEPS)
+    ]
     assert errors(drive, deskewed_scene(scene).lidars[0].frames).max() < 2e-3
 
 
@@ -268,15 +272,15 @@ def test_sweeps_in_any_order_are_deskewed_each_by_itself(drive: SimulatedDrive) 
         np.testing.assert_array_equal(frame.points.positions, sound[k].points.positions)
 
 
-def broken_at(frame: LidarFrame, stamp_ns: int) -> LidarFrame:
-    if frame.timestamp_ns == stamp_ns:
+def broken_at(frame: LidarFrame, timestamp_ns: int) -> LidarFrame:
+    if frame.timestamp_ns == timestamp_ns:
         raise DataError("drive", "lidar/000001.bin", "no such file")
     return frame
 
 
 def test_an_unreadable_sweep_is_left_out_only_when_asked(drive: SimulatedDrive, tmp_path: Path) -> None:
     second = int(drive.scene.lidars[0].frames.timestamps_ns[1])
-    scene = with_frames(drive.scene, partial(broken_at, stamp_ns=second))
+    scene = with_frames(drive.scene, partial(broken_at, timestamp_ns=second))
     with pytest.raises(DataError, match=r"000001\.bin"):
         deskew(scene, tmp_path / "strict.sfs")
     assert not list(tmp_path.iterdir())
@@ -287,12 +291,12 @@ def test_an_unreadable_sweep_is_left_out_only_when_asked(drive: SimulatedDrive, 
 
 
 def test_a_part_is_deskewed_as_it_is_in_the_whole(drive: SimulatedDrive, tmp_path: Path) -> None:
-    # the first time stamp is that of the trajectory's margin, 0.2 s before the first sweep
+    # the first timestamp is that of the trajectory's margin, 0.2 s before the first sweep
     report = deskew(drive.scene, tmp_path / "drive.sfs", trajectory="imu", start=0.25, stop=0.45)
     assert (report.sweeps, report.deskewed) == (2, 2)
     whole = deskewed_scene(drive.scene, trajectory="imu").lidars[0].frames
     with sceneloom.open(tmp_path / "drive.sfs") as written:
-        # the moment may differ by what few sweeps tell of it
+        # the moment may differ by what few sweeps report it
         np.testing.assert_allclose(
             written.lidars[0].frames[0].points.positions, whole[1].points.positions, atol=2e-2
         )
@@ -331,22 +335,22 @@ def test_what_cannot_be_followed_is_refused_with_the_reason(drive: SimulatedDriv
         deskew(scene, tmp_path / "drive.sfs")
 
 
-def without_way(scene: Scene) -> Scene:
-    """A scene with nothing to find the way by but its sweeps."""
+def without_trajectory(scene: Scene) -> Scene:
+    """A scene with nothing to find the trajectory by but its sweeps."""
     return replace(
         scene, trajectories={}, sensors=tuple(s for s in scene.sensors if not isinstance(s, GnssSensor))
     )
 
 
-def test_a_way_that_was_found_goes_along_so_that_nothing_finds_it_again(
+def test_a_trajectory_that_was_found_goes_along_so_that_nothing_finds_it_again(
     drive: SimulatedDrive, tmp_path: Path
 ) -> None:
-    lost = without_way(drive.scene)
+    lost = without_trajectory(drive.scene)
     deskew(lost, tmp_path / "deskewed.sfs")
     with sceneloom.open(tmp_path / "deskewed.sfs") as scene:
         assert list(scene.trajectories) == ["lidar"]
         assert scene.trajectories["lidar"].covariances is not None
-        assert "trajectory-from-lidar" in {notice.code for notice in scene.notices}
+        assert "trajectory-from-lidar" in {warning.code for warning in scene.warnings}
     assert list(deskewed_scene(drive.scene).trajectories) == list(drive.scene.trajectories)
 
 
@@ -363,15 +367,15 @@ def test_a_second_lidar_can_be_deskewed_later(drive: SimulatedDrive, tmp_path: P
 
 
 def test_poses_in_ego_coordinates_are_followed(drive: SimulatedDrive) -> None:
-    """A scene file's own way: the lidar's standing pose on an odometry sensor."""
-    lidar, way = drive.scene.lidars[0], drive.scene.trajectories["groundTruth"]
-    standing = replace(
+    """A scene file's own trajectory: the lidar's stationary pose on an odometry sensor."""
+    lidar, estimated_trajectory = drive.scene.lidars[0], drive.scene.trajectories["groundTruth"]
+    stationary = replace(
         lidar.poses.identity(),
         positions=lidar.mount.translation[None],
         quaternions_xyzw=lidar.mount.quaternion_xyzw[None],
     )
-    scene = with_lidar(drive.scene, mount=None, poses=standing, coordinates=Coordinates.EGO)
-    scene = replace(scene, sensors=(*scene.sensors, OdometrySensor("ego", way.poses)))
+    scene = with_lidar(drive.scene, mount=None, poses=stationary, coordinates=Coordinates.EGO)
+    scene = replace(scene, sensors=(*scene.sensors, OdometrySensor("ego", estimated_trajectory.poses)))
     for trajectory in (None, "groundTruth"):
         assert errors(drive, deskewed_scene(scene, trajectory=trajectory).lidars[0].frames).max() < 2e-3
 
@@ -379,20 +383,22 @@ def test_poses_in_ego_coordinates_are_followed(drive: SimulatedDrive) -> None:
 @pytest.mark.parametrize(
     "note", [5, {"deskew": 5}, {"deskew": [5, {"lidars": 5}, {"lidars": [["lidar"], {}]}]}]
 )
-def test_whatever_stands_in_the_place_of_the_note_does_no_harm(drive: SimulatedDrive, note: object) -> None:
+def test_whatever_stands_in_the_position_of_the_note_does_no_harm(
+    drive: SimulatedDrive, note: object
+) -> None:
     scene = deskewed_scene(replace(drive.scene, metadata={"sceneloom": note}))
     assert scene.metadata["sceneloom"]["deskew"][-1]["lidars"] == ["lidar"]
 
 
-def test_odometry_deskews_a_drive_without_poses_and_that_is_told(tmp_path: Path) -> None:
+def test_odometry_deskews_a_drive_without_poses_and_that_is_reported(tmp_path: Path) -> None:
     lidar = LidarSpec(beams=32, steps=600, range_sigma=0.0)
     drive = simulate_street(2, frames=8, lidar=lidar, cameras=())
-    scene = with_lidar(without_way(drive.scene), poses=None)
+    scene = with_lidar(without_trajectory(drive.scene), poses=None)
     frames = scene.lidars[0].frames
     scene = with_lidar(scene, frames=LazyFrames.of(list(frames), frames.timestamps_ns.tolist()))
     report = deskew(scene, tmp_path / "drive.sfs")
     assert (report.trajectory, report.deskewed) == ("lidar", 8)
-    assert "trajectory-from-lidar" in [notice.code for notice in report.notices]
+    assert "trajectory-from-lidar" in [warning.code for warning in report.warnings]
     with sceneloom.open(tmp_path / "drive.sfs") as written:
         left = errors(drive, written.lidars[0].frames)
     measured = errors(drive, deskewed_scene(scene, trajectory="identity").lidars[0].frames)

@@ -14,16 +14,16 @@ import sceneloom
 from sceneloom.editing.odometry import EGO_ID
 from sceneloom.errors import DataError, OptionError, OutputError, PoseError
 from sceneloom.pipeline import FusionOutputs, fuse, iter_fused
-from sceneloom.pipeline.woven.scene import weave
+from sceneloom.pipeline.aligned.scene import align
 from sceneloom.scene import (
+    CameraImage,
     GnssSensor,
     LazyFrames,
     LidarFrame,
     LidarSensor,
     OdometrySensor,
-    Picture,
     PointsFrame,
-    PosePath,
+    Poses,
     Scene,
     Trajectory,
 )
@@ -63,17 +63,19 @@ def test_sensor_poses_are_the_trajectory_and_the_mounting_seen_from_the_first_eg
     drive: Scene, tmp_path: Path
 ) -> None:
     fuse(drive, tmp_path / "drive.sfs")
-    way = drive.trajectories["groundTruth"]
+    trajectory = drive.trajectories["groundTruth"]
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
         world_from_file = np.array(scene.metadata["sceneloom"]["world_from_file"])
-        np.testing.assert_array_equal(world_from_file[:3, 3], way.positions[0])
+        np.testing.assert_array_equal(world_from_file[:3, 3], trajectory.positions[0])
         for sensor in (*scene.cameras, *scene.lidars):
             poses = sensor.poses
-            expected = PoseSource(way.poses, drive.sensor(sensor.id).mount).at(poses.timestamps_ns)
-            np.testing.assert_allclose(poses.positions + way.positions[0], expected.positions, atol=1e-6)
+            expected = PoseSource(trajectory.poses, drive.sensor(sensor.id).mount).at(poses.timestamps_ns)
+            np.testing.assert_allclose(
+                poses.positions + trajectory.positions[0], expected.positions, atol=1e-6
+            )
             same = np.abs((poses.quaternions_xyzw * expected.quaternions_xyzw).sum(axis=1))
             np.testing.assert_allclose(same, 1.0, atol=1e-9)
-        for sensor, times in ((s, s.pictures.timestamps_ns) for s in scene.cameras):
+        for sensor, times in ((s, s.images.timestamps_ns) for s in scene.cameras):
             assert np.isin(times // 1000, sensor.poses.timestamps_ns // 1000).all()
         ego = scene.sensor(EGO_ID)
         np.testing.assert_allclose(ego.poses.positions[0], 0, atol=1e-12)
@@ -118,13 +120,11 @@ def test_a_part_stands_at_its_own_origin_and_begins_its_own_clock(
     first_ns = int(drive.lidars[0].frames.timestamps_ns[0])
     times = np.arange(first_ns - 200_000_000_000, first_ns + 1, 500_000_000, dtype=np.int64)
     count = len(times)
-    wheels = OdometrySensor(
-        "wheels", PosePath(times, np.zeros((count, 3)), np.tile([0.0, 0, 0, 1], (count, 1)))
-    )
+    wheels = OdometrySensor("wheels", Poses(times, np.zeros((count, 3)), np.tile([0.0, 0, 0, 1], (count, 1))))
     outputs = FusionOutputs(scene=tmp_path / "part.sfs", profile="scale")
     fuse(replace(drive, sensors=(*drive.sensors, wheels)), start=0.1, outputs=outputs)
     header = decode_sfs((tmp_path / "part.sfs").read_bytes())
-    # this profile has no place for frames that begin more than 100 s after the clock's zero
+    # this profile has no field for frames that begin more than 100 s after the clock's zero
     assert [sensor["id"] for sensor in header["sensors"]] == ["lidar", "camera0", "camera1"]
     with sceneloom.open(tmp_path / "part.sfs") as scene:
         np.testing.assert_allclose(scene.sensor(EGO_ID).poses.positions[0], 0, atol=1e-12)
@@ -133,7 +133,7 @@ def test_a_part_stands_at_its_own_origin_and_begins_its_own_clock(
 
 @pytest.mark.parametrize("form", ["png", "npz"])
 def test_depth_images_hold_the_views_depths(drive: Scene, tmp_path: Path, form: str) -> None:
-    report = fuse(drive, outputs=FusionOutputs(depth=tmp_path / "depth", depth_form=form))
+    report = fuse(drive, outputs=FusionOutputs(depth=tmp_path / "depth", depth_format=form))
     assert report.files == {"depth images": 8}
     index = [json.loads(line) for line in (tmp_path / "depth" / "index.jsonl").read_text().splitlines()]
     for frame in iter_fused(drive):
@@ -144,7 +144,7 @@ def test_depth_images_hold_the_views_depths(drive: Scene, tmp_path: Path, form: 
                 "lidar": "lidar",
                 "sweep_ns": frame.timestamp_ns,
                 "camera": view.camera_id,
-                "picture_ns": view.timestamp_ns,
+                "image_ns": view.timestamp_ns,
             }
             stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if form == "png" else np.load(path)["depth"]
             depth = stored / 256 if form == "png" else stored
@@ -152,9 +152,9 @@ def test_depth_images_hold_the_views_depths(drive: Scene, tmp_path: Path, form: 
             np.testing.assert_allclose(depth, view.depth_image, atol=0 if form == "npz" else 0.5 / 256 + 1e-6)
 
 
-def test_pictures_are_drawn_of_chosen_sweeps(drive: Scene, tmp_path: Path) -> None:
-    outputs = FusionOutputs(pictures=tmp_path / "look", pictures_every=3)
-    assert fuse(drive, outputs=outputs).files == {"pictures": 14}
+def test_images_are_drawn_of_chosen_sweeps(drive: Scene, tmp_path: Path) -> None:
+    outputs = FusionOutputs(images=tmp_path / "look", images_every=3)
+    assert fuse(drive, outputs=outputs).files == {"images": 14}
     names = sorted(path.name for path in (tmp_path / "look").iterdir())
     assert {name.split("_")[1] for name in names if name.startswith("camera")} == {"000000", "000003"}
     assert {"cloud_drive_above.png", "cloud_drive_perspective.png"} <= set(names)
@@ -170,9 +170,7 @@ def test_a_failure_in_the_middle_leaves_no_output(drive: Scene, tmp_path: Path) 
         return frames[index]
 
     broken = with_lidar(drive, frames=LazyFrames(frames.timestamps_ns, read))
-    outputs = FusionOutputs(
-        scene=tmp_path / "drive.sfs", depth=tmp_path / "depth", pictures=tmp_path / "look"
-    )
+    outputs = FusionOutputs(scene=tmp_path / "drive.sfs", depth=tmp_path / "depth", images=tmp_path / "look")
     with pytest.raises(DataError, match="multiple of 23"):
         fuse(broken, outputs=outputs)
     assert list(tmp_path.iterdir()) == []
@@ -182,11 +180,14 @@ def test_a_failure_in_the_middle_leaves_no_output(drive: Scene, tmp_path: Path) 
 
 
 def test_sweeps_beyond_the_trajectory_are_kept_unfused_and_counted(drive: Scene, tmp_path: Path) -> None:
-    way = drive.trajectories["groundTruth"]
+    trajectory = drive.trajectories["groundTruth"]
     stop = drive.lidars[0].frames.timestamps_ns[1] + 60_000_000
-    part = way.timestamps_ns <= stop
+    part = trajectory.timestamps_ns <= stop
     short = Trajectory(
-        "groundTruth", way.timestamps_ns[part], way.positions[part], way.quaternions_xyzw[part]
+        "groundTruth",
+        trajectory.timestamps_ns[part],
+        trajectory.positions[part],
+        trajectory.quaternions_xyzw[part],
     )
     report = fuse(replace(drive, trajectories={"groundTruth": short}), tmp_path / "drive.sfs")
     # the second sweep ends 40 ms beyond the last pose, the third 140 ms: beyond the reach of one sweep period
@@ -202,10 +203,13 @@ def test_sweeps_beyond_the_trajectory_are_kept_unfused_and_counted(drive: Scene,
 def test_sweeps_that_needed_poses_beyond_the_trajectory_are_marked_in_the_file(
     drive: Scene, tmp_path: Path
 ) -> None:
-    way, frames = drive.trajectories["groundTruth"], drive.lidars[0].frames
-    part = way.timestamps_ns <= frames.timestamps_ns[-1] + 60_000_000
+    trajectory, frames = drive.trajectories["groundTruth"], drive.lidars[0].frames
+    part = trajectory.timestamps_ns <= frames.timestamps_ns[-1] + 60_000_000
     short = Trajectory(
-        "groundTruth", way.timestamps_ns[part], way.positions[part], way.quaternions_xyzw[part]
+        "groundTruth",
+        trajectory.timestamps_ns[part],
+        trajectory.positions[part],
+        trajectory.quaternions_xyzw[part],
     )
     report = fuse(replace(drive, trajectories={"groundTruth": short}), tmp_path / "drive.sfs")
     assert report.extrapolated == 1
@@ -215,7 +219,7 @@ def test_sweeps_that_needed_poses_beyond_the_trajectory_are_marked_in_the_file(
         assert scene.metadata["sceneloom"]["extrapolated"] == marks
 
 
-def test_a_sweep_starts_with_its_first_point_and_what_that_moved_is_told(
+def test_a_sweep_starts_with_its_first_point_and_what_that_moved_is_reported(
     drive: Scene, tmp_path: Path
 ) -> None:
     frames = drive.lidars[0].frames
@@ -235,7 +239,7 @@ def test_a_sweep_starts_with_its_first_point_and_what_that_moved_is_told(
             assert frame.extras["label"] == f"sweep {index}"
 
 
-def test_points_that_all_bear_a_far_time_are_taken_as_of_the_sweeps_own_and_that_is_told(
+def test_points_that_all_bear_a_far_time_are_taken_as_of_the_sweeps_own_and_that_is_reported(
     drive: Scene, tmp_path: Path
 ) -> None:
     frames = drive.lidars[0].frames
@@ -247,27 +251,27 @@ def test_points_that_all_bear_a_far_time_are_taken_as_of_the_sweeps_own_and_that
 
     report = fuse(with_lidar(drive, frames=LazyFrames(frames.timestamps_ns, read)), tmp_path / "drive.sfs")
     assert report.fused == 4
-    assert [(notice.code, notice.count) for notice in report.notices] == [("times-of-points", 4)]
+    assert [(warning.code, warning.count) for warning in report.warnings] == [("times-of-points", 4)]
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
         np.testing.assert_array_equal(scene.lidars[0].frames.timestamps_ns, frames.timestamps_ns)
         assert scene.lidars[0].frames[0].points.timestamps_ns is None
 
 
-def test_points_without_times_are_told_where_the_ego_moves(drive: Scene) -> None:
+def test_points_without_times_are_reported_where_the_ego_moves(drive: Scene) -> None:
     frames = drive.lidars[0].frames
 
     def read(index: int) -> LidarFrame:
         return replace(frames[index], points=replace(frames[index].points, timestamps_ns=None))
 
     timeless = with_lidar(drive, frames=LazyFrames(frames.timestamps_ns, read))
-    told = [(notice.code, notice.count) for notice in fuse(timeless).notices]
-    assert told == [("no-point-times", 4)]
-    assert not fuse(timeless, trajectory="identity").notices
-    assert not fuse(with_lidar(timeless, points_frame=PointsFrame.WORLD)).notices
+    reported = [(warning.code, warning.count) for warning in fuse(timeless).warnings]
+    assert reported == [("no-point-times", 4)]
+    assert not fuse(timeless, trajectory="identity").warnings
+    assert not fuse(with_lidar(timeless, points_frame=PointsFrame.WORLD)).warnings
 
 
 @pytest.mark.parametrize("microseconds", [False, True])
-def test_point_times_from_zero_or_in_another_unit_give_the_same_scene_and_are_told(
+def test_point_times_from_zero_or_in_another_unit_give_the_same_scene_and_are_reported(
     drive: Scene, tmp_path: Path, microseconds: bool
 ) -> None:
     frames = drive.lidars[0].frames
@@ -279,27 +283,27 @@ def test_point_times_from_zero_or_in_another_unit_give_the_same_scene_and_are_to
         return replace(frame, points=replace(frame.points, timestamps_ns=times))
 
     fuse(drive, tmp_path / "sound.sfs")
-    told = fuse(
+    reported = fuse(
         with_lidar(drive, frames=LazyFrames(frames.timestamps_ns, read)), tmp_path / "odd.sfs"
-    ).notices
+    ).warnings
     code = "unit-of-point-times" if microseconds else "relative-point-times"
-    assert [(notice.code, notice.count) for notice in told] == [(code, 4)]
+    assert [(warning.code, warning.count) for warning in reported] == [(code, 4)]
     with sceneloom.open(tmp_path / "sound.sfs") as sound, sceneloom.open(tmp_path / "odd.sfs") as odd:
         for one, other in zip(sound.lidars[0].frames, odd.lidars[0].frames, strict=True):
             # a microsecond's rounding at 10 m/s
             np.testing.assert_allclose(one.points.positions, other.points.positions, atol=2e-5)
 
 
-def test_a_picture_that_cannot_be_read_is_passed_over_in_every_output(drive: Scene, tmp_path: Path) -> None:
-    pictures = drive.cameras[0].pictures
+def test_an_image_that_cannot_be_read_is_passed_over_in_every_output(drive: Scene, tmp_path: Path) -> None:
+    images = drive.cameras[0].images
 
     def broken() -> np.ndarray:
         raise DataError("frames1", "00000001.png", "cannot be decoded")
 
-    def read(index: int) -> Picture:
-        return replace(pictures[index], decode=broken) if index == 1 else pictures[index]
+    def read(index: int) -> CameraImage:
+        return replace(images[index], decode=broken) if index == 1 else images[index]
 
-    camera = replace(drive.cameras[0], pictures=LazyFrames(pictures.timestamps_ns, read), video=None)
+    camera = replace(drive.cameras[0], images=LazyFrames(images.timestamps_ns, read), video=None)
     damaged = replace(drive, sensors=(camera, drive.cameras[1], *drive.lidars))
     with pytest.raises(DataError, match=r"00000001\.png"):
         fuse(damaged, tmp_path / "drive.sfs")
@@ -307,16 +311,16 @@ def test_a_picture_that_cannot_be_read_is_passed_over_in_every_output(drive: Sce
     assert report.skipped == ("frames1: 00000001.png: cannot be decoded",)
     assert (report.cameras[0].paired, report.cameras[0].unpaired) == (3, 1)
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
-        kept = scene.sensor(camera.id).pictures.timestamps_ns
-        np.testing.assert_array_equal(kept // 1000, pictures.timestamps_ns[[0, 2, 3]] // 1000)
+        kept = scene.sensor(camera.id).images.timestamps_ns
+        np.testing.assert_array_equal(kept // 1000, images.timestamps_ns[[0, 2, 3]] // 1000)
 
 
 def test_files_of_lidars_and_cameras_of_like_names_stand_apart(drive: Scene, tmp_path: Path) -> None:
     lidar, camera = drive.lidars[0], drive.cameras[0]
     sensors = [replace(lidar, id=1), replace(lidar, id="1"), replace(camera, id="A"), replace(camera, id="a")]
-    outputs = FusionOutputs(depth=tmp_path / "depth", pictures=tmp_path / "look", pictures_every=4)
+    outputs = FusionOutputs(depth=tmp_path / "depth", images=tmp_path / "look", images_every=4)
     report = fuse(replace(drive, sensors=tuple(sensors)), outputs=outputs)
-    assert report.files == {"depth images": 16, "pictures": 14}
+    assert report.files == {"depth images": 16, "images": 14}
     folders = {str(path.parent.relative_to(tmp_path)) for path in tmp_path.rglob("*.png")}
     assert folders == {
         "depth/1/A",
@@ -341,7 +345,7 @@ def test_one_name_for_a_file_and_a_folder_is_refused_before_anything_is_made(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_fused_again_tells_by_what_it_was_placed_first(drive: Scene, tmp_path: Path) -> None:
+def test_what_is_fused_again_reports_by_what_it_was_placed_first(drive: Scene, tmp_path: Path) -> None:
     fuse(drive, tmp_path / "once.sfs")
     with sceneloom.open(tmp_path / "once.sfs") as once:
         first = once.metadata["sceneloom"]["fusion"]
@@ -358,25 +362,25 @@ def test_a_drive_without_trajectory_is_placed_by_its_sweeps_and_the_scene_says_s
 ) -> None:
     sensors = tuple(sensor for sensor in drive.sensors if not isinstance(sensor, GnssSensor))
     lost = replace(drive, trajectories={}, sensors=sensors)
-    told: list[tuple[int, int]] = []
-    report = fuse(lost, tmp_path / "found.sfs", progress=lambda done, total: told.append((done, total)))
+    reported: list[tuple[int, int]] = []
+    report = fuse(lost, tmp_path / "found.sfs", progress=lambda done, total: reported.append((done, total)))
     assert report.trajectory == "lidar"
     assert (report.fused, report.extrapolated) == (4, 0)
-    assert "trajectory-from-lidar" in {notice.code for notice in report.notices}
-    assert told == [(done, 8) for done in range(1, 9)]
+    assert "trajectory-from-lidar" in {warning.code for warning in report.warnings}
+    assert reported == [(done, 8) for done in range(1, 9)]
     with sceneloom.open(tmp_path / "found.sfs") as found:
         assert next(iter(found.trajectories)) == "lidar"
         assert found.metadata["sceneloom"]["fusion"]["trajectory"] == "lidar"
-        way = found.trajectories["lidar"]
-        assert way.covariances is not None
-        truth = drive.trajectories["groundTruth"].poses.interpolate(way.timestamps_ns[[0, -1]])
+        trajectory = found.trajectories["lidar"]
+        assert trajectory.covariances is not None
+        truth = drive.trajectories["groundTruth"].poses.interpolate(trajectory.timestamps_ns[[0, -1]])
         moved = np.linalg.norm(truth.positions[1] - truth.positions[0])
         # 2 cm of range noise on thousands of points, over four sweeps
-        assert abs(np.linalg.norm(way.positions[-1] - way.positions[0]) - moved) < 0.03
+        assert abs(np.linalg.norm(trajectory.positions[-1] - trajectory.positions[0]) - moved) < 0.03
 
 
-def test_a_way_found_by_the_lidar_begins_where_a_recorded_one_says(drive: Scene) -> None:
-    found, recorded = weave(drive, trajectory="lidar"), weave(drive)
+def test_a_trajectory_found_by_the_lidar_begins_where_a_recorded_one_says(drive: Scene) -> None:
+    found, recorded = align(drive, trajectory="lidar"), align(drive)
     assert found.ego is not None
     assert recorded.ego is not None
     first_ns = found.ego.path.timestamps_ns[:1]
@@ -390,35 +394,37 @@ def test_a_way_found_by_the_lidar_begins_where_a_recorded_one_says(drive: Scene)
 def test_a_trajectory_on_another_clock_is_an_error_that_leaves_nothing_behind(
     drive: Scene, tmp_path: Path
 ) -> None:
-    way = drive.trajectories["groundTruth"]
-    elsewhere = replace(way, timestamps_ns=way.timestamps_ns + 10**15)
+    trajectory = drive.trajectories["groundTruth"]
+    elsewhere = replace(trajectory, timestamps_ns=trajectory.timestamps_ns + 10**15)
     lost = replace(drive, trajectories={"groundTruth": elsewhere})
     with pytest.raises(PoseError, match="none of 4 sweeps could be fused: beyond the trajectory"):
         fuse(lost, tmp_path / "drive.sfs")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_output_that_exists_is_told_before_the_way_is_found(drive: Scene, tmp_path: Path) -> None:
+def test_an_output_that_exists_is_reported_before_the_trajectory_is_found(
+    drive: Scene, tmp_path: Path
+) -> None:
     (tmp_path / "drive.sfs").write_bytes(b"mine")
-    told: list[int] = []
+    reported: list[int] = []
     with pytest.raises(OutputError, match="exists already"):
         fuse(
             replace(drive, trajectories={}),
             tmp_path / "drive.sfs",
-            progress=lambda done, _total: told.append(done),
+            progress=lambda done, _total: reported.append(done),
         )
-    assert told == []
+    assert reported == []
 
 
-def test_points_whose_place_is_not_finite_are_counted(drive: Scene) -> None:
+def test_points_whose_location_is_not_finite_are_counted(drive: Scene) -> None:
     frames = list(drive.lidars[0].frames)
     positions = frames[1].points.positions.copy()
     positions[:7] = np.nan
     frames[1] = replace(frames[1], points=replace(frames[1].points, positions=positions))
     lidar = replace(drive.lidars[0], frames=LazyFrames.of(frames, [frame.timestamp_ns for frame in frames]))
     report = fuse(replace(drive, sensors=(*drive.cameras, lidar)))
-    assert {notice.code: notice.count for notice in report.notices}["points-not-finite"] == 7
-    assert "points-not-finite" not in {notice.code for notice in fuse(drive).notices}
+    assert {warning.code: warning.count for warning in report.warnings}["points-not-finite"] == 7
+    assert "points-not-finite" not in {warning.code for warning in fuse(drive).warnings}
 
 
 def test_a_drive_with_neither_trajectory_nor_lidar_says_what_to_do(drive: Scene) -> None:
@@ -481,7 +487,7 @@ def test_outputs_that_exist_are_refused_before_anything_is_read(drive: Scene, tm
 
 
 @pytest.mark.parametrize(
-    "outputs", [FusionOutputs(depth_form="tiff"), FusionOutputs(pictures_every=0)], ids=["form", "every"]
+    "outputs", [FusionOutputs(depth_format="tiff"), FusionOutputs(images_every=0)], ids=["form", "every"]
 )
 def test_settings_that_cannot_be_followed_are_refused(drive: Scene, outputs: FusionOutputs) -> None:
     with pytest.raises(OptionError, match="expected"):

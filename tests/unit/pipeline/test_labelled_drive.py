@@ -38,18 +38,18 @@ def a_car(times_ns, centers):
 
 def drive_along(scene, path):
     lidar = scene.lidars[0]
-    source = sensor_source(scene, lidar, EgoMotion("way", path), reach_ns=10**8)
+    source = sensor_source(scene, lidar, EgoMotion("trajectory", path), reach_ns=10**8)
     return DetectedDrive("street", lidar.id, source, (), {})
 
 
-def test_a_way_that_tracking_found_goes_into_the_file_and_labels_lie_in_its_world(simulated, tmp_path):
+def test_a_trajectory_that_tracking_found_goes_into_the_file_and_labels_lie_in_its_world(simulated, tmp_path):
     scene = replace(simulated.scene, annotations=(), trajectories={})
-    way = next(iter(simulated.scene.trajectories.values())).poses
-    drive = drive_along(scene, way)
+    trajectory = next(iter(simulated.scene.trajectories.values())).poses
+    drive = drive_along(scene, trajectory)
     times = simulated.truth.lidar.timestamps_ns + 50_000_000
-    # a car 10 m to the left of the ego's way, as whoever followed the sweeps along that way has it
-    places = way.interpolate(times).positions + np.array([0.0, 10.0, 0.8])
-    labelled = label_drive(scene, drive, Tracks((a_car(times, places),)))
+    # a car 10 m to the left of the ego trajectory, as whoever followed the sweeps along that way has it
+    locations = trajectory.interpolate(times).positions + np.array([0.0, 10.0, 0.8])
+    labelled = label_drive(scene, drive, Tracks((a_car(times, locations),)))
     assert list(labelled.scene.trajectories) == [FOLLOWED]
     sceneloom.write(labelled.scene, tmp_path / "labels.sfs")
     with sceneloom.open(tmp_path / "labels.sfs") as read:
@@ -62,10 +62,10 @@ def test_a_way_that_tracking_found_goes_into_the_file_and_labels_lie_in_its_worl
         )  # the mounting, and half a sweep of driving
 
 
-def test_a_way_that_the_scene_has_becomes_its_default_one(simulated):
+def test_a_trajectory_that_the_scene_has_becomes_its_default_one(simulated):
     (name,) = simulated.scene.trajectories
-    way = simulated.scene.trajectories[name]
-    wrong = replace(way, name="other", positions=way.positions + 5.0)
-    scene = replace(simulated.scene, annotations=(), trajectories={"other": wrong, name: way})
-    labelled = label_drive(scene, drive_along(scene, way.poses), Tracks(()))
+    trajectory = simulated.scene.trajectories[name]
+    wrong = replace(trajectory, name="other", positions=trajectory.positions + 5.0)
+    scene = replace(simulated.scene, annotations=(), trajectories={"other": wrong, name: trajectory})
+    labelled = label_drive(scene, drive_along(scene, trajectory.poses), Tracks(()))
     assert list(labelled.scene.trajectories) == [name, "other"]

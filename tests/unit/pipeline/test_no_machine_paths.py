@@ -6,7 +6,7 @@ import pytest
 
 import sceneloom
 from sceneloom.redaction import without_folders
-from sceneloom.scene import Notice, NoticeKind
+from sceneloom.scene import DataWarning, WarningKind
 
 TARGETS = {
     "sfs": ".sfs",
@@ -42,18 +42,18 @@ def test_no_target_holds_the_folder_of_its_source(source, target, tmp_path):
         assert b"secret-home" not in path.read_bytes(), path
 
 
-def test_an_assumption_names_the_drive_alone_and_what_was_repaired_is_not_told_again(source, tmp_path):
-    repaired = Notice(
-        kind=NoticeKind.REPAIRED, code="poses-sorted", place=f"{source}/oxts.txt", message="sorted"
+def test_an_assumption_names_the_drive_alone_and_what_was_repaired_is_not_reported_again(source, tmp_path):
+    repaired = DataWarning(
+        kind=WarningKind.REPAIRED, code="poses-sorted", location=f"{source}/oxts.txt", message="sorted"
     )
     with sceneloom.open(source) as scene:
-        told = replace(scene, notices=(*scene.notices, repaired))
-        sceneloom.write(told, tmp_path / "b.sfs")
+        reported = replace(scene, warnings=(*scene.warnings, repaired))
+        sceneloom.write(reported, tmp_path / "b.sfs")
     with sceneloom.open(tmp_path / "b.sfs") as again:
-        places = [n.place for n in again.notices if n.code == "frames-apart"]
-        assert places
-        assert not any("secret-home" in place for place in places)
-        assert "poses-sorted" not in {n.code for n in again.notices}
+        locations = [n.location for n in again.warnings if n.code == "frames-apart"]
+        assert locations
+        assert not any("secret-home" in location for location in locations)
+        assert "poses-sorted" not in {n.code for n in again.warnings}
 
 
 @pytest.mark.parametrize(

@@ -14,16 +14,16 @@ from sceneloom.cameras.models import project
 from sceneloom.colouring import FusedView
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline import iter_fused
-from sceneloom.scene import Coordinates, LazyFrames, PosePath, Scene
+from sceneloom.scene import Coordinates, LazyFrames, Poses, Scene
 from sceneloom.simulate import CameraSpec, LidarSpec, PathSpec, SimulatedDrive, camera_mount, simulate_street
 from sceneloom.simulate.mounts import sensor_mount
 
-LENS = Camera("brown_conrady", 640, 360, 400.0, 400.0, 319.5, 179.5, (-0.12, 0.04, 0.0004, -0.0003))
+CAMERA_MODEL = Camera("brown_conrady", 640, 360, 400.0, 400.0, 319.5, 179.5, (-0.12, 0.04, 0.0004, -0.0003))
 LIDAR = LidarSpec(beams=16, elevations_deg=(-20.0, 5.0), steps=600, range_sigma=0.0)
-FAST = PathSpec(speeds=(12.0, 15.0), turn_rate=0.5)
+FAST = PathSpec(speeds=(12.0, 15.0), yaw_rate=0.5)
 ROLLING = (
-    CameraSpec(LENS, camera_mount(yaw_deg=50.0), readout_ns=33_000_000),
-    CameraSpec(LENS, camera_mount(yaw_deg=-60.0), readout_ns=33_000_000, left_to_right=True),
+    CameraSpec(CAMERA_MODEL, camera_mount(yaw_deg=50.0), readout_ns=33_000_000),
+    CameraSpec(CAMERA_MODEL, camera_mount(yaw_deg=-60.0), readout_ns=33_000_000, left_to_right=True),
 )
 
 
@@ -35,7 +35,7 @@ def rolling_drive(keep: Callable[[Scene], Scene]) -> SimulatedDrive:
 
 
 def true_pixels(drive: SimulatedDrive, view: FusedView, k: int) -> np.ndarray:
-    """Where the lines of a picture see the points of a view: between the exact poses of the two nearest lines."""
+    """Where the lines of an image see the points of a view: between the exact poses of the two nearest lines."""
     camera = drive.truth.cameras[view.camera_id]
     rotations, origins = camera.line_poses(k)
     into_truth = drive.truth.world_from_camera(view.camera_id, k) @ view.world_from_camera.inverse()
@@ -98,12 +98,12 @@ def test_without_motion_a_rolling_shutter_takes_its_lines_at_once(rolling_drive:
 
 
 def test_several_lidars_and_cameras_make_one_cloud() -> None:
-    """Each lidar's sweep is fused with the pictures nearest to it, and all points meet in one world."""
+    """Each lidar's sweep is fused with the images nearest to it, and all points meet in one world."""
     lidars = [
         replace(LIDAR, mount=sensor_mount(position=(1.0, 0.5, 1.9), yaw_deg=20.0)),
         replace(LIDAR, mount=sensor_mount(position=(-1.0, -0.5, 1.7), yaw_deg=-100.0), offset_ns=30_000_000),
     ]
-    cameras = [CameraSpec(LENS, camera_mount(yaw_deg=yaw)) for yaw in (0.0, 90.0, 180.0)]
+    cameras = [CameraSpec(CAMERA_MODEL, camera_mount(yaw_deg=yaw)) for yaw in (0.0, 90.0, 180.0)]
     drive = simulate_street(2, frames=2, lidars=lidars, cameras=cameras, path=FAST, trajectory_hz=500.0)
     indices: dict[str | int, int] = {}
     for fused in iter_fused(drive.scene):
@@ -111,9 +111,7 @@ def test_several_lidars_and_cameras_make_one_cloud() -> None:
         indices[fused.lidar_id] = k + 1
         sweep = drive.truth.sweep(k, str(fused.lidar_id))
         view = fused.views[0]
-        number = int(
-            np.flatnonzero(drive.scene.cameras[0].pictures.timestamps_ns == view.timestamp_ns).item()
-        )
+        number = int(np.flatnonzero(drive.scene.cameras[0].images.timestamps_ns == view.timestamp_ns).item())
         true_pose = drive.truth.world_from_camera(view.camera_id, number)
         world = (view.world_from_camera @ true_pose.inverse()).apply(sweep.points_world)
         # Chords of the trajectory, float32.
@@ -125,24 +123,24 @@ def test_several_lidars_and_cameras_make_one_cloud() -> None:
 
 
 def test_mountings_may_change_from_frame_to_frame() -> None:
-    """A camera whose mounting is told with each picture, and a lidar on a mast that swings, by poses on the ego."""
+    """A camera whose mounting is reported with each image, and a lidar on a mast that swings, by poses on the ego."""
     drive = simulate_street(
-        2, frames=3, lidar=LIDAR, cameras=(CameraSpec(LENS),), path=FAST, trajectory_hz=500.0
+        2, frames=3, lidar=LIDAR, cameras=(CameraSpec(CAMERA_MODEL),), path=FAST, trajectory_hz=500.0
     )
     (camera,), (lidar,) = drive.scene.cameras, drive.scene.lidars
     assert camera.mount is not None
     assert lidar.mount is not None
-    turns = [
+    rotations = [
         RigidTransform(Rotation.from_euler("z", 5 * k, degrees=True).as_matrix(), np.zeros(3))
         for k in range(3)
     ]
-    pictures = [replace(picture, mount=turns[k] @ camera.mount) for k, picture in enumerate(camera.pictures)]
-    swinging = LazyFrames(camera.pictures.timestamps_ns, lambda k: pictures[k])
+    images = [replace(image, mount=rotations[k] @ camera.mount) for k, image in enumerate(camera.images)]
+    swinging = LazyFrames(camera.images.timestamps_ns, lambda k: images[k])
     (trajectory,) = drive.scene.trajectories.values()
     start, stop = trajectory.poses.start_ns, trajectory.poses.stop_ns
     times = np.linspace(start, stop, 50).astype(np.int64)
     swing = Rotation.from_euler("z", np.linspace(0, 20, 50)[:, None], degrees=True)
-    mast = PosePath(
+    mast = Poses(
         times,
         np.tile(lidar.mount.translation, (50, 1)),
         (swing * Rotation.from_matrix(lidar.mount.rotation)).as_quat(),
@@ -150,7 +148,7 @@ def test_mountings_may_change_from_frame_to_frame() -> None:
     scene = replace(
         drive.scene,
         sensors=tuple(
-            replace(sensor, pictures=swinging)
+            replace(sensor, images=swinging)
             if sensor is camera
             else replace(sensor, poses=mast, mount=None, coordinates=Coordinates.EGO)
             if sensor is lidar
@@ -160,7 +158,7 @@ def test_mountings_may_change_from_frame_to_frame() -> None:
     )
     for k, (fused, plain) in enumerate(zip(iter_fused(scene), iter_fused(drive.scene), strict=True)):
         ego = plain.views[0].world_from_camera @ camera.mount.inverse()
-        expected = ego @ turns[k] @ camera.mount
+        expected = ego @ rotations[k] @ camera.mount
         np.testing.assert_allclose(fused.views[0].world_from_camera.matrix, expected.matrix, atol=1e-12)
         at = lidar.frames[k].points.timestamps_ns
         path = trajectory.poses.interpolate(at)

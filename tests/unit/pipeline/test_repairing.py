@@ -31,24 +31,24 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def repair_of(scene: Scene) -> Repair:
     frame = calibration_frames(scene, most=1)[0]
-    lens = replace(frame.camera, fx=frame.camera.fx * 1.01, fy=frame.camera.fy * 1.01)
+    camera_model = replace(frame.camera, fx=frame.camera.fx * 1.01, fy=frame.camera.fy * 1.01)
     repaired = moved_by(frame.camera_from_lidar, STEP)
-    return Repair(frame.camera_id, frame.lidar_id, frame.camera_from_lidar, repaired, lens, 0.02)
+    return Repair(frame.camera_id, frame.lidar_id, frame.camera_from_lidar, repaired, camera_model, 0.02)
 
 
-def test_a_recording_with_the_new_calibration_has_the_repaired_mounting_and_lens(
+def test_a_recording_with_the_new_calibration_has_the_repaired_mounting_and_camera_model(
     recording: Path, tmp_path: Path
 ) -> None:
-    mended = tmp_path / "mended"
-    shutil.copytree(recording, mended)
+    repaired = tmp_path / "repaired"
+    shutil.copytree(recording, repaired)
     with sceneloom.open(recording) as scene:
         repair = repair_of(scene)
-        write_calibration(scene, repair, mended / "calibration.json", overwrite=True)
-    with sceneloom.open(mended) as scene:
+        write_calibration(scene, repair, repaired / "calibration.json", overwrite=True)
+    with sceneloom.open(repaired) as scene:
         frame = calibration_frames(scene, most=1)[0]
     np.testing.assert_allclose(step_between(frame.camera_from_lidar, repair.repaired), 0.0, atol=1e-9)
     assert frame.camera == repair.camera
-    entry = json.loads((mended / "calibration.json").read_text())["cameras"][0]
+    entry = json.loads((repaired / "calibration.json").read_text())["cameras"][0]
     assert entry["imuToCameraShiftSeconds"] == pytest.approx(0.02)
 
 

@@ -1,4 +1,4 @@
-"""The clocks of a whole drive: found, told, corrected, and in step afterwards."""
+"""The clocks of a whole drive: found, reported, corrected, and in step afterwards."""
 
 from dataclasses import replace
 
@@ -28,8 +28,8 @@ def wrong(drive) -> Scene:
     """The trajectory 30 ms late, the receiver 400 ms early and 150 ppm too fast."""
     faults = {"gnss": SensorFaults(time_offset_ns=-400_000_000, clock_skew_ppm=150.0)}
     scene = plant(drive, Faults(faults)).scene
-    way = scene.trajectories["groundTruth"]
-    late = replace(way, timestamps_ns=way.timestamps_ns + 30_000_000)
+    trajectory = scene.trajectories["groundTruth"]
+    late = replace(trajectory, timestamps_ns=trajectory.timestamps_ns + 30_000_000)
     return replace(scene, trajectories={"groundTruth": late})
 
 
@@ -44,12 +44,12 @@ def report(wrong, corrected):
     return sync(wrong, corrected, streams=CHEAP)
 
 
-def test_planted_offsets_are_told_against_the_imu(report):
+def test_injected_offsets_are_reported_against_the_imu(report):
     assert report.reference == "imu"
     assert set(report.off) == {"groundTruth", "gnss"}
-    way, receiver = (report.comparison(name).estimate for name in ("groundTruth", "gnss"))
+    trajectory, receiver = (report.comparison(name).estimate for name in ("groundTruth", "gnss"))
     # asked for are 5 ms
-    assert way.offset_ns == pytest.approx(3e7, abs=2e6)
+    assert trajectory.offset_ns == pytest.approx(3e7, abs=2e6)
     assert abs(receiver.offset_ns + 4e8) < 4 * receiver.offset_sigma_ns
 
 
@@ -78,17 +78,17 @@ def test_the_corrected_drive_is_in_step_and_says_what_was_done(report, drive, co
         )
 
 
-def test_corrections_stand_in_notices_and_metadata(wrong):
+def test_corrections_stand_in_warnings_and_metadata(wrong):
     correction = AppliedCorrection(stream="groundTruth", offset_ns=3e7, skew_ppm=0.0, at_ns=0)
     changed = corrected_scene(wrong, [correction], reference="imu")
-    notice = changed.notices[-1]
-    assert (notice.code, notice.place) == ("clock-corrected", "groundTruth")
-    assert "-30.000 ms" in notice.message
+    warning = changed.warnings[-1]
+    assert (warning.code, warning.location) == ("clock-corrected", "groundTruth")
+    assert "-30.000 ms" in warning.message
     assert changed.metadata["sceneloom"]["clocks"][0]["offset_ns"] == 3e7
     assert corrected_scene(wrong, []) is wrong
 
 
-def test_another_reference_turns_the_signs(wrong):
+def test_another_reference_rotates_the_signs(wrong):
     report = sync(wrong, reference="groundTruth", streams=("imu",))
     assert report.reference == "groundTruth"
     assert report.comparison("imu").estimate.offset_ns == pytest.approx(-3e7, abs=2e6)
@@ -118,10 +118,10 @@ def test_a_lidar_is_compared_by_its_odometry():
     faults = Faults({"lidar": SensorFaults(time_offset_ns=30_000_000)})
     lidar = LidarSpec(beams=24, steps=360)
     scene = simulate_street(2, frames=70, lidar=lidar, cameras=(), faults=faults).scene
-    told = []
-    report = sync(scene, streams=("lidar",), progress=lambda done, total: told.append((done, total)))
+    reported = []
+    report = sync(scene, streams=("lidar",), progress=lambda done, total: reported.append((done, total)))
     found = report.comparison("lidar").estimate
     assert found.verdict is ClockVerdict.OFF
     # asked for are 5 ms
     assert found.offset_ns == pytest.approx(3e7, abs=5e6)
-    assert told[-1] == (70, 70)
+    assert reported[-1] == (70, 70)

@@ -1,4 +1,4 @@
-"""A small made-up drive with planted gaps, and the report of it, made once."""
+"""A small synthetic drive with injected gaps, and the report of it, made once."""
 
 from datetime import datetime, timedelta, timezone
 
@@ -11,6 +11,7 @@ from sceneloom.report.collecting import Collected, collect
 from sceneloom.report.page.rendering import render_page
 from sceneloom.report.settings import ReportSettings
 from sceneloom.scene import (
+    CameraImage,
     CameraSensor,
     CuboidAnnotation,
     CuboidPath,
@@ -18,8 +19,7 @@ from sceneloom.scene import (
     LidarFrame,
     LidarPoints,
     LidarSensor,
-    Picture,
-    PosePath,
+    Poses,
     Scene,
     Trajectory,
 )
@@ -28,23 +28,23 @@ from sceneloom.simulate import Faults, SensorFaults, SimulatedDrive, camera_moun
 MADE = datetime(2024, 5, 6, 9, 8, 9, tzinfo=timezone(timedelta(hours=2)))
 T0 = 1_000_000_000
 LOST = (4, 5, 11)
-"""Numbers of the pictures that are lost: two gaps, three pictures."""
+"""Numbers of the images that are lost: two gaps, three images."""
 
 
 @pytest.fixture(scope="session")
 def drive() -> SimulatedDrive:
-    """Sixteen sweeps, and a camera that loses three of its pictures; none of them is made."""
+    """Sixteen sweeps, and a camera that loses three of its images; none of them is made."""
     return simulate_street(1, frames=16, faults=Faults({"camera0": SensorFaults(lost_frames=LOST)}))
 
 
 @pytest.fixture(scope="session")
 def short() -> Scene:
-    """Four sweeps of a wall ahead and of the ground, pictures of a camera, a straight way, and two boxes."""
+    """Four sweeps of a wall ahead and of the ground, images of a camera, a straight trajectory, and two boxes."""
     times = T0 + np.arange(4) * 100_000_000
-    way = PosePath(times, np.outer(np.arange(4), [0.5, 0.0, 0.0]), np.tile([0.0, 0.0, 0.0, 1.0], (4, 1)))
-    lens = Camera("pinhole", 120, 80, 60.0, 60.0, 59.5, 39.5)
+    trajectory = Poses(times, np.outer(np.arange(4), [0.5, 0.0, 0.0]), np.tile([0.0, 0.0, 0.0, 1.0], (4, 1)))
+    camera_model = Camera("pinhole", 120, 80, 60.0, 60.0, 59.5, 39.5)
     noise = np.random.default_rng(3).integers(0, 255, (80, 120, 3), np.uint8)
-    pictures = LazyFrames.of([Picture.of(int(t), lens, noise) for t in times], times.tolist())
+    images = LazyFrames.of([CameraImage.of(int(t), camera_model, noise) for t in times], times.tolist())
     sweeps = LazyFrames.of(
         [LidarFrame(int(t), LidarPoints(wall_and_ground())) for t in times], times.tolist()
     )
@@ -57,10 +57,14 @@ def short() -> Scene:
     return Scene(
         (
             LidarSensor("lidar", sweeps, mount=RigidTransform(np.eye(3), np.array([0.0, 0.0, 2.0]))),
-            CameraSensor("camera0", lens, pictures, mount=camera_mount(position=(0.0, 0.0, 2.0))),
+            CameraSensor("camera0", camera_model, images, mount=camera_mount(position=(0.0, 0.0, 2.0))),
         ),
         annotations=boxes,
-        trajectories={"way": Trajectory("way", way.timestamps_ns, way.positions, way.quaternions_xyzw)},
+        trajectories={
+            "trajectory": Trajectory(
+                "trajectory", trajectory.timestamps_ns, trajectory.positions, trajectory.quaternions_xyzw
+            )
+        },
         metadata={"sceneloom": {"euler_unit": "degrees", "euler_order": "xyz"}},
         source="a short drive",
     )
@@ -79,11 +83,11 @@ def wall_and_ground() -> np.ndarray:
 
 @pytest.fixture(scope="session")
 def collected(short: Scene) -> Collected:
-    """The report of the short drive in numbers and pictures."""
+    """The report of the short drive in numbers and images."""
     return collect(short, ReportSettings(quick=True), made=MADE)
 
 
 @pytest.fixture(scope="session")
 def page(collected: Collected) -> str:
     """Its page."""
-    return render_page(collected.report, collected.album)
+    return render_page(collected.report, collected.figures)

@@ -1,4 +1,4 @@
-"""What sensors see around the ego, held against clouds and lenses that are known."""
+"""What sensors see around the ego, held against clouds and camera models that are known."""
 
 import math
 from dataclasses import replace
@@ -8,7 +8,7 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.report.numbers.clouds import RANGE_EDGES, CloudTally
+from sceneloom.report.numbers.clouds import RANGE_EDGES, CloudStatistics
 from sceneloom.report.numbers.surroundings import coverage_of
 from sceneloom.scene import (
     CameraSensor,
@@ -37,40 +37,40 @@ def lidar(points: np.ndarray, *, rings: np.ndarray | None = None, **more: object
 def test_points_are_counted_by_range_and_sector():
     ahead_left = on_circle(np.arange(1.0, 44.0), 12.0)
     behind = on_circle(np.full(7, 181.0), 60.0)
-    tally = CloudTally()
-    tally.add(np.concatenate([ahead_left, behind, np.full((3, 3), np.nan, np.float32)]))
-    found = tally.coverage("lidar", "lidar", of=1)
+    statistics = CloudStatistics()
+    statistics.add(np.concatenate([ahead_left, behind, np.full((3, 3), np.nan, np.float32)]))
+    found = statistics.coverage("lidar", "lidar", of=1)
     by_range = dict(zip(RANGE_EDGES, found.range_counts, strict=True))
     assert (by_range[10.0], by_range[50.0], sum(found.range_counts)) == (43, 7, 50)
     # 1 to 43 degrees are nine sectors of five degrees, 181 degrees one more
     assert found.horizon_share == pytest.approx(10 / 72)
     assert [k for k, count in enumerate(found.sectors) if count] == [*range(9), 36]
     assert found.reaches[0] == pytest.approx(12.0, abs=0.5)
-    assert found.nowhere_share == pytest.approx(3 / 53)
+    assert found.non_finite_share == pytest.approx(3 / 53)
 
 
 def test_points_are_counted_by_ring_over_all_sweeps():
-    tally = CloudTally()
+    statistics = CloudStatistics()
     points = on_circle(np.arange(10.0), 5.0)
     for rings in ([0, 0, 0, 2, 2, 2, 2, 2, 2, 2], [0, 2, 2, 2, 2, 2, 2, 2, 2, 2]):
-        tally.add(points, LidarPoints(points, rings=np.array(rings, np.uint16)))
-    assert tally.coverage("lidar", "lidar", of=2).rings == (2.0, 0.0, 8.0)
+        statistics.add(points, LidarPoints(points, rings=np.array(rings, np.uint16)))
+    assert statistics.coverage("lidar", "lidar", of=2).rings == (2.0, 0.0, 8.0)
 
 
 def test_elevations_are_those_of_the_points():
     flat, raised = on_circle(np.arange(360.0), 10.0), on_circle(np.arange(360.0), 10.0, height=10.0)
-    tally = CloudTally()
-    tally.add(np.concatenate([flat, raised]))
-    found = tally.coverage("lidar", "lidar", of=1)
+    statistics = CloudStatistics()
+    statistics.add(np.concatenate([flat, raised]))
+    found = statistics.coverage("lidar", "lidar", of=1)
     assert (found.lowest_deg, found.highest_deg) == pytest.approx((0.0, 45.0), abs=0.2)
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 62.0, -120.0])
-def test_a_camera_sees_what_its_lens_and_mounting_say(yaw_deg):
-    lens = Camera("pinhole", 800, 400, 400.0, 400.0, 399.5, 199.5)
-    ahead = CameraSensor("front", lens, LazyFrames.of([], []), mount=camera_mount())
+def test_a_camera_sees_what_its_camera_model_and_mounting_state(yaw_deg):
+    camera_model = Camera("pinhole", 800, 400, 400.0, 400.0, 399.5, 199.5)
+    ahead = CameraSensor("front", camera_model, LazyFrames.of([], []), mount=camera_mount())
     side = CameraSensor(
-        "side", lens, LazyFrames.of([], []), mount=camera_mount(yaw_deg=yaw_deg, pitch_deg=3.0)
+        "side", camera_model, LazyFrames.of([], []), mount=camera_mount(yaw_deg=yaw_deg, pitch_deg=3.0)
     )
     _, found = coverage_of(Scene((ahead, side))).cameras
     half = math.degrees(math.atan(400.0 / 400.0))
@@ -82,8 +82,8 @@ def test_a_camera_sees_what_its_lens_and_mounting_say(yaw_deg):
 
 
 def test_shares_of_the_horizon_join_what_sensors_see():
-    lens = Camera("pinhole", 800, 400, 400.0, 400.0, 399.5, 199.5)
-    front = CameraSensor("front", lens, LazyFrames.of([], []), mount=camera_mount())
+    camera_model = Camera("pinhole", 800, 400, 400.0, 400.0, 399.5, 199.5)
+    front = CameraSensor("front", camera_model, LazyFrames.of([], []), mount=camera_mount())
     half = lidar(on_circle(np.arange(0.5, 180.0), 10.0), mount=RigidTransform.identity())
     found = coverage_of(Scene((front, half)))
     assert found.lidar_share == pytest.approx(0.5)
@@ -91,23 +91,23 @@ def test_shares_of_the_horizon_join_what_sensors_see():
     assert found.both_share == pytest.approx(0.125, abs=0.01)
 
 
-def test_points_in_the_world_without_a_place_of_the_lidar_are_told_not_counted():
+def test_points_in_the_world_without_a_location_of_the_lidar_are_reported_not_counted():
     found = coverage_of(Scene((lidar(on_circle(np.arange(9.0), 4.0), points_frame=PointsFrame.WORLD),)))
     assert found.clouds[0].sweeps == 0
     assert "not known" in found.skipped[0]
 
 
-def test_a_turned_lidar_is_levelled_by_its_mounting():
-    # mounted upside down and looking back: a turn of half a circle about its y axis
-    turned = RigidTransform(np.diag([-1.0, 1.0, -1.0]), np.array([1.0, 0.0, 2.0]))
+def test_a_rotated_lidar_is_levelled_by_its_mounting():
+    # mounted upside down and looking back: a rotation of half a circle about its y axis
+    rotated = RigidTransform(np.diag([-1.0, 1.0, -1.0]), np.array([1.0, 0.0, 2.0]))
     ahead_in_ego = on_circle(np.array([2.0, 3.0]), 10.0, height=1.0)
-    sensor = lidar(turned.inverse().rotate(ahead_in_ego).astype(np.float32), mount=turned)
+    sensor = lidar(rotated.inverse().rotate(ahead_in_ego).astype(np.float32), mount=rotated)
     found = coverage_of(Scene((sensor,))).clouds[0]
     assert [k for k, count in enumerate(found.sectors) if count] == [0]
     assert found.lowest_deg == pytest.approx(math.degrees(math.atan2(1.0, 10.0)), abs=0.2)
 
 
-def test_a_sweep_that_cannot_be_read_is_told_and_passed_over(short):
+def test_a_sweep_that_cannot_be_read_is_reported_and_passed_over(short):
     from sceneloom.errors import DataError
 
     def broken(k):

@@ -5,20 +5,20 @@ import pytest
 
 from sceneloom.arrays import finite_rows
 from sceneloom.checks import annotation_times
-from sceneloom.pictures.cloud_above import layout_map
-from sceneloom.pictures.clouds import sample_polyline
-from sceneloom.report.numbers.clouds import CloudTally
+from sceneloom.images.cloud_above import layout_map
+from sceneloom.images.clouds import sample_polyline
+from sceneloom.report.numbers.clouds import CloudStatistics
 
 LARGEST = float(np.finfo(np.float32).max)
 
 
 @pytest.mark.parametrize("far", [1e9, 1e15, 1e19, 1e30, LARGEST, -LARGEST])
 def test_one_far_point_is_in_the_last_bin_of_a_sweep(far):
-    tally = CloudTally()
+    statistics = CloudStatistics()
     points = np.array([[1, 0, 0], [0, 2, 0], [far, far, 0]], np.float32)
-    tally.add(points)
-    found = tally.coverage("lidar", "lidar", of=1)
-    assert tally.nowhere == 0
+    statistics.add(points)
+    found = statistics.coverage("lidar", "lidar", of=1)
+    assert statistics.nowhere == 0
     assert sum(found.range_counts) == 3
     assert found.range_counts[-1] == 1
     assert found.range_max == pytest.approx(np.hypot(far, far), rel=1e-6)
@@ -33,7 +33,7 @@ def test_lines_with_huge_corners_have_finite_points(far):
 
 
 @pytest.mark.parametrize("far", [1e17, 1e300, 1.7e308])
-def test_maps_of_places_that_are_far_off_have_no_endless_grid(far):
+def test_maps_of_locations_that_are_far_off_have_no_infinite_grid(far):
     layout = layout_map((far, -far), 50.0, (640, 480))
     assert len(layout.grid(0, 10.0)) < 1000
 

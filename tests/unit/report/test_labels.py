@@ -7,6 +7,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.report.numbers.labels import OTHER, Spread, labels_of
 from sceneloom.scene import (
     AttributePath,
+    CameraImage,
     CameraSensor,
     CuboidAnnotation,
     CuboidPath,
@@ -15,18 +16,17 @@ from sceneloom.scene import (
     LidarFrame,
     LidarPoints,
     LidarSensor,
-    Picture,
-    PosePath,
+    Poses,
     Scene,
 )
 from sceneloom.simulate import camera_mount
 
-STILL = PosePath(np.array([0, 10**9]), np.zeros((2, 3)), np.array([[0.0, 0.0, 0.0, 1.0]] * 2))
+STILL = Poses(np.array([0, 10**9]), np.zeros((2, 3)), np.array([[0.0, 0.0, 0.0, 1.0]] * 2))
 OURS = {"sceneloom": {"euler_unit": "degrees", "euler_order": "xyz"}}
 
 
-def cuboid(name, size, place, *, label="car", times=(0, 10**9), stationary=None):
-    rows = np.tile([*size, *place, 0.0, 0.0, 0.0], (len(times), 1)).astype(np.float64)
+def cuboid(name, size, location, *, label="car", times=(0, 10**9), stationary=None):
+    rows = np.tile([*size, *location, 0.0, 0.0, 0.0], (len(times), 1)).astype(np.float64)
     speed = (AttributePath("speed", (1.0,), np.array([0])),) if name == "far" else ()
     return CuboidAnnotation(
         name,
@@ -42,11 +42,11 @@ def scene():
     """A near car with three points, a far one without any, half hidden behind it, and a box without a class."""
     points = np.array([[10.0, 0.0, 0.0], [10.5, 0.2, 0.1], [9.5, -0.3, 0.3], [5.0, 5.0, 0.0]], np.float32)
     frames = LazyFrames.of([LidarFrame(t, LidarPoints(points)) for t in (0, 10**9)], [0, 10**9])
-    lens = Camera("pinhole", 200, 100, 100.0, 100.0, 99.5, 49.5)
+    camera_model = Camera("pinhole", 200, 100, 100.0, 100.0, 99.5, 49.5)
     black = np.zeros((100, 200, 3), np.uint8)
-    pictures = LazyFrames.of([Picture.of(t, lens, black) for t in (0, 10**9)], [0, 10**9])
-    turn = camera_mount(position=(0.0, 0.0, 0.0))
-    looks = PosePath(STILL.timestamps_ns, np.zeros((2, 3)), np.tile(turn.quaternion_xyzw, (2, 1)))
+    images = LazyFrames.of([CameraImage.of(t, camera_model, black) for t in (0, 10**9)], [0, 10**9])
+    rotation = camera_mount(position=(0.0, 0.0, 0.0))
+    looks = Poses(STILL.timestamps_ns, np.zeros((2, 3)), np.tile(rotation.quaternion_xyzw, (2, 1)))
     boxes = (
         cuboid("near", (4.0, 2.0, 2.0), (10.0, 0.0, 0.0)),
         cuboid("far", (4.0, 2.0, 1.5), (30.0, 0.0, 0.0)),
@@ -56,7 +56,7 @@ def scene():
     return Scene(
         (
             LidarSensor("lidar", frames, poses=STILL),
-            CameraSensor("camera", lens, pictures, poses=looks),
+            CameraSensor("camera", camera_model, images, poses=looks),
         ),
         annotations=(*boxes, event),
         metadata=OURS,
@@ -95,9 +95,9 @@ def test_points_inside_are_counted(labels):
     assert labels.point_counts[:2] == (4, 2)
 
 
-def test_what_hides_boxes_and_which_are_in_pictures(labels):
+def test_what_hides_boxes_and_which_are_in_images(labels):
     cars, things = labels.classes
-    assert (cars.in_pictures_share, things.in_pictures_share) == (1.0, 0.0)
+    assert (cars.in_images_share, things.in_images_share) == (1.0, 0.0)
     # the far car lies wholly behind the near one, which nothing hides
     assert (cars.hidden.low, cars.hidden.high) == (pytest.approx(0.0, abs=1e-9), pytest.approx(1.0, abs=0.01))
 
@@ -121,9 +121,9 @@ def test_a_spread_passes_over_what_is_no_number():
     assert Spread.of([np.nan]) is None
 
 
-def test_boxes_count_from_the_first_stamp_to_the_last_in_days_of_today():
+def test_boxes_count_from_the_first_timestamp_to_the_last_in_days_of_today():
     times = (1_700_000_000_000_000_001, 1_700_000_020_000_000_003)
-    path = PosePath(np.array(times), np.zeros((2, 3)), STILL.quaternions_xyzw)
+    path = Poses(np.array(times), np.zeros((2, 3)), STILL.quaternions_xyzw)
     frames = LazyFrames.of(
         [LidarFrame(t, LidarPoints(np.ones((1, 3), np.float32))) for t in times], list(times)
     )

@@ -11,12 +11,12 @@ from sceneloom.report.numbers.metrics import metrics_of
 from sceneloom.scene import Scene, Trajectory
 
 
-def ways(scene: Scene) -> Scene:
-    """The drive's true way, and one whose heights wave by 20 cm."""
+def trajectories(scene: Scene) -> Scene:
+    """The drive's true trajectory, and one whose heights wave by 20 cm."""
     angles = np.linspace(0.0, 3.0, 60)
-    places = np.column_stack([20 * np.sin(angles), 20 * np.cos(angles), np.zeros(60)])
+    locations = np.column_stack([20 * np.sin(angles), 20 * np.cos(angles), np.zeros(60)])
     still = np.tile([0.0, 0.0, 0.0, 1.0], (60, 1))
-    truth = Trajectory("groundTruth", np.arange(60) * 100_000_000, places, still)
+    truth = Trajectory("groundTruth", np.arange(60) * 100_000_000, locations, still)
     waves = truth.positions.copy()
     waves[:, 2] += 0.2 * np.where(np.arange(len(waves)) % 2, 1.0, -1.0)
     odd = Trajectory("odd", truth.timestamps_ns, waves, truth.quaternions_xyzw)
@@ -24,7 +24,7 @@ def ways(scene: Scene) -> Scene:
 
 
 def test_every_way_is_held_against_the_true_one(short):
-    (found,) = metrics_of(ways(short), source=None, truth=None).trajectories
+    (found,) = metrics_of(trajectories(short), source=None, truth=None).trajectories
     assert (found.estimate, found.reference) == ("odd", "groundTruth")
     assert found.absolute.vertical.rms == pytest.approx(
         0.2, rel=0.01
@@ -39,8 +39,8 @@ def test_a_truth_beside_the_drive_gives_tracks_and_ways(short, tmp_path):
     assert all(scores.combined.hota.hota == pytest.approx(1.0) for scores in found.tracks.classes.values())
 
 
-@pytest.mark.parametrize(("way", "problem"), [("lidar", "has no trajectory"), ("gnss", "gnss")])
-def test_what_is_to_be_compared_and_cannot_be_is_an_error(short, way, problem):
-    scene = replace(short, trajectories={}) if way == "lidar" else ways(short)
-    with pytest.raises(DataError, match=rf"{problem}.*leave `--compare {way}` out"):
-        metrics_of(scene, source=None, truth=None, compare=(way,))
+@pytest.mark.parametrize(("trajectory", "problem"), [("lidar", "has no trajectory"), ("gnss", "gnss")])
+def test_what_is_to_be_compared_and_cannot_be_is_an_error(short, trajectory, problem):
+    scene = replace(short, trajectories={}) if trajectory == "lidar" else trajectories(short)
+    with pytest.raises(DataError, match=rf"{problem}.*leave `--compare {trajectory}` out"):
+        metrics_of(scene, source=None, truth=None, compare=(trajectory,))

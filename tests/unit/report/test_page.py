@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 
 from sceneloom.report.collecting import collect
-from sceneloom.report.drawings import COLOURS
 from sceneloom.report.page.rendering import render_page
+from sceneloom.report.plots import COLOURS
 from sceneloom.report.settings import ReportSettings
 from sceneloom.scene import (
     AttributePath,
     CuboidAnnotation,
     CuboidPath,
+    DataWarning,
     GnssSensor,
     LazyFrames,
     LidarFrame,
     LidarPoints,
     LidarSensor,
-    Notice,
-    NoticeKind,
     Scene,
+    WarningKind,
 )
 
 VOID = {"meta", "link", "img", "br", "rect", "circle", "line", "path", "input", "hr"}
@@ -73,7 +73,7 @@ class Page(HTMLParser):
 
 def page_of(scene: Scene, **settings: object) -> tuple[str, Page]:
     found = collect(scene, ReportSettings(quick=True, **settings))
-    text = render_page(found.report, found.album)
+    text = render_page(found.report, found.figures)
     return text, Page(text)
 
 
@@ -124,7 +124,7 @@ def test_it_has_a_verdict_first_and_every_section(page):
     names = re.findall(r'<h2 id="([a-z]+)-h">', page)
     assert names == [
         "verdict", "drive", "timing", "trajectory", "calibration", "coverage", "fusion", "annotations", "findings",
-        "notices", "source",
+        "warnings", "source",
     ]  # fmt: skip
 
 
@@ -135,10 +135,10 @@ def test_counts_of_the_drive_are_those_that_were_put_into_it(collected):
     assert (cloud.points_least, cloud.points_most, cloud.sweeps) == (1560, 1560, 4)
     assert report.fusion.points == 4 * 1560
     assert report.summary.duration == pytest.approx(0.3)
-    assert report.ways.ways[0].metres == pytest.approx(1.5)
+    assert report.trajectories.trajectories[0].metres == pytest.approx(1.5)
 
 
-def test_the_share_of_points_in_a_picture_is_that_of_projecting_them_by_hand(short, collected):
+def test_the_share_of_points_in_an_image_is_that_of_projecting_them_by_hand(short, collected):
     """The camera sits where the lidar does and looks ahead: x right is -y, y down is -z, z forward is x."""
     x, y, z = short.lidars[0].frames[0].points.positions.astype(np.float64).T
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -146,19 +146,19 @@ def test_the_share_of_points_in_a_picture_is_that_of_projecting_them_by_hand(sho
     inside = (x > 0) & (u >= -0.5) & (u < 119.5) & (v >= -0.5) & (v < 79.5)
     (camera,) = collected.report.fusion.cameras
     assert camera.paired == 4
-    assert camera.in_picture_percent == pytest.approx(100.0 * inside.mean(), abs=0.2)
+    assert camera.in_image_percent == pytest.approx(100.0 * inside.mean(), abs=0.2)
 
 
 def test_numbers_go_to_json_and_back(collected):
-    told = msgspec.json.decode(msgspec.json.encode(collected.report))
-    assert told["timing"]["streams"][0]["sensor"] == "lidar"
-    assert told["provenance"]["made"] == "2024-05-06 07:08:09 UTC"
-    assert told["verdict"]["state"] in {"sound", "look"}
+    reported = msgspec.json.decode(msgspec.json.encode(collected.report))
+    assert reported["timing"]["streams"][0]["sensor"] == "lidar"
+    assert reported["provenance"]["made"] == "2024-05-06 07:08:09 UTC"
+    assert reported["verdict"]["state"] in {"sound", "look"}
 
 
 EVIL = "<script>alert(1)</script>"
 QUOTED = "\" onload=\"alert(2)' onerror='x"
-TURNED = "a\u202eb\x00\x1b[31m\ud800"
+ROTATED = "a\u202eb\x00\x1b[31m\ud800"
 
 
 def evil_scene() -> Scene:
@@ -170,22 +170,23 @@ def evil_scene() -> Scene:
         CuboidAnnotation(
             k, CuboidPath(np.array([0]), row), label=label, stationary=True, attributes=(attribute,)
         )
-        for k, label in enumerate((EVIL, QUOTED, TURNED, "]]></svg>", "{{ 7 * 7 }}", "&lt;b&gt;"))
+        for k, label in enumerate((EVIL, QUOTED, ROTATED, "]]></svg>", "{{ 7 * 7 }}", "&lt;b&gt;"))
     ]
-    notices = tuple(
-        Notice(kind=NoticeKind.ASSUMED, code="x", place=place, message=f"`{EVIL}`")
-        for place in (EVIL, QUOTED, TURNED, "p", "q")
+    warnings = tuple(
+        DataWarning(kind=WarningKind.ASSUMED, code="x", location=location, message=f"`{EVIL}`")
+        for location in (EVIL, QUOTED, ROTATED, "p", "q")
     )
     sensors = [
-        LidarSensor(name, frames, points_frame="world") for name in (EVIL, QUOTED, TURNED, "</style></title>")
+        LidarSensor(name, frames, points_frame="world")
+        for name in (EVIL, QUOTED, ROTATED, "</style></title>")
     ]
     return Scene(
         tuple(sensors),
         annotations=tuple(boxes),
-        metadata={EVIL: EVIL, "sceneloom": {"euler_unit": "degrees", "euler_order": "xyz", QUOTED: TURNED}},
+        metadata={EVIL: EVIL, "sceneloom": {"euler_unit": "degrees", "euler_order": "xyz", QUOTED: ROTATED}},
         source=f"/drives/{EVIL}",
         format=EVIL,
-        notices=notices,
+        warnings=warnings,
     )
 
 
@@ -211,7 +212,7 @@ def test_a_drive_without_poses_and_annotations_has_a_page(short):
     bare = replace(short.lidars[0], mount=None)
     _, page = page_of(Scene((bare, short.cameras[0])))
     check_sound(page)
-    assert "Not told:" in page.text
+    assert "Not reported:" in page.text
 
 
 def test_a_scene_of_nothing_has_a_page():
@@ -238,10 +239,11 @@ def test_huge_counts_make_no_huge_page():
         [52.5 + 1e-7 * np.arange(len(times)), np.full(len(times), 13.4), np.zeros(len(times))]
     )
     none = np.full(len(times), np.nan)
-    notices = tuple(
-        Notice(kind=NoticeKind.SKIPPED, code="x", place=f"line {k}", message="left out") for k in range(5000)
+    warnings = tuple(
+        DataWarning(kind=WarningKind.SKIPPED, code="x", location=f"line {k}", message="left out")
+        for k in range(5000)
     )
-    text, page = page_of(Scene((GnssSensor("gnss", times, lla, none, none),), notices=notices))
+    text, page = page_of(Scene((GnssSensor("gnss", times, lla, none, none),), warnings=warnings))
     check_sound(page)
     assert len(text) < 300_000
     assert "and 4,700 more" in page.text

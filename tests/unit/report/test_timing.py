@@ -1,4 +1,4 @@
-"""Rates, jitter and gaps, held against stamps that were made to have them."""
+"""Rates, jitter and gaps, held against timestamps that were made to have them."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from sceneloom.scene.span import time_span
 MS = 1_000_000
 
 
-def stamps(*milliseconds: float) -> np.ndarray:
+def timestamps(*milliseconds: float) -> np.ndarray:
     return np.array([round(value * MS) for value in milliseconds], np.int64)
 
 
@@ -19,32 +19,32 @@ def of_camera(drive):
     return next(stream for stream in timing.streams if stream.sensor == "camera0")
 
 
-def test_gaps_that_were_planted_are_found_where_they_are(drive):
+def test_gaps_that_were_injected_are_found_where_they_are(drive):
     truth = drive.truth.cameras["camera0"].timestamps_ns
     start_ns = time_span(drive.scene)[0]
     found = of_camera(drive)
     assert (found.count, found.gap_count, found.missing) == (13, 2, 3)
-    told = [edge for gap in found.gaps for edge in (gap.start, gap.stop)]
-    assert told == pytest.approx(((truth[[3, 6, 10, 12]] - start_ns) / 1e9).tolist())
+    reported = [edge for gap in found.gaps for edge in (gap.start, gap.stop)]
+    assert reported == pytest.approx(((truth[[3, 6, 10, 12]] - start_ns) / 1e9).tolist())
     assert found.missing_share == pytest.approx(3 / 16)
 
 
 def test_an_even_stream_has_no_jitter_and_an_uneven_one_the_one_it_was_given():
-    even = stream_timing("a", "lidar", stamps(*range(0, 1000, 100)), start_ns=0)
+    even = stream_timing("a", "lidar", timestamps(*range(0, 1000, 100)), start_ns=0)
     assert (even.jitter_ms, even.gap_count, even.missing) == (0.0, 0, 0)
     assert even.rate_hz == pytest.approx(10.0)
-    uneven = stream_timing("a", "lidar", stamps(0, 90, 200, 290, 400, 490, 600), start_ns=0)
+    uneven = stream_timing("a", "lidar", timestamps(0, 90, 200, 290, 400, 490, 600), start_ns=0)
     assert uneven.jitter_ms == pytest.approx(10.0)  # intervals of 90 and 110 ms
 
 
 def test_what_repeats_or_runs_backwards_is_counted():
-    found = stream_timing("a", "camera", stamps(0, 100, 100, 200, 150, 300), start_ns=0)
+    found = stream_timing("a", "camera", timestamps(0, 100, 100, 200, 150, 300), start_ns=0)
     assert (found.repeated, found.backwards) == (1, 1)
 
 
-def test_a_stream_of_one_stamp_or_none_has_no_rate():
-    assert stream_timing("a", "camera", stamps(), start_ns=0).start is None
-    one = stream_timing("a", "camera", stamps(5000), start_ns=stamps(2000)[0])
+def test_a_stream_of_one_timestamp_or_none_has_no_rate():
+    assert stream_timing("a", "camera", timestamps(), start_ns=0).start is None
+    one = stream_timing("a", "camera", timestamps(5000), start_ns=timestamps(2000)[0])
     assert (one.start, one.rate_hz, one.bins) == (3.0, None, None)
 
 
@@ -60,18 +60,18 @@ def receiver(name: str, times_ns: np.ndarray) -> GnssSensor:
 
 
 def test_the_overlap_is_what_all_streams_share():
-    scene = Scene((receiver("a", stamps(0, 1000, 4000)), receiver("b", stamps(3000, 3500, 8000))))
+    scene = Scene((receiver("a", timestamps(0, 1000, 4000)), receiver("b", timestamps(3000, 3500, 8000))))
     found = timing_of(scene, start_ns=0)
     assert (found.overlap.start, found.overlap.stop) == (3.0, 4.0)
     assert found.overlap_share == pytest.approx(1 / 8)
-    apart = Scene((receiver("a", stamps(0, 1000)), receiver("b", stamps(3000, 3500))))
+    apart = Scene((receiver("a", timestamps(0, 1000)), receiver("b", timestamps(3000, 3500))))
     assert timing_of(apart, start_ns=0).overlap is None
 
 
-def test_pictures_are_told_against_the_sweeps(drive):
+def test_images_are_reported_against_the_sweeps(drive):
     sweeps = drive.scene.lidars[0].frames.timestamps_ns
-    pictures = drive.scene.cameras[0].pictures.timestamps_ns
-    away = np.array([(t - sweeps[np.argmin(np.abs(sweeps - t))]) / 1e6 for t in pictures])
+    images = drive.scene.cameras[0].images.timestamps_ns
+    away = np.array([(t - sweeps[np.argmin(np.abs(sweeps - t))]) / 1e6 for t in images])
     found = of_camera(drive)
     assert found.phase.reference == "lidar"
     assert found.phase.median_ms == pytest.approx(np.median(away))

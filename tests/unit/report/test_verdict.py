@@ -1,4 +1,4 @@
-"""What is told first, out of evidence that is made for it."""
+"""What is reported first, out of evidence that is made for it."""
 
 import msgspec
 import numpy as np
@@ -14,8 +14,8 @@ from sceneloom.report.numbers.labels import Labels
 from sceneloom.report.numbers.metrics import Metrics
 from sceneloom.report.numbers.surroundings import Coverage
 from sceneloom.report.numbers.timing import Timing, stream_timing
+from sceneloom.report.numbers.trajectories import Trajectories
 from sceneloom.report.numbers.verdict import Evidence, verdict_of
-from sceneloom.report.numbers.ways import Ways
 from sceneloom.scene import Finding, Scene, Severity
 from sceneloom.scene.summary import summarise
 
@@ -24,7 +24,7 @@ def evidence(**parts):
     known = {
         "summary": summarise(Scene(())),
         "timing": Timing(streams=()),
-        "ways": Ways(ways=()),
+        "trajectories": Trajectories(trajectories=()),
         "coverage": Coverage(),
         "calibration": (),
         "fusion": None,
@@ -43,7 +43,7 @@ def titles(**parts):
 def test_nothing_wrong_is_in_order():
     found = verdict_of(evidence())
     assert (found.state, found.advices) == ("sound", ())
-    assert found.contents == "0.0 s in the format memory: no sensors. The way of the ego is not known."
+    assert found.contents == "0.0 s in the format memory: no sensors. The ego trajectory is not known."
 
 
 def findings(*severities):
@@ -75,22 +75,22 @@ def stream(count=30, lost=()):
     return stream_timing("camera0", "camera", times, start_ns=0)
 
 
-def test_a_stream_with_gaps_is_told_with_the_longest():
+def test_a_stream_with_gaps_is_reported_with_the_longest():
     (title,) = titles(timing=Timing(streams=(stream(lost=(5, 10, 11)),), overlap_share=1.0))
     assert title == "camera0 lacks 3 of 30"
     (advice,) = verdict_of(evidence(timing=Timing(streams=(stream(lost=(5, 10, 11)),)))).advices
     assert advice.detail == "2 gaps; the longest gap is 0.30 s at 0.90 s"
 
 
-def test_an_even_stream_is_not_told():
+def test_an_even_stream_is_not_reported():
     assert titles(timing=Timing(streams=(stream(),), overlap_share=1.0)) == []
 
 
 @pytest.mark.parametrize(
     ("verdict", "state"),
-    [("wrong", "faulty"), ("drifting", "look"), ("good", "sound"), ("cannot tell", "sound")],
+    [("wrong", "faulty"), ("drifting", "look"), ("good", "sound"), ("cannot determine", "sound")],
 )
-def test_a_calibration_is_told_where_it_is_off(verdict, state):
+def test_a_calibration_is_reported_where_it_is_off(verdict, state):
     assert verdict in {each.value for each in Health}
     check = CalibrationCheck(camera="camera0", lidar="lidar", verdict=verdict)
     assert verdict_of(evidence(calibration=(check,))).state == state
@@ -98,7 +98,7 @@ def test_a_calibration_is_told_where_it_is_off(verdict, state):
 
 def fusion(**camera):
     known = {
-        "camera": "camera0", "pictures": 9, "paired": 9, "unpaired": 0, "unposed": 0, "in_picture_percent": 20.0,
+        "camera": "camera0", "images": 9, "paired": 9, "unpaired": 0, "unposed": 0, "in_image_percent": 20.0,
         "hidden_percent": 1.0, "coloured": 100,
     }  # fmt: skip
     return Fusion(
@@ -111,13 +111,13 @@ def fusion(**camera):
     )
 
 
-def test_a_camera_without_points_or_without_sweeps_is_told():
+def test_a_camera_without_points_or_without_sweeps_is_reported():
     assert titles(fusion=fusion()) == []
-    assert titles(fusion=fusion(in_picture_percent=0.0)) == ["No point falls into the pictures of camera0"]
-    assert titles(fusion=fusion(paired=0, unpaired=9)) == ["No picture of camera0 goes with a sweep"]
+    assert titles(fusion=fusion(in_image_percent=0.0)) == ["No point falls into the images of camera0"]
+    assert titles(fusion=fusion(paired=0, unpaired=9)) == ["No image of camera0 goes with a sweep"]
 
 
-def test_silent_rings_and_empty_sweeps_are_told():
+def test_silent_rings_and_empty_sweeps_are_reported():
     cloud = CloudCoverage(
         sensor="lidar",
         type="lidar",
@@ -134,7 +134,7 @@ def test_silent_rings_and_empty_sweeps_are_told():
     ]
 
 
-def test_boxes_without_points_are_told():
+def test_boxes_without_points_are_reported():
     most = Labels(types={"cuboid": 9}, point_counts=(6, 3, 0, 0, 0, 0, 0))
     assert titles(labels=most) == ["Most boxes hold no point"]
     few = Labels(types={"cuboid": 9}, point_counts=(3, 6, 0, 0, 0, 0, 0))

@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from sceneloom.errors import DataError, MissingExtraError, OptionError, OutputError
-from sceneloom.formats.loss import Fate, Loss, LossReport
+from sceneloom.formats.loss import Loss, LossReport, Support
 from sceneloom.report import ReportSettings, write_report
 from sceneloom.report.collecting import read_losses
 from sceneloom.report.numbers import provenance
@@ -37,10 +37,10 @@ def test_without_jinja2_the_extra_is_named(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"), [({"pictures": -1}, "pictures -1"), ({"compare": ("sun",)}, "compare 'sun'")]
+    ("settings", "reported"), [({"images": -1}, "images -1"), ({"compare": ("sun",)}, "compare 'sun'")]
 )
-def test_settings_that_cannot_be_followed_are_refused(settings, told):
-    with pytest.raises(OptionError, match=told):
+def test_settings_that_cannot_be_followed_are_refused(settings, reported):
+    with pytest.raises(OptionError, match=reported):
         ReportSettings(**settings)
 
 
@@ -70,11 +70,11 @@ def test_a_large_drive_is_hashed_by_its_ends(tmp_path, monkeypatch):
     assert provenance.hash_of(file)[0] != digest
 
 
-def test_losses_are_read_as_a_conversion_tells_them(tmp_path):
-    losses = (Loss(field="a", what="rounded", count=3, fate=Fate.CONVERTED, largest_error=0.5),)
+def test_losses_are_read_as_a_conversion_reports_them(tmp_path):
+    losses = (Loss(field="a", what="rounded", count=3, support=Support.CONVERTED, largest_error=0.5),)
     file = tmp_path / "loss.json"
-    for told in (losses, LossReport(losses), {"output": "x", "losses": LossReport(losses)}):
-        file.write_bytes(msgspec.json.encode(told))
+    for reported in (losses, LossReport(losses), {"output": "x", "losses": LossReport(losses)}):
+        file.write_bytes(msgspec.json.encode(reported))
         assert read_losses(file) == losses
 
 

@@ -11,7 +11,7 @@ import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pictures.annotations.figures import figures_in_world
+from sceneloom.images.annotations.figures import figures_in_world
 from sceneloom.scene import (
     Activation,
     CameraSensor,
@@ -23,7 +23,7 @@ from sceneloom.scene import (
     LidarPoints,
     LidarSensor,
     PointsFrame,
-    PosePath,
+    Poses,
     Scene,
 )
 from sceneloom.scene.at import active_at, cuboid_at, cuboid_poses
@@ -34,7 +34,7 @@ MS = 1_000_000
 SPEED = 5.0
 """Of the cuboid along x [m/s]: at 10 m at time 0."""
 OWN = np.array([4.0, 2.0, 2.0, 10.0, 3.0, 1.0, 0.0, 0.0, 90.0])
-"""What lidar `near` computed at 200 ms: 3 m beside the path, longer, turned by 90 degrees."""
+"""What lidar `near` computed at 200 ms: 3 m beside the path, longer, rotated by 90 degrees."""
 
 
 def row(time_ms: float) -> np.ndarray:
@@ -60,12 +60,12 @@ def test_an_activation_lasts_from_its_timestamp_until_its_end_which_no_longer_co
     times = np.array([299, 300, 599, 600]) * MS
     assert active_at(SEEN, "front", times).tolist() == [False, True, True, False]
     assert cuboid_poses(SEEN, times, sensor_id="front").there.tolist() == [False, True, True, False]
-    assert active_at(SEEN, "rear", times).all(), "nothing is said of it"
+    assert active_at(SEEN, "rear", times).all(), "nothing is stated for it"
     assert cuboid_poses(SEEN, times).there.all(), "the object itself is there all the time"
     moment = cuboid(activation("front", (300, 300)))
     assert active_at(moment, "front", [300 * MS - 1, 300 * MS, 300 * MS + 1]).tolist() == [False, True, False]
-    endless = cuboid(Activation("front", np.array([300 * MS])))
-    assert active_at(endless, "front", times).tolist() == [False, True, True, True]
+    static = cuboid(Activation("front", np.array([300 * MS])))
+    assert active_at(static, "front", times).tolist() == [False, True, True, True]
     never = cuboid(Activation("front", np.zeros(0, np.int64)))
     assert not active_at(never, "front", times).any()
 
@@ -107,20 +107,20 @@ def still_scene(*annotations: CuboidAnnotation) -> Scene:
             points = np.array([row(t / MS)[3:6], OWN[3:6] + np.array([drift, 1.5, 0.0])], np.float32)
             frames.append(LidarFrame(t, LidarPoints(points)))
         return LidarSensor(
-            name, LazyFrames.of(frames, times), poses=PosePath.identity(), points_frame=PointsFrame.WORLD
+            name, LazyFrames.of(frames, times), poses=Poses.identity(), points_frame=PointsFrame.WORLD
         )
 
     optical = RigidTransform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))
-    poses = PosePath(
-        np.zeros(1, np.int64), optical.translation[None], optical.quaternion_xyzw[None], endless=True
+    poses = Poses(
+        np.zeros(1, np.int64), optical.translation[None], optical.quaternion_xyzw[None], static=True
     )
-    lens = Camera("pinhole", 200, 100, 100.0, 100.0, 99.5, 49.5)
+    camera_model = Camera("pinhole", 200, 100, 100.0, 100.0, 99.5, 49.5)
     drive = simulate_street(
-        0, frames=10, lidar=LidarSpec(beams=2, steps=8), cameras=(CameraSpec(lens),)
+        0, frames=10, lidar=LidarSpec(beams=2, steps=8), cameras=(CameraSpec(camera_model),)
     ).scene
-    pictures = [replace(drive.cameras[0].pictures[k], timestamp_ns=int(t)) for k, t in enumerate(times)]
+    images = [replace(drive.cameras[0].images[k], timestamp_ns=int(t)) for k, t in enumerate(times)]
     camera = CameraSensor(
-        "front", lens, LazyFrames.of(pictures, times), poses=poses, coordinates=Coordinates.WORLD
+        "front", camera_model, LazyFrames.of(images, times), poses=poses, coordinates=Coordinates.WORLD
     )
     return Scene((lidar("near"), lidar("other"), camera), annotations)
 
@@ -128,7 +128,7 @@ def still_scene(*annotations: CuboidAnnotation) -> Scene:
 def test_points_are_counted_while_a_cuboid_is_active_for_their_lidar_and_in_its_own_cuboid() -> None:
     counts = sceneloom.count_points(still_scene(SEEN))
     near, other = counts.lidars
-    # the point at +1.5 m beside the own centre is inside, since that is turned by 90 degrees and 4 m long
+    # the point at +1.5 m beside the own centre is inside, since that is rotated by 90 degrees and 4 m long
     assert near.there[:, 0].tolist() == [False, False, True, True, True, *[False] * 5]
     assert near.counts[:, 0].tolist() == [0, 0, 1, 1, 1, 0, 0, 0, 0, 0]
     assert other.there[:, 0].all()
@@ -161,7 +161,7 @@ def test_cameras_see_what_is_active_for_them_unless_activations_are_found_anew()
     assert (anew.activations[0].timestamps_ns // MS).tolist() == [0]
 
 
-def test_drawings_show_what_is_active_for_the_sensor() -> None:
+def test_plots_show_what_is_active_for_the_sensor() -> None:
     scene = still_scene(SEEN)
 
     def drawn(sensor: str | None, time_ms: int) -> int:
@@ -178,20 +178,20 @@ def test_drawings_show_what_is_active_for_the_sensor() -> None:
 def test_exports_write_boxes_while_they_are_active_and_list_what_they_cannot_carry(
     to: str, sensor: str, least: int, frames: int, tmp_path: Path
 ) -> None:
-    lens = Camera("pinhole", 200, 100, 100.0, 100.0, 99.5, 49.5)
+    camera_model = Camera("pinhole", 200, 100, 100.0, 100.0, 99.5, 49.5)
     scene = simulate_street(
-        1, frames=5, lidar=LidarSpec(beams=8, steps=90), cameras=(CameraSpec(lens),)
+        1, frames=5, lidar=LidarSpec(beams=8, steps=90), cameras=(CameraSpec(camera_model),)
     ).scene
     ego = next(iter(scene.trajectories.values()))
     times = (scene.lidars if sensor == "lidar" else scene.cameras)[0]
-    stamps = times.frames.timestamps_ns if sensor == "lidar" else times.pictures.timestamps_ns
+    timestamps = times.frames.timestamps_ns if sensor == "lidar" else times.images.timestamps_ns
     world = RigidTransform.from_quaternion(ego.positions[40], ego.quaternions_xyzw[40]).apply(
         np.array([[15.0, 0.0, 1.0]])
     )[0]
     span = np.array([0, 10_000_000_000])
     path = CuboidPath(span, np.tile([3.0, 2.0, 2.0, *world, 0.0, 0.0, 0.0], (2, 1)))
-    lasting = int(stamps[3] - stamps[1])
-    part = Activation(sensor, stamps[1:2], (lasting,))
+    lasting = int(timestamps[3] - timestamps[1])
+    part = Activation(sensor, timestamps[1:2], (lasting,))
     whole = CuboidAnnotation("box", path, label="car")
 
     def written(name: str, box: CuboidAnnotation) -> tuple[int, Any]:
@@ -209,9 +209,9 @@ def test_exports_write_boxes_while_they_are_active_and_list_what_they_cannot_car
 @pytest.mark.parametrize("to", ["kitti-object", "kitti-tracking", "kitti-raw"])
 def test_labels_of_sweeps_hold_what_is_active_at_any_time_of_them(to: str, tmp_path: Path) -> None:
     scene = simulate_street(1, frames=4, lidar=LidarSpec(beams=8, steps=90), cameras=()).scene
-    stamps = scene.lidars[0].frames.timestamps_ns
+    timestamps = scene.lidars[0].frames.timestamps_ns
     path = CuboidPath(np.array([0, 10**10]), np.tile([3.0, 2.0, 2.0, 15.0, 0.0, 1.0, 0.0, 0.0, 0.0], (2, 1)))
-    early = Activation("lidar", stamps[1:2], (10 * MS,))
+    early = Activation("lidar", timestamps[1:2], (10 * MS,))
     box = CuboidAnnotation("box", path, label="car", activations=(early,))
     sceneloom.write(replace(scene, annotations=(box,)), tmp_path / "out", format=to)
     with sceneloom.open(tmp_path / "out") as found:

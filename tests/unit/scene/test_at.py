@@ -1,4 +1,4 @@
-"""Annotations between their stamps, against scipy and against rules written out one by one."""
+"""Annotations between their timestamps, against scipy and against rules written out one by one."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ from sceneloom.scene.sample_boxes import BoxTable
 READINGS = [("degrees", "xyz"), ("radians", "zyx"), ("degrees", "yxz")]
 
 CLOSE = 1e-9
-"""Of turns: what two ways of computing the same sines and cosines may differ by."""
+"""Of rotations: what two ways of computing the same sines and cosines may differ by."""
 
 
 def a_cuboid(seed=0, *, count=6, unit="degrees", stationary=None):
@@ -41,8 +41,8 @@ def a_cuboid(seed=0, *, count=6, unit="degrees", stationary=None):
     values[:, :3] = generator.uniform(0.5, 5.0, (count, 3))
     if unit == "degrees":
         values[:, 6:] = generator.uniform(-360.0, 360.0, (count, 3))
-    stamps = np.cumsum(generator.integers(1, 400_000_000, count)).astype(np.int64)
-    return CuboidAnnotation("a", CuboidPath(stamps, values), stationary=stationary)
+    timestamps = np.cumsum(generator.integers(1, 400_000_000, count)).astype(np.int64)
+    return CuboidAnnotation("a", CuboidPath(timestamps, values), stationary=stationary)
 
 
 def scipy_rotations(angles_rpy, unit, order):
@@ -52,15 +52,17 @@ def scipy_rotations(angles_rpy, unit, order):
 
 
 def times_of(cuboid, count=50):
-    stamps = cuboid.path.timestamps_ns
-    return np.random.default_rng(9).integers(stamps[0], stamps[-1] + 1, count)
+    timestamps = cuboid.path.timestamps_ns
+    return np.random.default_rng(9).integers(timestamps[0], timestamps[-1] + 1, count)
 
 
 @pytest.mark.parametrize(("unit", "order"), READINGS)
-def test_a_cuboid_turns_as_scipys_slerp_does(unit, order):
+def test_a_cuboid_rotates_as_scipys_slerp_does(unit, order):
     cuboid = a_cuboid(unit=unit)
-    times, stamps, values = times_of(cuboid), cuboid.path.timestamps_ns, cuboid.path.values
-    expected = Slerp(stamps.astype(float), scipy_rotations(values[:, 6:], unit, order))(times.astype(float))
+    times, timestamps, values = times_of(cuboid), cuboid.path.timestamps_ns, cuboid.path.values
+    expected = Slerp(timestamps.astype(float), scipy_rotations(values[:, 6:], unit, order))(
+        times.astype(float)
+    )
     poses = cuboid_poses(cuboid, times, angles=CuboidAngles(unit, order))
     away = (expected.inv() * Rotation.from_quat(poses.quaternions_xyzw)).magnitude()
     assert away.max() < CLOSE
@@ -69,40 +71,40 @@ def test_a_cuboid_turns_as_scipys_slerp_does(unit, order):
     assert (expected.inv() * scipy_rotations(rows[:, 6:], unit, order)).magnitude().max() < CLOSE
 
 
-def test_size_and_place_of_a_cuboid_go_straight():
+def test_size_and_location_of_a_cuboid_go_straight():
     cuboid = a_cuboid(1)
-    times, stamps, values = times_of(cuboid), cuboid.path.timestamps_ns, cuboid.path.values
+    times, timestamps, values = times_of(cuboid), cuboid.path.timestamps_ns, cuboid.path.values
     rows, _ = cuboid_at(cuboid, times)
     poses = cuboid_poses(cuboid, times)
     for column in range(6):
-        straight = np.interp(times.astype(float), stamps.astype(float), values[:, column])
+        straight = np.interp(times.astype(float), timestamps.astype(float), values[:, column])
         np.testing.assert_allclose(rows[:, column], straight, rtol=0, atol=CLOSE)
     np.testing.assert_array_equal(poses.sizes_lwh, rows[:, :3])
     np.testing.assert_array_equal(poses.centers_world, rows[:, 3:6])
 
 
-def test_at_its_stamps_a_cuboid_has_the_very_numbers_of_its_path():
+def test_at_its_timestamps_a_cuboid_has_the_very_numbers_of_its_path():
     cuboid = a_cuboid(2)
     rows, there = cuboid_at(cuboid, cuboid.path.timestamps_ns)
     assert there.all()
     np.testing.assert_array_equal(rows, cuboid.path.values)
 
 
-def test_three_quarters_of_a_turn_do_not_come_back_as_minus_one_quarter():
+def test_three_quarters_of_a_rotation_do_not_come_back_as_minus_one_quarter():
     values = np.array([[4, 2, 1, 0, 0, 0, 0, 0, 270.0], [4, 2, 1, 0, 0, 0, 0, 0, 280.0]])
     cuboid = CuboidAnnotation("a", CuboidPath(np.array([0, 100]), values))
     rows, _ = cuboid_at(cuboid, [0, 50, 100])
     np.testing.assert_allclose(rows[:, 8], [270.0, 275.0, 280.0], atol=CLOSE)
 
 
-def test_a_cuboid_turns_the_shorter_way_over_the_end_of_the_circle():
+def test_a_cuboid_rotates_the_shorter_arc_over_the_end_of_the_circle():
     values = np.array([[4, 2, 1, 0, 0, 0, 0, 0, 170.0], [4, 2, 1, 0, 0, 0, 0, 0, -170.0]])
     cuboid = CuboidAnnotation("a", CuboidPath(np.array([0, 100]), values))
     rows, _ = cuboid_at(cuboid, [75])
     np.testing.assert_allclose(rows[0, 8], 185.0, atol=CLOSE)
 
 
-def test_a_cuboid_is_there_from_its_first_stamp_to_its_last():
+def test_a_cuboid_is_there_from_its_first_timestamp_to_its_last():
     cuboid = a_cuboid(3)
     first, last = cuboid.path.timestamps_ns[[0, -1]]
     rows, there = cuboid_at(cuboid, [first - 1, first, last, last + 1])
@@ -118,7 +120,7 @@ def test_a_stationary_cuboid_is_there_at_all_times():
     np.testing.assert_array_equal(rows, cuboid.path.values[[0, -1]])
 
 
-def test_a_cuboid_without_stamps_is_nowhere():
+def test_a_cuboid_without_timestamps_is_nowhere():
     empty = CuboidAnnotation("a", CuboidPath(np.zeros(0, np.int64), np.zeros((0, 9))), stationary=True)
     rows, _ = cuboid_at(empty, [0, 1])
     assert np.isnan(rows).all()
@@ -143,7 +145,7 @@ def test_the_boxes_of_a_moment_are_those_of_each_cuboid(unit, order):
     )
 
 
-def test_a_box_in_pictures_goes_straight_and_ends():
+def test_a_box_in_images_goes_straight_and_ends():
     path = BoxPath(np.array([10, 20]), np.array([[0.0, 0.0, 10.0, 4.0], [10.0, 20.0, 30.0, 8.0]]))
     rows, there = box_2d_at(Box2DAnnotation("a", "camera", path), [10, 15, 20, 21])
     assert there.tolist() == [True, True, True, False]
@@ -186,6 +188,6 @@ def test_a_static_attribute_holds_at_all_times():
     assert attribute_at(AttributePath("colour", ()), [0]) == [None]
 
 
-def test_a_stamp_without_a_value_says_nothing():
+def test_a_timestamp_without_a_value_says_nothing():
     attribute = AttributePath("colour", ("red",), np.array([10, 20]))
     assert attribute_at(attribute, [10, 19, 20, 30]) == ["red", "red", None, None]

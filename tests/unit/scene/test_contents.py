@@ -8,14 +8,14 @@ from typing import Any
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import AttributePath, PosePath, Scene, Sensor, Trajectory, VideoContent
+from sceneloom.scene import AttributePath, Poses, Scene, Sensor, Trajectory, VideoContent
 from sceneloom.scene.annotations.annotation import Annotation
 from sceneloom.scene.contents import IMU_STREAMS, KINDS, MODEL_FIELDS, NO_DATA
 
-WHOLE = {Camera, RigidTransform, PosePath, VideoContent, AttributePath}
-"""Classes that are one field, as the table's first lines say."""
+WHOLE = {Camera, RigidTransform, Poses, VideoContent, AttributePath}
+"""Classes that are one field, as the table's first lines state."""
 
-OTHER_NAMES = {"pictures.decode": "pictures.rgb", "frames.decode": "frames.depth"}
+OTHER_NAMES = {"images.decode": "images.rgb", "frames.decode": "frames.depth"}
 """Functions that make an image are called by what they make."""
 
 
@@ -27,12 +27,12 @@ def classes_in(hint: Any) -> Iterator[type]:
         yield from classes_in(part)
 
 
-def paths_of(cls: type, way: str) -> Iterator[str]:
+def paths_of(cls: type, trajectory: str) -> Iterator[str]:
     hints = typing.get_type_hints(cls)
     for field in dataclasses.fields(cls):
         if field.name.startswith("_"):
             continue
-        name = f"{way}.{field.name}"
+        name = f"{trajectory}.{field.name}"
         deeper = [c for c in classes_in(hints[field.name]) if dataclasses.is_dataclass(c) and c not in WHOLE]
         if name == "sensors.imu.streams":
             for stream in (*IMU_STREAMS, "other"):

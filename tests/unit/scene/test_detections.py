@@ -26,7 +26,7 @@ def boxes():
     )
 
 
-def test_corners_are_those_of_the_box_turned_about_the_z_axis(boxes):
+def test_corners_are_those_of_the_box_rotated_about_the_z_axis(boxes):
     for k in range(len(boxes)):
         own = Rotation.from_euler("z", boxes.yaws[k]).inv().apply(boxes.corners[k] - boxes.centers[k])
         np.testing.assert_allclose(np.abs(own), np.tile(boxes.sizes_lwh[k] / 2, (8, 1)), atol=1e-12)
@@ -48,18 +48,19 @@ def test_speed_is_along_the_heading_and_negative_for_reversing():
 
 
 def test_boxes_in_another_frame_have_their_corners_velocities_and_spreads_there(boxes):
-    turn = Rotation.from_euler("z", 2.1)
-    b_from_a = RigidTransform(turn.as_matrix(), np.array([4.0, -3.0, 1.0]))
+    rotation = Rotation.from_euler("z", 2.1)
+    b_from_a = RigidTransform(rotation.as_matrix(), np.array([4.0, -3.0, 1.0]))
     moved = boxes.moved(b_from_a, PointsFrame.EGO)
     assert moved.frame is PointsFrame.EGO
     np.testing.assert_allclose(moved.corners, b_from_a.apply(boxes.corners), atol=1e-12)
-    np.testing.assert_allclose(moved.velocities, turn.apply(boxes.velocities.copy()), atol=1e-12)
+    np.testing.assert_allclose(moved.velocities, rotation.apply(boxes.velocities.copy()), atol=1e-12)
     np.testing.assert_allclose(moved.speeds, boxes.speeds, atol=1e-12)
     np.testing.assert_allclose(
-        moved.covariances[2, :3, :3], turn.as_matrix() @ boxes.covariances[2, :3, :3] @ turn.as_matrix().T
+        moved.covariances[2, :3, :3],
+        rotation.as_matrix() @ boxes.covariances[2, :3, :3] @ rotation.as_matrix().T,
     )
     np.testing.assert_array_equal(moved.covariances[:, 3:, 3:], boxes.covariances[:, 3:, 3:])
-    cross = turn.as_matrix() @ boxes.covariances[1, :3, 6]
+    cross = rotation.as_matrix() @ boxes.covariances[1, :3, 6]
     np.testing.assert_allclose(moved.covariances[1, :3, 6], cross)
 
 
@@ -73,7 +74,7 @@ def test_selected_boxes_keep_all_that_belongs_to_them(boxes, rows):
         np.testing.assert_array_equal(getattr(some, name), getattr(boxes, name)[numbers])
 
 
-def test_boxes_in_a_picture_are_edges_and_can_be_selected():
+def test_boxes_in_an_image_are_edges_and_can_be_selected():
     boxes = Boxes2D(
         3,
         np.array([[0.0, 0, 1, 1], [2.0, 3, 6, 10]]),
@@ -118,6 +119,6 @@ def test_arrays_that_do_not_fit_are_refused_by_name(boxes, wrong, message):
         Boxes3D(0, **{**fields, **wrong})
 
 
-def test_corners_of_boxes_in_a_picture_are_four_numbers():
+def test_corners_of_boxes_in_an_image_are_four_numbers():
     with pytest.raises(ArrayError, match="corners_xyxy"):
         Boxes2D(0, np.zeros((2, 3)), np.zeros(2), ("a", "b"))

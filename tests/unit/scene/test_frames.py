@@ -1,4 +1,4 @@
-"""Lazy frames: stamps at once, contents when asked for."""
+"""Lazy frames: timestamps at once, contents when asked for."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def test_an_index_outside_ends_iteration_as_for_every_sequence() -> None:
     assert list(reversed(frames)) == [40, 30, 20, 10, 0]
 
 
-def test_stamps_cannot_be_written_and_have_one_axis() -> None:
+def test_timestamps_cannot_be_written_and_have_one_axis() -> None:
     frames, _ = counting_frames()
     with pytest.raises(ValueError, match="read-only"):
         frames.timestamps_ns[0] = 7

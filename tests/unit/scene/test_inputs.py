@@ -7,14 +7,14 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import ArrayError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
+    CameraImage,
     CuboidPath,
     DepthFrame,
     EventAnnotation,
     LazyFrames,
     LidarFrame,
     LidarPoints,
-    Picture,
-    PosePath,
+    Poses,
     RadarFrame,
     RadarPoints,
     Scene,
@@ -23,18 +23,18 @@ from sceneloom.scene import (
 from sceneloom.scene.detections import Boxes2D, Boxes3D
 
 POINTS = LidarPoints(np.zeros((1, 3), np.float32))
-LENS = Camera("brown_conrady", 4, 3, 2.0, 2.5, 1.5, 1.0)
+CAMERA_MODEL = Camera("brown_conrady", 4, 3, 2.0, 2.5, 1.5, 1.0)
 TIMED = {
     "lidar frame": lambda t: LidarFrame(t, POINTS).timestamp_ns,
     "radar frame": lambda t: RadarFrame(t, RadarPoints(np.zeros((1, 3), np.float32))).timestamp_ns,
-    "picture": lambda t: Picture.of(t, LENS, np.zeros((3, 4, 3), np.uint8)).timestamp_ns,
-    "depth frame": lambda t: DepthFrame.of(t, LENS, np.zeros((3, 4), np.float32)).timestamp_ns,
+    "image": lambda t: CameraImage.of(t, CAMERA_MODEL, np.zeros((3, 4, 3), np.uint8)).timestamp_ns,
+    "depth frame": lambda t: DepthFrame.of(t, CAMERA_MODEL, np.zeros((3, 4), np.float32)).timestamp_ns,
     "boxes in space": lambda t: Boxes3D.empty(t).timestamp_ns,
-    "boxes in a picture": lambda t: Boxes2D.empty(t).timestamp_ns,
+    "boxes in an image": lambda t: Boxes2D.empty(t).timestamp_ns,
     "event": lambda t: EventAnnotation("e", t).start_ns,
     "offset": lambda t: Scene((), time_offset_ns=t).time_offset_ns,
     "frames": lambda t: int(LazyFrames.of([None], [t]).timestamps_ns[0]),
-    "poses": lambda t: PosePath([t], [[0, 0, 0]], [[0, 0, 0, 1]]).start_ns,
+    "poses": lambda t: Poses([t], [[0, 0, 0]], [[0, 0, 0, 1]]).start_ns,
     "cuboid": lambda t: int(CuboidPath([t], [[1] * 9]).timestamps_ns[0]),
     "samples": lambda t: int(VectorSamples([t], [[1, 2, 3]]).timestamps_ns[0]),
 }

@@ -5,17 +5,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, Picture
-from sceneloom.scene.nearest import FramesByStamp, SweepsByReference
+from sceneloom.scene import CameraImage, LazyFrames, LidarFrame, LidarPoints
+from sceneloom.scene.nearest import FramesByTimestamp, SweepsByReference
 
-LENS = Camera("pinhole", 4, 3, 2.0, 2.0, 1.5, 1.0)
+CAMERA_MODEL = Camera("pinhole", 4, 3, 2.0, 2.0, 1.5, 1.0)
 PERIOD = 100
-STAMPS = st.lists(st.integers(0, 60), max_size=12)
+TIMESTAMPS = st.lists(st.integers(0, 60), max_size=12)
 
 
-def pictures_at(stamps):
-    items = [Picture(stamp, LENS, lambda: np.zeros((3, 4, 3), np.uint8)) for stamp in stamps]
-    return LazyFrames.of(items, stamps)
+def images_at(timestamps):
+    items = [
+        CameraImage(timestamp, CAMERA_MODEL, lambda: np.zeros((3, 4, 3), np.uint8))
+        for timestamp in timestamps
+    ]
+    return LazyFrames.of(items, timestamps)
 
 
 def sweep_at(start, times):
@@ -30,15 +33,15 @@ def nearest_of_all(times, wanted, tolerance):
     return None if best is None or abs(times[best] - wanted) > tolerance else best
 
 
-@given(STAMPS, st.integers(-5, 65), st.integers(0, 20))
-def test_the_nearest_picture_is_found_and_the_earlier_one_of_two(stamps, wanted, tolerance):
-    frames = pictures_at(stamps)
-    answer = FramesByStamp(frames).find(wanted, tolerance)
-    expected = nearest_of_all(stamps, wanted, tolerance)
+@given(TIMESTAMPS, st.integers(-5, 65), st.integers(0, 20))
+def test_the_nearest_image_is_found_and_the_earlier_one_of_two(timestamps, wanted, tolerance):
+    frames = images_at(timestamps)
+    answer = FramesByTimestamp(frames).find(wanted, tolerance)
+    expected = nearest_of_all(timestamps, wanted, tolerance)
     if expected is None:
         assert isinstance(answer, str)
     else:
-        assert answer == (frames[expected], stamps[expected])
+        assert answer == (frames[expected], timestamps[expected])
 
 
 @st.composite
@@ -48,7 +51,7 @@ def sweeps(draw):
     starts = np.cumsum(gaps).tolist()
     lags = draw(st.lists(st.integers(0, 60), min_size=len(starts), max_size=len(starts)))
     references = np.maximum.accumulate(np.add(starts, lags)).tolist()
-    # two times around the median keep it from being the stamp where all are the same
+    # two times around the median keep it from being the timestamp where all are the same
     return [sweep_at(start, [mid - 1, mid, mid + 1]) for start, mid in zip(starts, references, strict=True)]
 
 
@@ -69,7 +72,7 @@ def test_the_nearest_sweep_is_found_by_its_own_reference_time_whatever_was_asked
             assert answer[0].reference_ns == references[expected]
 
 
-def test_a_sweep_in_the_middle_of_its_picture_is_read_once_and_no_other():
+def test_a_sweep_in_the_middle_of_its_image_is_read_once_and_no_other():
     asked = []
     frames = [sweep_at(k * PERIOD, [k * PERIOD + 49, k * PERIOD + 50, k * PERIOD + 51]) for k in range(20)]
 
@@ -82,15 +85,15 @@ def test_a_sweep_in_the_middle_of_its_picture_is_read_once_and_no_other():
     assert asked == [12]
 
 
-def test_point_times_that_count_from_the_stamp_are_put_right_before_they_tell_the_moment():
+def test_point_times_that_count_from_the_timestamp_are_put_right_before_they_report_the_moment():
     sweep = sweep_at(1000, [5, 6, 7])
     frame, reference_ns = SweepsByReference(LazyFrames.of([sweep], [1000]), PERIOD).read(0)
     assert reference_ns == 1006
     assert frame.points.timestamps_ns.tolist() == [1005, 1006, 1007]
 
 
-def test_that_a_sensor_has_nothing_or_nothing_near_is_said():
-    assert FramesByStamp(pictures_at([])).find(0, 5) == "it has no frames"
-    assert "0.000 s away" in FramesByStamp(pictures_at([9])).find(0, 5)
+def test_that_a_sensor_has_nothing_or_nothing_near_is_stated():
+    assert FramesByTimestamp(images_at([])).find(0, 5) == "it has no frames"
+    assert "0.000 s away" in FramesByTimestamp(images_at([9])).find(0, 5)
     empty = SweepsByReference(LazyFrames.of([], []), PERIOD)
     assert empty.find(0, 5) == "it has no frames"

@@ -1,4 +1,4 @@
-"""Points made of packed records: nobody can tell them from other ones."""
+"""Points made of packed records: nobody can report them from other ones."""
 
 import copy
 import pickle
@@ -65,9 +65,11 @@ def test_whichever_field_is_asked_for_first_all_are_unpacked_once(name):
     assert len(points) == 3
 
 
-@pytest.mark.parametrize("way", [lambda points: pickle.loads(pickle.dumps(points)), copy.copy, copy.deepcopy])
-def test_copies_are_unpacked(way):
-    again = way(LidarPoints.of_packed(Records()))
+@pytest.mark.parametrize(
+    "trajectory", [lambda points: pickle.loads(pickle.dumps(points)), copy.copy, copy.deepcopy]
+)
+def test_copies_are_unpacked(trajectory):
+    again = trajectory(LidarPoints.of_packed(Records()))
     assert type(again) is LidarPoints
     assert again.packed_count() is None
     assert len(again) == 3
@@ -103,7 +105,7 @@ def test_a_frame_is_paired_by_the_median_of_packed_times():
     assert LidarFrame(0, LidarPoints.of_packed(Records())).reference_ns == 20
 
 
-def test_what_is_wrong_with_records_is_told_at_each_use():
+def test_what_is_wrong_with_records_is_reported_at_each_use():
     class Torn(Records):
         def unpacked(self) -> LidarPoints:
             raise DataError("0.bin", "byte 0", "torn")

@@ -6,6 +6,7 @@ import pytest
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.scene import (
+    CameraImage,
     CameraSensor,
     CuboidAnnotation,
     CuboidPath,
@@ -16,9 +17,8 @@ from sceneloom.scene import (
     LidarPoints,
     LidarSensor,
     OdometrySensor,
-    Picture,
     PlainAnnotation,
-    PosePath,
+    Poses,
     RadarSensor,
     Scene,
     Trajectory,
@@ -32,9 +32,9 @@ TIMES = np.arange(0, 200 * SECOND, SECOND // 2, dtype=np.int64)
 PART = (100 * SECOND, 110 * SECOND)
 
 
-def path_at(times_ns: np.ndarray) -> PosePath:
+def path_at(times_ns: np.ndarray) -> Poses:
     positions = np.stack([times_ns * 1e-9, 0 * times_ns, 0 * times_ns], axis=1)
-    return PosePath(times_ns, positions, np.tile([0.0, 0, 0, 1], (len(times_ns), 1)))
+    return Poses(times_ns, positions, np.tile([0.0, 0, 0, 1], (len(times_ns), 1)))
 
 
 def lidar() -> LidarSensor:
@@ -66,7 +66,7 @@ def test_samples_are_those_of_the_part() -> None:
     assert len(part.sensor("gnss").accuracies) == len(inside)
 
 
-def test_poses_reach_a_little_around_the_part_and_say_the_same_in_it() -> None:
+def test_poses_reach_a_little_around_the_part_and_state_the_same_in_it() -> None:
     whole = moving_scene()
     part = cut_scene(whole, start=100.0, stop=110.0)
     asked = np.linspace(PART[0], PART[1] + SECOND // 2, 99).astype(np.int64)
@@ -79,18 +79,20 @@ def test_poses_reach_a_little_around_the_part_and_say_the_same_in_it() -> None:
 
 
 @pytest.mark.parametrize("times", [[0, 10 * SECOND], [180 * SECOND, 190 * SECOND], [5 * SECOND]])
-def test_a_way_that_misses_the_part_keeps_its_nearest_pose(times: list[int]) -> None:
-    way = path_at(np.array(times, np.int64))
-    scene = Scene((lidar(), OdometrySensor("ego", way)))
+def test_a_trajectory_that_misses_the_part_keeps_its_nearest_pose(times: list[int]) -> None:
+    trajectory = path_at(np.array(times, np.int64))
+    scene = Scene((lidar(), OdometrySensor("ego", trajectory)))
     poses = cut_scene(scene, start=100.0, stop=110.0).sensor("ego").poses
     nearest = min(times, key=lambda time: abs(time - PART[0]))
     assert poses.timestamps_ns.tolist() == [nearest]
 
 
 def test_poses_far_apart_stay_on_both_sides_of_the_part() -> None:
-    way = path_at(np.array([0, 50 * SECOND, 150 * SECOND, 190 * SECOND], np.int64))
+    trajectory = path_at(np.array([0, 50 * SECOND, 150 * SECOND, 190 * SECOND], np.int64))
     poses = (
-        cut_scene(Scene((lidar(), OdometrySensor("ego", way))), start=100.0, stop=110.0).sensor("ego").poses
+        cut_scene(Scene((lidar(), OdometrySensor("ego", trajectory))), start=100.0, stop=110.0)
+        .sensor("ego")
+        .poses
     )
     assert poses.timestamps_ns.tolist() == [50 * SECOND, 150 * SECOND]
 
@@ -100,32 +102,32 @@ def box(identifier: str, times: list[int], *, stationary: bool | None = None) ->
     return CuboidAnnotation(identifier, CuboidPath(np.array(times, np.int64), values), stationary=stationary)
 
 
-def test_boxes_are_cut_standing_ones_kept_and_absent_ones_counted() -> None:
+def test_boxes_are_cut_stationary_ones_kept_and_absent_ones_counted() -> None:
     label = PlainAnnotation("lane", "polyline", {})
     boxes = (
         box("passing", [95 * SECOND, 99 * SECOND, 105 * SECOND, 120 * SECOND, 130 * SECOND]),
         box("gone", [0, 10 * SECOND]),
-        box("standing", [0], stationary=True),
+        box("stationary", [0], stationary=True),
         label,
     )
     part = cut_scene(Scene((lidar(),), boxes), start=100.0, stop=110.0)
-    passing, standing, lane = part.annotations
+    passing, stationary, lane = part.annotations
     assert passing.path.timestamps_ns.tolist() == [99 * SECOND, 105 * SECOND, 120 * SECOND]
     np.testing.assert_array_equal(passing.path.values, boxes[0].path.values[1:4])
-    assert standing.path.timestamps_ns.tolist() == [PART[0]]
-    np.testing.assert_array_equal(standing.path.values, boxes[2].path.values)
+    assert stationary.path.timestamps_ns.tolist() == [PART[0]]
+    np.testing.assert_array_equal(stationary.path.values, boxes[2].path.values)
     assert lane is label
-    assert [(notice.code, notice.count) for notice in part.notices] == [("annotations-cut", 1)]
+    assert [(warning.code, warning.count) for warning in part.warnings] == [("annotations-cut", 1)]
 
 
-def test_the_last_sweep_keeps_its_picture() -> None:
+def test_the_last_sweep_keeps_its_image() -> None:
     middles = TIMES + SECOND // 4
     camera = Camera("pinhole", 2, 1, 1.0, 1.0, 0.5, 0.0)
-    pictures = [Picture.of(int(t), camera, np.zeros((1, 2, 3), np.uint8)) for t in middles]
-    scene = Scene((lidar(), CameraSensor("camera0", camera, LazyFrames.of(pictures, middles.tolist()))))
+    images = [CameraImage.of(int(t), camera, np.zeros((1, 2, 3), np.uint8)) for t in middles]
+    scene = Scene((lidar(), CameraSensor("camera0", camera, LazyFrames.of(images, middles.tolist()))))
     part = cut_scene(scene, start=100.0, stop=102.6)
     assert part.lidars[0].frames.timestamps_ns[-1] == 102.5 * SECOND
-    assert part.cameras[0].pictures.timestamps_ns[[0, -1]].tolist() == [100.25 * SECOND, 102.75 * SECOND]
+    assert part.cameras[0].images.timestamps_ns[[0, -1]].tolist() == [100.25 * SECOND, 102.75 * SECOND]
 
 
 @pytest.mark.parametrize("stop", [float("inf"), 1e300, 1e12])
@@ -141,38 +143,38 @@ def test_a_start_beyond_all_time_is_refused(start: float) -> None:
 
 
 def test_a_path_that_holds_always_is_not_cut() -> None:
-    scene = Scene((lidar(), OdometrySensor("ego", PosePath.identity())))
-    assert cut_scene(scene, start=100.0).sensor("ego").poses.endless
+    scene = Scene((lidar(), OdometrySensor("ego", Poses.identity())))
+    assert cut_scene(scene, start=100.0).sensor("ego").poses.static
 
 
 def test_a_part_is_counted_from_the_first_frame_and_not_from_poses_before_it():
     times = np.arange(-3_000_000_000, 3_000_000_001, 500_000_000)
-    poses = PosePath(times, np.zeros((len(times), 3)), np.tile([0.0, 0, 0, 1], (len(times), 1)))
-    stamps = [0, 100_000_000, 200_000_000]
-    sweeps = [LidarFrame(stamp, LidarPoints(np.zeros((1, 3), np.float32))) for stamp in stamps]
-    scene = Scene((OdometrySensor("ego", poses), LidarSensor("top", LazyFrames.of(sweeps, stamps))))
+    poses = Poses(times, np.zeros((len(times), 3)), np.tile([0.0, 0, 0, 1], (len(times), 1)))
+    timestamps = [0, 100_000_000, 200_000_000]
+    sweeps = [LidarFrame(timestamp, LidarPoints(np.zeros((1, 3), np.float32))) for timestamp in timestamps]
+    scene = Scene((OdometrySensor("ego", poses), LidarSensor("top", LazyFrames.of(sweeps, timestamps))))
     cut = cut_scene(scene, start=0.1)
-    assert cut.lidars[0].frames.timestamps_ns.tolist() == stamps[1:]
-    assert cut_scene(cut, start=0.1).lidars[0].frames.timestamps_ns.tolist() == stamps[2:]
+    assert cut.lidars[0].frames.timestamps_ns.tolist() == timestamps[1:]
+    assert cut_scene(cut, start=0.1).lidars[0].frames.timestamps_ns.tolist() == timestamps[2:]
 
 
 def test_a_scene_of_poses_alone_is_counted_from_its_first_pose():
-    poses = PosePath(np.array([5, 9]), np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
+    poses = Poses(np.array([5, 9]), np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
     assert time_span(Scene((OdometrySensor("ego", poses),))) == (5, 9)
 
 
-def scene_at(stamps_ns: list[int]) -> Scene:
-    frames = [LidarFrame(t, LidarPoints(np.zeros((1, 3), np.float32))) for t in stamps_ns]
-    return Scene((LidarSensor("lidar", LazyFrames.of(frames, stamps_ns)),))
+def scene_at(timestamps_ns: list[int]) -> Scene:
+    frames = [LidarFrame(t, LidarPoints(np.zeros((1, 3), np.float32))) for t in timestamps_ns]
+    return Scene((LidarSensor("lidar", LazyFrames.of(frames, timestamps_ns)),))
 
 
 @pytest.mark.parametrize("early_ns", [0, 1, 1000, 90_000])
 def test_a_first_sweep_that_begins_late_by_some_points_takes_no_sweep_out_of_the_part(early_ns: int) -> None:
-    stamps_ns = [early_ns, 100_000_000, 200_000_000, 299_999_000, 400_001_000]
-    scene = scene_at(stamps_ns)
+    timestamps_ns = [early_ns, 100_000_000, 200_000_000, 299_999_000, 400_001_000]
+    scene = scene_at(timestamps_ns)
     before, after = cut_scene(scene, stop=0.3), cut_scene(scene, start=0.3)
-    assert after.lidars[0].frames.timestamps_ns.tolist() == stamps_ns[3:]
-    assert before.lidars[0].frames.timestamps_ns.tolist() == stamps_ns[:3]
+    assert after.lidars[0].frames.timestamps_ns.tolist() == timestamps_ns[3:]
+    assert before.lidars[0].frames.timestamps_ns.tolist() == timestamps_ns[:3]
 
 
 def test_a_sweep_that_begins_well_before_a_part_is_not_in_it() -> None:

@@ -25,7 +25,7 @@ from sceneloom.scene import (
     PointPath,
     PointProjection,
     PointsAnnotation,
-    PosePath,
+    Poses,
     Projection,
     Scene,
     ShapeAnnotation,
@@ -65,8 +65,8 @@ def seconds(path):
     return (path.timestamps_ns / SECOND).tolist()
 
 
-def told(scene):
-    return {notice.code: notice.count for notice in scene.notices}
+def reported(scene):
+    return {warning.code: warning.count for warning in scene.warnings}
 
 
 PATH = CuboidPath(at(0, 20), rows(9, 2))
@@ -83,7 +83,7 @@ def test_activations_that_last_into_the_part_stay():
     np.testing.assert_array_equal(kept.cuboids, rows(9, 4)[1:3])
 
 
-def test_projections_into_pictures_of_the_part_stay():
+def test_projections_into_images_of_the_part_stay():
     projection = Projection(
         "front",
         at(4, 5, 9.9, 10),
@@ -113,14 +113,14 @@ def test_paths_keep_the_rows_in_and_next_to_the_part():
 
 
 @pytest.mark.parametrize("times", [at(0, 4.9), at(10, 12)])
-def test_what_is_not_there_in_the_part_is_left_out_and_told(times):
+def test_what_is_not_there_in_the_part_is_left_out_and_reported(times):
     shape = ShapeAnnotation("s", ShapeType.POLYGON, VertexPath(times, (rows(3, 1),) * 2))
     part = cut(shape)
     assert part.annotations == ()
-    assert told(part) == {"annotations-cut": 1}
+    assert reported(part) == {"annotations-cut": 1}
 
 
-def test_what_stands_still_holds_in_any_part():
+def test_what_is_stationary_holds_in_any_part():
     shape = ShapeAnnotation("s", ShapeType.POLYGON, VertexPath(at(1), (rows(3, 4),)), stationary=True)
     kept = only(shape)
     assert seconds(kept.path) == [5]
@@ -175,8 +175,8 @@ def test_labelled_points_follow_their_frames():
         ("top", 4),
         ("map", None),
     ]
-    assert told(part)["labelled-frames"] == 3
-    assert told(part)["annotations-cut"] == 1
+    assert reported(part)["labelled-frames"] == 3
+    assert reported(part)["annotations-cut"] == 1
 
 
 def test_labels_of_a_whole_sensor_stay_where_all_of_its_frames_do():
@@ -185,20 +185,20 @@ def test_labels_of_a_whole_sensor_stay_where_all_of_its_frames_do():
     assert cut(whole).annotations == ()
 
 
-def turned(*stamps):
-    return PosePath(at(*stamps), rows(3, len(stamps)), np.tile([0.0, 0, 0, 1], (len(stamps), 1)))
+def rotated(*timestamps):
+    return Poses(at(*timestamps), rows(3, len(timestamps)), np.tile([0.0, 0, 0, 1], (len(timestamps), 1)))
 
 
 def test_corrections_keep_the_poses_around_the_part():
-    adjustment = LocalizationAdjustment("a", turned(0, 4, 7, 12, 20))
-    calibration = CameraCalibration("c", "front", poses=turned(0, 4, 7, 12, 20), time_offset_ns=5)
+    adjustment = LocalizationAdjustment("a", rotated(0, 4, 7, 12, 20))
+    calibration = CameraCalibration("c", "front", poses=rotated(0, 4, 7, 12, 20), time_offset_ns=5)
     kept, calibrated = cut(adjustment, calibration).annotations
     assert seconds(kept.poses) == seconds(calibrated.poses) == [4, 7, 12]
     assert calibrated.time_offset_ns == 5
-    standing = LocalizationAdjustment("a", PosePath.identity())
-    assert only(standing).poses.endless
-    assert cut(LocalizationAdjustment("a", turned(0, 1))).annotations == ()
-    assert only(LocalizationAdjustment("a", turned(0))).poses.endless
+    stationary = LocalizationAdjustment("a", Poses.identity())
+    assert only(stationary).poses.static
+    assert cut(LocalizationAdjustment("a", rotated(0, 1))).annotations == ()
+    assert only(LocalizationAdjustment("a", rotated(0))).poses.static
 
 
 @pytest.mark.parametrize(
@@ -238,4 +238,4 @@ def test_links_to_what_is_gone_go_and_children_stand_alone():
     )
     assert [annotation.id for annotation in part.annotations] == ["child", "other", "group", "firm"]
     assert [annotation.parent_id for annotation in part.annotations[:2]] == [None, "group"]
-    assert told(part) == {"annotations-cut": 2, "parents-cut": 1}
+    assert reported(part) == {"annotations-cut": 2, "parents-cut": 1}

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.motion.point_time_notices import PointTimesTally
-from sceneloom.scene import LidarFrame, LidarPoints, NoticeKind
+from sceneloom.motion.point_time_warnings import PointTimesStatistics
+from sceneloom.scene import LidarFrame, LidarPoints, WarningKind
 from sceneloom.scene.point_times import (
     PointTimes,
     RawTimes,
@@ -30,13 +30,13 @@ def times_of_sweep(count: int = 1000, span: int = PERIOD) -> np.ndarray:
     return np.random.default_rng(1).permutation(times)
 
 
-def sweep(stamp_ns: int, times_ns: np.ndarray | None) -> LidarFrame:
+def sweep(timestamp_ns: int, times_ns: np.ndarray | None) -> LidarFrame:
     count = 5 if times_ns is None else len(times_ns)
-    return LidarFrame(stamp_ns, LidarPoints(np.ones((count, 3), np.float32), timestamps_ns=times_ns))
+    return LidarFrame(timestamp_ns, LidarPoints(np.ones((count, 3), np.float32), timestamps_ns=times_ns))
 
 
-def judged(stamp_ns: int, times_ns: np.ndarray | None, previous: RawTimes | None = None) -> TimedFrame:
-    return timed_frame(sweep(stamp_ns, times_ns), PERIOD, previous=previous)
+def judged(timestamp_ns: int, times_ns: np.ndarray | None, previous: RawTimes | None = None) -> TimedFrame:
+    return timed_frame(sweep(timestamp_ns, times_ns), PERIOD, previous=previous)
 
 
 @CLOCKS
@@ -54,14 +54,14 @@ def judged(stamp_ns: int, times_ns: np.ndarray | None, previous: RawTimes | None
         (0, 3),
     ],
     ids=[
-        "stamped at the start",
-        "stamped at the end",
-        "stamped in the middle",
+        "timestamped at the start",
+        "timestamped at the end",
+        "timestamped in the middle",
         "a tenth of the period",
         "a flash in several parts",
-        "stamped late",
+        "timestamped late",
         "ten sweeps gathered",
-        "stamped early",
+        "timestamped early",
         "nanoseconds",
     ],
 )
@@ -72,7 +72,7 @@ def test_conventions_are_no_faults_and_nothing_is_touched(clock: int, first: int
     assert timed.frame is frame
 
 
-def test_a_flash_near_the_stamp_is_believed_and_points_without_times_have_none() -> None:
+def test_a_flash_near_the_timestamp_is_believed_and_points_without_times_have_none() -> None:
     flash = judged(EPOCH, np.full(10, EPOCH + PERIOD // 2))
     assert (flash.verdict, flash.frame.points.timestamps_ns is None) == (PointTimes.ABSOLUTE, False)
     assert judged(EPOCH, None).verdict is PointTimes.ABSENT
@@ -80,13 +80,13 @@ def test_a_flash_near_the_stamp_is_believed_and_points_without_times_have_none()
 
 
 @pytest.mark.parametrize("time", [0, EPOCH - 2 * PERIOD])
-def test_one_time_for_all_points_that_is_not_the_sweeps_tells_nothing(time: int) -> None:
+def test_one_time_for_all_points_that_is_not_the_sweeps_states_nothing(time: int) -> None:
     timed = judged(EPOCH, np.full(10, time))
     assert (timed.verdict, timed.found.untimed) == (PointTimes.EQUAL, True)
     assert timed.frame.points.timestamps_ns is None
 
 
-def test_zero_is_no_time_however_near_the_stamp_is() -> None:
+def test_zero_is_no_time_however_near_the_timestamp_is() -> None:
     assert judged(PERIOD // 2, np.zeros(10, np.int64)).verdict is PointTimes.EQUAL
     assert judged(0, np.zeros(10, np.int64)).verdict is PointTimes.ABSOLUTE
 
@@ -94,7 +94,7 @@ def test_zero_is_no_time_however_near_the_stamp_is() -> None:
 @CLOCKS
 @pytest.mark.parametrize("first", [0, -PERIOD, -PERIOD // 2])
 @pytest.mark.parametrize("span", [PERIOD, PERIOD // 10])
-def test_times_from_zero_count_from_the_stamp(clock: int, first: int, span: int) -> None:
+def test_times_from_zero_count_from_the_timestamp(clock: int, first: int, span: int) -> None:
     relative = first + times_of_sweep(span=span)
     timed = judged(clock, relative)
     assert timed.verdict is PointTimes.RELATIVE
@@ -129,13 +129,13 @@ def test_times_in_a_wrong_unit_are_brought_into_the_right_one(factor: Fraction, 
 @pytest.mark.parametrize(
     "factor", [Fraction(1000), Fraction(10**6), Fraction(10**9), Fraction(1, 1000), Fraction(1, 10**6)]
 )
-def test_times_from_zero_in_a_wrong_unit_are_brought_to_the_stamp(clock: int, factor: Fraction) -> None:
+def test_times_from_zero_in_a_wrong_unit_are_brought_to_the_timestamp(clock: int, factor: Fraction) -> None:
     relative = times_of_sweep()
     timed = judged(clock, in_unit(relative, factor))
     assert (timed.verdict, timed.found.factor, timed.found.relative) == (PointTimes.WRONG_UNIT, factor, True)
     coarse = max(float(1 / factor), 1.0)
-    mended = timed.frame.points.timestamps_ns - clock
-    np.testing.assert_allclose(mended, relative, rtol=0, atol=coarse / 2)
+    repaired = timed.frame.points.timestamps_ns - clock
+    np.testing.assert_allclose(repaired, relative, rtol=0, atol=coarse / 2)
 
 
 def test_microseconds_of_today_read_as_nanoseconds_are_exact_again() -> None:
@@ -166,9 +166,9 @@ def test_a_few_points_of_some_other_time_get_that_of_their_sweep(stray: int) -> 
     times[[3, 500, 999]] = stray
     timed = judged(EPOCH, times)
     assert timed.found == TimesFound(strays=3)
-    mended = timed.frame.points.timestamps_ns
-    np.testing.assert_array_equal(np.delete(mended, [3, 500, 999]), np.delete(true, [3, 500, 999]))
-    assert np.abs(mended[[3, 500, 999]] - (EPOCH + PERIOD // 2)).max() < PERIOD // 100
+    repaired = timed.frame.points.timestamps_ns
+    np.testing.assert_array_equal(np.delete(repaired, [3, 500, 999]), np.delete(true, [3, 500, 999]))
+    assert np.abs(repaired[[3, 500, 999]] - (EPOCH + PERIOD // 2)).max() < PERIOD // 100
 
 
 def test_strays_do_not_hide_a_wrong_unit_nor_times_from_zero() -> None:
@@ -184,12 +184,12 @@ def test_strays_do_not_hide_a_wrong_unit_nor_times_from_zero() -> None:
 
 @pytest.mark.parametrize("factor", [1, Fraction(1, 1000), 1000])
 def test_a_drive_from_zero_on_is_read_alike_throughout(factor: Fraction) -> None:
-    """Sweep 1 alone could be absolute, stamped at its end; the sweep before tells that the times do not go on."""
+    """Sweep 1 alone could be absolute, timestamped at its end; the sweep before reports that the times do not go on."""
     relative, previous = times_of_sweep(), None
     for k in range(20):
         timed = judged(k * PERIOD, in_unit(relative, Fraction(factor)), previous)
         previous = timed.raw
-        if k > 0:  # nothing comes before the first, where counting from the stamp is counting from zero
+        if k > 0:  # nothing comes before the first, where counting from the timestamp is counting from zero
             atol = 500 if factor < 1 else 0
             np.testing.assert_allclose(
                 timed.frame.points.timestamps_ns, relative + k * PERIOD, rtol=0, atol=atol
@@ -197,7 +197,7 @@ def test_a_drive_from_zero_on_is_read_alike_throughout(factor: Fraction) -> None
 
 
 @pytest.mark.parametrize("late", [0, PERIOD, 5 * PERIOD])
-def test_a_drive_from_zero_on_that_is_stamped_late_is_believed(late: int) -> None:
+def test_a_drive_from_zero_on_that_is_timestamped_late_is_believed(late: int) -> None:
     previous = None
     for k in range(20):
         frame = sweep(k * PERIOD + late, k * PERIOD + times_of_sweep())
@@ -221,21 +221,21 @@ def test_extreme_times_are_judged_without_overflow() -> None:
     assert judged(-EPOCH, np.full(3, 2**63 - 1)).verdict is PointTimes.EQUAL
 
 
-def test_everything_but_sound_and_absent_times_is_told_once() -> None:
-    tally = PointTimesTally()
+def test_everything_but_sound_and_absent_times_is_reported_once() -> None:
+    statistics = PointTimesStatistics()
     relative = times_of_sweep()
     strays = EPOCH + relative
     strays[:4] = 0
     for times in (None, EPOCH + relative, relative, relative, relative * 1000, strays, np.zeros(3, np.int64)):
-        tally.add(judged(EPOCH, times).found)
-    told = {notice.code: (notice.kind, notice.count) for notice in tally.notices()}
-    assert told == {
-        "relative-point-times": (NoticeKind.ASSUMED, 2),
-        "unit-of-point-times": (NoticeKind.REPAIRED, 1),
-        "times-of-points": (NoticeKind.ASSUMED, 1),
-        "stray-point-times": (NoticeKind.REPAIRED, 4),
+        statistics.add(judged(EPOCH, times).found)
+    reported = {warning.code: (warning.kind, warning.count) for warning in statistics.warnings()}
+    assert reported == {
+        "relative-point-times": (WarningKind.ASSUMED, 2),
+        "unit-of-point-times": (WarningKind.REPAIRED, 1),
+        "times-of-points": (WarningKind.ASSUMED, 1),
+        "stray-point-times": (WarningKind.REPAIRED, 4),
     }
-    unit = next(notice.message for notice in tally.notices() if notice.code == "unit-of-point-times")
+    unit = next(warning.message for warning in statistics.warnings() if warning.code == "unit-of-point-times")
     assert "1000 times too large" in unit
     assert "counted from the sweep's time" in unit
 

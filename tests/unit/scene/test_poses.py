@@ -1,19 +1,19 @@
-"""PosePath refuses what is no path, and says where."""
+"""Poses refuses what is no path, and says where."""
 
 import numpy as np
 import pytest
 
 from sceneloom.errors import ArrayError, PoseError
-from sceneloom.scene import PosePath, Trajectory
-from sceneloom.scene.poses import same_way
+from sceneloom.scene import Poses, Trajectory
+from sceneloom.scene.poses import same_direction
 
 UPRIGHT = np.array([[0.0, 0.0, 0.0, 1.0]])
 
 
-def path_with(times: list[int], quaternion: list[float] | None = None, place: float = 0.0) -> PosePath:
+def path_with(times: list[int], quaternion: list[float] | None = None, location: float = 0.0) -> Poses:
     count = len(times)
-    turns = np.tile(UPRIGHT if quaternion is None else np.array([quaternion]), (count, 1))
-    return PosePath(np.array(times, np.int64), np.full((count, 3), place), turns)
+    rotations = np.tile(UPRIGHT if quaternion is None else np.array([quaternion]), (count, 1))
+    return Poses(np.array(times, np.int64), np.full((count, 3), location), rotations)
 
 
 def test_times_that_do_not_increase_are_named_by_their_index() -> None:
@@ -30,32 +30,32 @@ def test_a_quaternion_far_from_unit_norm_is_refused_and_a_near_one_accepted() ->
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
 def test_values_that_are_not_finite_are_refused(bad: float) -> None:
     with pytest.raises(ArrayError, match="not finite"):
-        path_with([0], place=bad)
+        path_with([0], location=bad)
 
 
 def test_an_empty_path_is_refused() -> None:
     with pytest.raises(ArrayError, match="at least one pose"):
-        PosePath(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 4)))
+        Poses(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 4)))
 
 
 def test_the_identity_holds_at_all_times() -> None:
-    samples = PosePath.identity().interpolate(np.array([-(2**60), 0, 2**60], np.int64))
+    samples = Poses.identity().interpolate(np.array([-(2**60), 0, 2**60], np.int64))
     np.testing.assert_array_equal(samples.positions, 0)
     np.testing.assert_array_equal(samples.quaternions_xyzw, np.repeat(UPRIGHT, 3, axis=0))
     np.testing.assert_array_equal(samples.coverage, 0)
 
 
 def test_a_pose_that_holds_always_comes_out_of_unit_length_as_every_other() -> None:
-    path = PosePath(np.zeros(1, np.int64), np.zeros((1, 3)), np.array([[0, 0, 0.603, 0.804]]), endless=True)
+    path = Poses(np.zeros(1, np.int64), np.zeros((1, 3)), np.array([[0, 0, 0.603, 0.804]]), static=True)
     np.testing.assert_allclose(
         path.interpolate(np.zeros(2, np.int64)).quaternions_xyzw, [[0, 0, 0.6, 0.8]] * 2
     )
 
 
 def test_a_moved_path_lies_elsewhere_and_keeps_the_rest() -> None:
-    moved = PosePath.identity().moved(np.array([1.0, 2.0, 3.0]))
+    moved = Poses.identity().moved(np.array([1.0, 2.0, 3.0]))
     np.testing.assert_array_equal(moved.positions, [[-1, -2, -3]])
-    assert moved.endless
+    assert moved.static
 
 
 def test_the_arrays_of_a_path_cannot_be_written() -> None:
@@ -65,16 +65,18 @@ def test_the_arrays_of_a_path_cannot_be_written() -> None:
 
 
 def test_a_trajectory_of_positions_has_no_poses_and_says_what_to_do() -> None:
-    with pytest.raises(PoseError, match="--heading motion"):
+    with pytest.raises(PoseError, match="--orientation-from motion"):
         _ = Trajectory("gnssEnu", np.zeros(1, np.int64), np.zeros((1, 3))).poses
 
 
 def test_ways_are_the_same_only_number_for_number():
-    stamps, turns = np.array([0, 10]), np.array([[0.0, 0, 0, 1]] * 2)
+    timestamps, rotations = np.array([0, 10]), np.array([[0.0, 0, 0, 1]] * 2)
     far_away = np.array([[500_000.0, 4_500_000.0, 0.0]] * 2)
-    way = Trajectory("way", stamps, far_away, turns)
-    assert same_way(PosePath(stamps, far_away, turns), way)
-    assert not same_way(PosePath(stamps, far_away + 0.001, turns), way)
-    assert not same_way(PosePath(stamps + 1, far_away, turns), way)
-    assert not same_way(PosePath(stamps, far_away, -turns), way)
-    assert not same_way(PosePath(stamps, far_away, turns), Trajectory("places", stamps, far_away))
+    trajectory = Trajectory("trajectory", timestamps, far_away, rotations)
+    assert same_direction(Poses(timestamps, far_away, rotations), trajectory)
+    assert not same_direction(Poses(timestamps, far_away + 0.001, rotations), trajectory)
+    assert not same_direction(Poses(timestamps + 1, far_away, rotations), trajectory)
+    assert not same_direction(Poses(timestamps, far_away, -rotations), trajectory)
+    assert not same_direction(
+        Poses(timestamps, far_away, rotations), Trajectory("locations", timestamps, far_away)
+    )

@@ -11,6 +11,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
+    CameraImage,
     CameraSensor,
     Coordinates,
     CuboidAnnotation,
@@ -21,9 +22,8 @@ from sceneloom.scene import (
     LidarFrame,
     LidarPoints,
     LidarSensor,
-    Picture,
     PointsFrame,
-    PosePath,
+    Poses,
     RadarFrame,
     RadarPoints,
     RadarSensor,
@@ -33,13 +33,13 @@ from sceneloom.scene import (
 )
 from sceneloom.scene.ego import EgoMotion
 
-LENS = Camera("brown_conrady", 4, 3, 2.0, 2.5, 1.5, 1.0, (0.1, 0.02))
+CAMERA_MODEL = Camera("brown_conrady", 4, 3, 2.0, 2.5, 1.5, 1.0, (0.1, 0.02))
 MS = 1_000_000
 SWEEPS_NS = np.array([0, 100, 200, 300], np.int64) * MS
-PICTURES_NS = np.array([40, 75, 160, 370], np.int64) * MS
-WAY_NS = np.arange(0, 420, 30, dtype=np.int64) * MS
-TURNS = Rotation.from_rotvec(np.linspace([0, 0, 0], [0.1, -0.2, 1.1], len(WAY_NS)))
-PLACES = np.column_stack([np.cos(WAY_NS / 2e8), np.sin(WAY_NS / 2e8), WAY_NS / 1e9])
+IMAGES_NS = np.array([40, 75, 160, 370], np.int64) * MS
+TRAJECTORY_NS = np.arange(0, 420, 30, dtype=np.int64) * MS
+ROTATIONS = Rotation.from_rotvec(np.linspace([0, 0, 0], [0.1, -0.2, 1.1], len(TRAJECTORY_NS)))
+LOCATIONS = np.column_stack([np.cos(TRAJECTORY_NS / 2e8), np.sin(TRAJECTORY_NS / 2e8), TRAJECTORY_NS / 1e9])
 EGO_FROM_LIDAR = (Rotation.from_euler("zyx", [20, 3, -2], degrees=True), np.array([0.1, 0.2, 1.8]))
 EGO_FROM_CAMERA = (Rotation.from_euler("zyx", [-90, 5, -85], degrees=True), np.array([1.5, 0.0, 1.2]))
 # composing in another order than scipy rounds the last digits
@@ -57,8 +57,8 @@ def matrix(rotation, position):
 
 
 def world_from_ego(time_ns):
-    place = [np.interp(time_ns, WAY_NS, PLACES[:, axis]) for axis in range(3)]
-    return matrix(Slerp(WAY_NS / 1e6, TURNS)(time_ns / 1e6), place)
+    location = [np.interp(time_ns, TRAJECTORY_NS, LOCATIONS[:, axis]) for axis in range(3)]
+    return matrix(Slerp(TRAJECTORY_NS / 1e6, ROTATIONS)(time_ns / 1e6), location)
 
 
 def sweep(start_ns, middle_ns=50 * MS):
@@ -75,44 +75,48 @@ def lidar(sensor_id="lidar", **fields):
     return replace(LidarSensor(sensor_id, frames, mount=transform(EGO_FROM_LIDAR)), **fields)
 
 
-def camera(sensor_id="camera0", stamps=PICTURES_NS, **fields):
-    pictures = [Picture.of(t, LENS, np.full((3, 4, 3), k, np.uint8)) for k, t in enumerate(stamps.tolist())]
-    frames = LazyFrames.of(pictures, stamps)
-    return replace(CameraSensor(sensor_id, LENS, frames, mount=transform(EGO_FROM_CAMERA)), **fields)
-
-
-def depth_camera(stamps=PICTURES_NS, **fields):
+def camera(sensor_id="camera0", timestamps=IMAGES_NS, **fields):
     images = [
-        DepthFrame.of(t, LENS, np.full((3, 4), k + 0.5, np.float32)) for k, t in enumerate(stamps.tolist())
+        CameraImage.of(t, CAMERA_MODEL, np.full((3, 4, 3), k, np.uint8))
+        for k, t in enumerate(timestamps.tolist())
     ]
-    frames = LazyFrames.of(images, stamps)
-    return DepthCameraSensor("depth0", LENS, frames, mount=transform(EGO_FROM_CAMERA), **fields)
+    frames = LazyFrames.of(images, timestamps)
+    return replace(CameraSensor(sensor_id, CAMERA_MODEL, frames, mount=transform(EGO_FROM_CAMERA)), **fields)
+
+
+def depth_camera(timestamps=IMAGES_NS, **fields):
+    images = [
+        DepthFrame.of(t, CAMERA_MODEL, np.full((3, 4), k + 0.5, np.float32))
+        for k, t in enumerate(timestamps.tolist())
+    ]
+    frames = LazyFrames.of(images, timestamps)
+    return DepthCameraSensor("depth0", CAMERA_MODEL, frames, mount=transform(EGO_FROM_CAMERA), **fields)
 
 
 def drive(*sensors, **fields):
-    way = Trajectory("groundTruth", WAY_NS, PLACES, TURNS.as_quat())
-    fields = {"trajectories": {"groundTruth": way}, **fields}
+    trajectory = Trajectory("groundTruth", TRAJECTORY_NS, LOCATIONS, ROTATIONS.as_quat())
+    fields = {"trajectories": {"groundTruth": trajectory}, **fields}
     return Scene(sensors or (lidar(), camera()), **fields)
 
 
-def test_a_sample_holds_the_picture_nearest_to_the_middle_of_its_sweep():
+def test_a_sample_holds_the_image_nearest_to_the_middle_of_its_sweep():
     samples = drive().samples()
     assert len(samples) == 4
     middles = (SWEEPS_NS + 50 * MS).tolist()
     assert [sample.timestamp_ns for sample in samples] == middles
-    found = [sample.pictures["camera0"] for sample in samples]
+    found = [sample.images["camera0"] for sample in samples]
     # 370 ms is nearer to the last sweep's 350 ms than the tolerance, a sweep period; 250 ms has 160 ms at 90 ms
-    assert [picture.timestamp_ns // MS for picture in found] == [40, 160, 160, 370]
+    assert [image.timestamp_ns // MS for image in found] == [40, 160, 160, 370]
     assert samples[0].time_differences_ns == {"lidar": 0, "camera0": -10 * MS}
     assert samples[0].missing == {}
-    np.testing.assert_array_equal(samples[3].pictures["camera0"].rgb, 3)
+    np.testing.assert_array_equal(samples[3].images["camera0"].rgb, 3)
 
 
-def test_a_picture_beyond_the_tolerance_is_missing_and_the_sample_says_how_far_it_is():
+def test_an_image_beyond_the_tolerance_is_missing_and_the_sample_says_how_far_it_is():
     sample = drive().samples(tolerance_ns=89 * MS)[2]
-    assert sample.pictures == {"camera0": None}
+    assert sample.images == {"camera0": None}
     assert sample.missing["camera0"] == "its nearest frame is 0.090 s away; expected at most 0.089 s"
-    assert sample.cameras == {"camera0": LENS}
+    assert sample.cameras == {"camera0": CAMERA_MODEL}
     assert sample.world_from_camera == {"camera0": None}
     assert "no frame" in sample.unposed["camera0"]
     assert drive().samples(tolerance_ns=90 * MS)[2].missing == {}
@@ -153,10 +157,10 @@ def test_points_in_the_ego_frame_take_the_ego_s_pose_and_keep_the_lidar_s():
     np.testing.assert_allclose(sample.camera_from_lidar["camera0"].matrix, expected, atol=EXACT)
 
 
-def posed(pose, times=WAY_NS):
+def posed(pose, times=TRAJECTORY_NS):
     """`world_from_sensor` at some times."""
     whole = np.array([world_from_ego(t) @ matrix(*pose) for t in times])
-    return PosePath(times, whole[:, :3, 3].copy(), Rotation.from_matrix(whole[:, :3, :3]).as_quat())
+    return Poses(times, whole[:, :3, 3].copy(), Rotation.from_matrix(whole[:, :3, :3]).as_quat())
 
 
 def test_points_in_the_world_stay_there_and_no_trajectory_can_be_chosen_for_them():
@@ -168,9 +172,9 @@ def test_points_in_the_world_stay_there_and_no_trajectory_can_be_chosen_for_them
     sample = drive(*sensors).samples()[1]
     np.testing.assert_allclose(sample.poses.world_from_points.matrix, np.eye(4), atol=EXACT)
     path = posed(EGO_FROM_CAMERA)
-    place = [np.interp(160 * MS, WAY_NS, path.positions[:, axis]) for axis in range(3)]
-    turn = Slerp(WAY_NS / 1e6, Rotation.from_quat(path.quaternions_xyzw))(160.0)
-    expected = np.linalg.inv(matrix(turn, place))
+    location = [np.interp(160 * MS, TRAJECTORY_NS, path.positions[:, axis]) for axis in range(3)]
+    rotation = Slerp(TRAJECTORY_NS / 1e6, Rotation.from_quat(path.quaternions_xyzw))(160.0)
+    expected = np.linalg.inv(matrix(rotation, location))
     np.testing.assert_allclose(sample.camera_from_points["camera0"].matrix, expected, atol=EXACT)
     assert sample.world_from_lidar is None
     assert "neither poses nor a mounting" in sample.unposed["lidar"]
@@ -180,7 +184,7 @@ def test_points_in_the_world_stay_there_and_no_trajectory_can_be_chosen_for_them
 
 
 def test_beyond_the_trajectory_poses_are_continued_for_one_period_and_then_not_known():
-    short = Trajectory("short", WAY_NS[:5], PLACES[:5], TURNS[:5].as_quat())
+    short = Trajectory("short", TRAJECTORY_NS[:5], LOCATIONS[:5], ROTATIONS[:5].as_quat())
     samples = drive(trajectories={"short": short}).samples()
     assert samples[0].poses.extrapolated == ()
     assert samples[1].poses.extrapolated == ("lidar", "camera0")
@@ -190,8 +194,8 @@ def test_beyond_the_trajectory_poses_are_continued_for_one_period_and_then_not_k
 
 
 def test_a_trajectory_is_chosen_by_name_or_handed_in():
-    shifted = Trajectory("other", WAY_NS, PLACES + np.array([0, 0, 5]), TURNS.as_quat())
-    unturned = Trajectory("gnss", WAY_NS, PLACES)
+    shifted = Trajectory("other", TRAJECTORY_NS, LOCATIONS + np.array([0, 0, 5]), ROTATIONS.as_quat())
+    unturned = Trajectory("gnss", TRAJECTORY_NS, LOCATIONS)
     scene = drive()
     scene = replace(scene, trajectories={**scene.trajectories, "other": shifted, "gnss": unturned})
     heights = [
@@ -209,10 +213,10 @@ def test_a_trajectory_is_chosen_by_name_or_handed_in():
     assert by_default.world_from_lidar is None
 
 
-def test_a_picture_s_own_mounting_counts_before_the_camera_s():
+def test_an_image_s_own_mounting_counts_before_the_camera_s():
     own = transform((Rotation.identity(), np.array([9.0, 8.0, 7.0])))
-    pictures = [replace(picture, mount=own) for picture in camera().pictures]
-    sample = drive(lidar(), camera(pictures=LazyFrames.of(pictures, PICTURES_NS))).samples()[0]
+    images = [replace(image, mount=own) for image in camera().images]
+    sample = drive(lidar(), camera(images=LazyFrames.of(images, IMAGES_NS))).samples()[0]
     expected = world_from_ego(40 * MS) @ own.matrix
     np.testing.assert_allclose(sample.world_from_camera["camera0"].matrix, expected, atol=EXACT)
     np.testing.assert_array_equal(sample.poses.ego_from_sensor["camera0"].matrix, own.matrix)
@@ -220,7 +224,7 @@ def test_a_picture_s_own_mounting_counts_before_the_camera_s():
 
 def test_a_camera_as_reference_is_joined_by_the_nearest_sweep():
     samples = drive().samples(reference="camera0")
-    assert [sample.timestamp_ns for sample in samples] == PICTURES_NS.tolist()
+    assert [sample.timestamp_ns for sample in samples] == IMAGES_NS.tolist()
     # 75 ms is nearer to the middle 50 of the first sweep than to 150 of the second, though that begins at 100
     assert [sample.sweep.timestamp_ns // MS for sample in samples] == [0, 0, 100, 300]
     assert samples[1].time_differences_ns == {"camera0": 0, "lidar": -25 * MS}
@@ -244,12 +248,12 @@ def test_further_lidars_and_radars_are_there_when_asked_for():
     assert list(scene.samples()[0].sweeps) == ["top"]
 
 
-def test_the_depth_image_nearest_to_a_sweep_is_there_with_its_lens_and_pose():
-    scene = drive(lidar(), camera(), depth_camera(PICTURES_NS + 5 * MS))
+def test_the_depth_image_nearest_to_a_sweep_is_there_with_its_camera_model_and_pose():
+    scene = drive(lidar(), camera(), depth_camera(IMAGES_NS + 5 * MS))
     sample = scene.samples()[1]
     assert sample.times_ns["depth0"] == 165 * MS
     np.testing.assert_array_equal(sample.depth_frames["depth0"].depth, 2.5)
-    assert (list(sample.pictures), sample.cameras["depth0"]) == (["camera0"], LENS)
+    assert (list(sample.images), sample.cameras["depth0"]) == (["camera0"], CAMERA_MODEL)
     world_from_depth = world_from_ego(165 * MS) @ matrix(*EGO_FROM_CAMERA)
     np.testing.assert_allclose(sample.world_from_camera["depth0"].matrix, world_from_depth, atol=EXACT)
     world_from_lidar = world_from_ego(150 * MS) @ matrix(*EGO_FROM_LIDAR)
@@ -264,7 +268,7 @@ def test_the_depth_image_nearest_to_a_sweep_is_there_with_its_lens_and_pose():
 def test_a_depth_image_s_own_mounting_counts_before_the_camera_s():
     own = transform((Rotation.identity(), np.array([9.0, 8.0, 7.0])))
     sensor = depth_camera()
-    frames = LazyFrames.of([replace(frame, mount=own) for frame in sensor.frames], PICTURES_NS)
+    frames = LazyFrames.of([replace(frame, mount=own) for frame in sensor.frames], IMAGES_NS)
     sample = drive(lidar(), replace(sensor, frames=frames)).samples()[0]
     np.testing.assert_allclose(
         sample.world_from_camera["depth0"].matrix, world_from_ego(40 * MS) @ own.matrix, atol=EXACT
@@ -274,7 +278,7 @@ def test_a_depth_image_s_own_mounting_counts_before_the_camera_s():
 def test_a_depth_image_is_decoded_when_it_is_asked_for_and_goes_along_with_a_pickled_sample():
     decoded = []
     image = np.arange(12, dtype=np.float32).reshape(3, 4)
-    frame = DepthFrame(40 * MS, LENS, lambda: decoded.append(1) or image)
+    frame = DepthFrame(40 * MS, CAMERA_MODEL, lambda: decoded.append(1) or image)
     sensor = depth_camera()
     sample = drive(lidar(), replace(sensor, frames=LazyFrames.of([frame], [40 * MS]))).samples()[0]
     assert decoded == []
@@ -345,18 +349,18 @@ def box(annotation_id, times_ms, rows, **fields):
     return CuboidAnnotation(annotation_id, path, **fields)
 
 
-def test_boxes_are_those_that_are_there_at_the_moment_turned_the_shorter_way():
+def test_boxes_are_those_that_are_there_at_the_moment_rotated_the_shorter_arc():
     moving = box(
         "car", [40, 60], [[4, 2, 1.5, 0, 0, 0, 0, 0, 170], [4, 2, 2.5, 8, 0, 0, 0, 0, -170]], label="car"
     )
-    standing = box(7, [900], [[1, 1, 1, 5, 5, 5, 10, 20, 30]], stationary=True)
+    stationary = box(7, [900], [[1, 1, 1, 5, 5, 5, 10, 20, 30]], stationary=True)
     gone = box("gone", [0, 49], np.ones((2, 9)))
-    boxes = drive(annotations=(gone, moving, standing)).samples()[0].boxes
+    boxes = drive(annotations=(gone, moving, stationary)).samples()[0].boxes
     assert (boxes.ids, boxes.labels) == (("car", 7), ("car", None))
     np.testing.assert_allclose(boxes.centers_world, [[4, 0, 0], [5, 5, 5]])
     np.testing.assert_allclose(boxes.sizes_lwh, [[4, 2, 2], [1, 1, 1]])
     np.testing.assert_allclose(np.cos(boxes.yaws_world[0]), -1.0)
-    # capital letters: about the turned axes one after the other, which is Rx(10) Ry(20) Rz(30)
+    # capital letters: about the rotated axes one after the other, which is Rx(10) Ry(20) Rz(30)
     expected = Rotation.from_euler("XYZ", [10, 20, 30], degrees=True).as_matrix()
     np.testing.assert_allclose(boxes.rotations_world[1], expected, atol=EXACT)
 
@@ -381,16 +385,16 @@ def test_arrays_name_each_box_and_number_it_alike_in_all_samples():
 ROW = np.array([4.0, 2.0, 1.5, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
-def test_angles_of_boxes_are_read_as_the_metadata_say():
-    standing = box(7, [0], [[1, 1, 1, 0, 0, 0, 0.1, 0.2, 0.3]], stationary=True)
+def test_angles_of_boxes_are_read_as_the_metadata_state():
+    stationary = box(7, [0], [[1, 1, 1, 0, 0, 0, 0.1, 0.2, 0.3]], stationary=True)
     metadata = {"sceneloom": {"euler_unit": "radians", "euler_order": "zyx"}}
-    boxes = drive(annotations=(standing,), metadata=metadata).samples()[0].boxes
+    boxes = drive(annotations=(stationary,), metadata=metadata).samples()[0].boxes
     expected = Rotation.from_euler("xyz", [0.1, 0.2, 0.3]).as_matrix()
     np.testing.assert_allclose(boxes.rotations_world[0], expected, atol=EXACT)
     assert len(drive().samples()[0].boxes) == 0
 
 
-def test_arrays_have_the_same_names_and_dtypes_whether_a_picture_is_there_or_not():
+def test_arrays_have_the_same_names_and_dtypes_whether_an_image_is_there_or_not():
     near, far = (drive().samples(tolerance_ns=t)[2].arrays() for t in (90 * MS, 10 * MS))
     assert {name: array.dtype for name, array in near.items()} == {n: a.dtype for n, a in far.items()}
     assert (near["camera0.found"], far["camera0.found"]) == (True, False)
@@ -417,7 +421,7 @@ def test_arrays_are_what_the_sample_says_and_the_caller_s_own():
     arrays["lidar.positions"][:] = -1
     arrays["camera0.rgb"][:] = 99
     assert samples[1].sweep.points.positions.min() == 0
-    assert samples[1].pictures["camera0"].rgb.max() == 2
+    assert samples[1].images["camera0"].rgb.max() == 2
 
 
 def test_a_damaged_sweep_raises_when_its_sample_is_asked_for_and_no_other():

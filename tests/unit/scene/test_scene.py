@@ -8,13 +8,13 @@ import pytest
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.scene import (
+    CameraImage,
     CameraSensor,
     ImuSensor,
     LazyFrames,
     LidarFrame,
     LidarPoints,
     LidarSensor,
-    Picture,
     Scene,
     Trajectory,
     VectorSamples,
@@ -34,9 +34,9 @@ def lidar_at(times_ns: list[int], sensor_id: str | int = "lidar") -> LidarSensor
 
 
 def camera_at(times_ns: list[int]) -> CameraSensor:
-    pictures = [Picture.of(t, CAMERA, np.zeros((2, 4, 3), np.uint8)) for t in times_ns]
+    images = [CameraImage.of(t, CAMERA, np.zeros((2, 4, 3), np.uint8)) for t in times_ns]
     video = VideoContent(lambda: pytest.fail("a summary opens no video"), "h264")
-    return CameraSensor("camera0", CAMERA, LazyFrames.of(pictures, times_ns), video=video)
+    return CameraSensor("camera0", CAMERA, LazyFrames.of(images, times_ns), video=video)
 
 
 def test_two_sensors_of_one_id_are_refused_but_a_number_is_not_its_text() -> None:
@@ -67,7 +67,7 @@ def test_a_part_holds_the_frames_from_start_until_before_stop() -> None:
     assert again.cameras[0].video.frame_indices == (2,)
 
 
-def test_a_part_that_takes_all_pictures_keeps_the_video_whole() -> None:
+def test_a_part_that_takes_all_images_keeps_the_video_whole() -> None:
     part = cut_scene(Scene((camera_at([0, SECOND]),)), start=0.0, stop=10.0)
     assert part.cameras[0].video is not None
     assert part.cameras[0].video.frame_indices is None
@@ -83,25 +83,32 @@ def test_an_empty_part_is_refused(start: float | None, stop: float | None) -> No
 
 def test_a_summary_counts_rates_and_gaps() -> None:
     times = [k * SECOND // 10 for k in range(10)] + [2 * SECOND + k * SECOND // 10 for k in range(3)]
-    way = Trajectory("pose", np.array([0, SECOND], np.int64), np.array([[0.0, 0, 0], [3, 4, 0]]))
-    summary = summarise(Scene((lidar_at(times), camera_at([0])), trajectories={"pose": way}))
+    trajectory = Trajectory("pose", np.array([0, SECOND], np.int64), np.array([[0.0, 0, 0], [3, 4, 0]]))
+    summary = summarise(Scene((lidar_at(times), camera_at([0])), trajectories={"pose": trajectory}))
     lidar, camera = summary.sensors
     assert lidar.count == 13
     assert lidar.rate_hz == pytest.approx(10)
     assert [(gap.start, gap.stop) for gap in lidar.gaps] == [(0.9, 2.0)]
     assert lidar.first_frame_points == 1
-    assert (camera.lens, camera.rate_hz, camera.video) == ("pinhole 4x2", None, "h264")
+    assert (camera.camera_model, camera.rate_hz, camera.video) == ("pinhole 4x2", None, "h264")
     assert (summary.trajectories[0].metres, summary.trajectories[0].oriented) == (5.0, False)
     assert summary.duration == pytest.approx(2.2)
 
 
-def test_a_summary_says_from_what_to_what_the_lenses_of_single_images_go() -> None:
-    lenses = [replace(CAMERA, fx=fx) for fx in (3.0, 2.5, 3.0, 4.5)]
-    images = [Picture.of(k, lens, np.zeros((2, 4, 3), np.uint8)) for k, lens in enumerate(lenses)]
+def test_a_summary_says_from_what_to_what_the_camera_models_of_single_images_go() -> None:
+    camera_models = [replace(CAMERA, fx=fx) for fx in (3.0, 2.5, 3.0, 4.5)]
+    images = [
+        CameraImage.of(k, camera_model, np.zeros((2, 4, 3), np.uint8))
+        for k, camera_model in enumerate(camera_models)
+    ]
     varied = CameraSensor("varied", CAMERA, LazyFrames.of(images, range(4)))
     found, same = summarise(Scene((varied, camera_at([0, 1])))).sensors
-    assert (found.intrinsics.lenses, found.intrinsics.fx, found.intrinsics.cx) == (3, (2.5, 4.5), (1.5, 1.5))
-    assert (same.intrinsics.lenses, same.intrinsics.fx) == (1, (3.0, 3.0))
+    assert (found.intrinsics.camera_models, found.intrinsics.fx, found.intrinsics.cx) == (
+        3,
+        (2.5, 4.5),
+        (1.5, 1.5),
+    )
+    assert (same.intrinsics.camera_models, same.intrinsics.fx) == (1, (3.0, 3.0))
 
 
 def test_the_reference_time_of_a_sweep_is_the_median_of_its_points() -> None:

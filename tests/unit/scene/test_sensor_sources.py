@@ -8,12 +8,12 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.errors import PoseError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Coordinates, LazyFrames, LidarSensor, OdometrySensor, PointsFrame, PosePath, Scene
+from sceneloom.scene import Coordinates, LazyFrames, LidarSensor, OdometrySensor, PointsFrame, Poses, Scene
 from sceneloom.scene.ego import EgoMotion
-from sceneloom.scene.sensor_sources import lidar_place, points_source, sensor_source
+from sceneloom.scene.sensor_sources import lidar_position, points_source, sensor_source
 
 TIMES = np.array([0, 100, 200], np.int64)
-EGO = PosePath(
+EGO = Poses(
     TIMES,
     np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]),
     Rotation.from_rotvec([[0, 0, 0.0], [0, 0, 0.1], [0, 0, 0.2]]).as_quat(),
@@ -23,13 +23,13 @@ WORLD_AT_100 = np.add(Rotation.from_rotvec([0, 0, 0.1]).apply([0, 1, 2]), [1, 0,
 NO_FRAMES = LazyFrames.of([], [])
 
 
-def relative_path(moving: bool) -> PosePath:
+def relative_path(moving: bool) -> Poses:
     count = 3 if moving else 1
     positions = np.tile([0.0, 1.0, 2.0], (count, 1))
-    return PosePath(TIMES[:count], positions, np.tile([0.0, 0, 0, 1], (count, 1)))
+    return Poses(TIMES[:count], positions, np.tile([0.0, 0, 0, 1], (count, 1)))
 
 
-def test_a_mounting_rides_on_the_chosen_way() -> None:
+def test_a_mounting_rides_on_the_chosen_trajectory() -> None:
     lidar = LidarSensor("lidar", NO_FRAMES, mount=MOUNT)
     pose = sensor_source(Scene((lidar,)), lidar, EgoMotion("groundTruth", EGO), reach_ns=0).at(TIMES[1:2])
     expected = WORLD_AT_100
@@ -60,7 +60,7 @@ def test_ego_coordinates_without_or_with_several_odometry_sensors_are_refused() 
 
 
 def test_the_parent_decides_between_several_odometry_sensors() -> None:
-    still = PosePath.identity()
+    still = Poses.identity()
     lidar = LidarSensor(
         "lidar", NO_FRAMES, poses=relative_path(moving=False), coordinates=Coordinates.EGO, parent_id="b"
     )
@@ -84,10 +84,8 @@ def test_a_sensor_with_neither_poses_nor_mounting_is_named() -> None:
         sensor_source(Scene((lidar,)), lidar, None, reach_ns=0)
 
 
-def test_poses_relative_to_an_ego_that_stands_still_hold_at_their_own_times() -> None:
-    stands = PosePath(
-        np.zeros(1, np.int64), np.array([[5.0, 0, 0]]), np.array([[0, 0, 0, 1.0]]), endless=True
-    )
+def test_poses_relative_to_an_ego_that_is_stationary_hold_at_their_own_times() -> None:
+    stands = Poses(np.zeros(1, np.int64), np.array([[5.0, 0, 0]]), np.array([[0, 0, 0, 1.0]]), static=True)
     lidar = LidarSensor("lidar", NO_FRAMES, poses=relative_path(moving=True), coordinates=Coordinates.EGO)
     source = sensor_source(Scene((lidar, OdometrySensor("odometry", stands))), lidar, None, reach_ns=0)
     np.testing.assert_allclose(source.at(TIMES).positions, np.tile([5.0, 1, 2], (3, 1)))
@@ -96,30 +94,30 @@ def test_poses_relative_to_an_ego_that_stands_still_hold_at_their_own_times() ->
 def test_a_mounting_changes_a_sensor_on_the_ego_and_not_one_with_poses_of_its_own() -> None:
     higher = RigidTransform(np.eye(3), np.array([0.0, 0.0, 9.0]))
     on_ego = LidarSensor("lidar", NO_FRAMES, mount=MOUNT)
-    riding = sensor_source(Scene((on_ego,)), on_ego, EgoMotion("groundTruth", EGO), reach_ns=0)
-    np.testing.assert_allclose(riding.mounted(higher).at(TIMES[:1]).positions, [[0, 0, 9]])
-    assert riding.mounted(None) is riding
+    rider_association = sensor_source(Scene((on_ego,)), on_ego, EgoMotion("groundTruth", EGO), reach_ns=0)
+    np.testing.assert_allclose(rider_association.mounted(higher).at(TIMES[:1]).positions, [[0, 0, 9]])
+    assert rider_association.mounted(None) is rider_association
     placed = LidarSensor("lidar", NO_FRAMES, poses=EGO)
     own = sensor_source(Scene((placed,)), placed, None, reach_ns=0)
     np.testing.assert_allclose(own.mounted(higher).at(TIMES).positions, EGO.positions)
 
 
-def test_a_sensor_of_unknown_place_is_named_with_what_to_write() -> None:
+def test_a_sensor_of_unknown_location_is_named_with_what_to_write() -> None:
     lidar = LidarSensor("lidar", NO_FRAMES)
     with pytest.raises(PoseError, match=r"where sensor 'lidar' is.*`imuToLidar`"):
         sensor_source(Scene((lidar,)), lidar, None, reach_ns=0)
 
 
 @pytest.mark.parametrize("points_frame", [PointsFrame.SENSOR, PointsFrame.EGO, PointsFrame.WORLD])
-def test_a_lidar_has_its_place_whatever_frame_its_points_come_in(points_frame: PointsFrame) -> None:
+def test_a_lidar_has_its_location_whatever_frame_its_points_come_in(points_frame: PointsFrame) -> None:
     lidar = LidarSensor("lidar", NO_FRAMES, mount=MOUNT, points_frame=points_frame)
-    place = lidar_place(Scene((lidar,)), lidar, EgoMotion("groundTruth", EGO), reach_ns=0)
-    assert place is not None
-    np.testing.assert_allclose(place.at(TIMES[1:2]).positions[0], WORLD_AT_100, atol=1e-12)
+    location = lidar_position(Scene((lidar,)), lidar, EgoMotion("groundTruth", EGO), reach_ns=0)
+    assert location is not None
+    np.testing.assert_allclose(location.at(TIMES[1:2]).positions[0], WORLD_AT_100, atol=1e-12)
 
 
-def test_a_lidar_without_poses_or_mounted_by_the_identity_has_no_known_place() -> None:
+def test_a_lidar_without_poses_or_mounted_by_the_identity_has_no_known_location() -> None:
     ego = EgoMotion("groundTruth", EGO)
     for mount in (None, RigidTransform.identity()):
         lidar = LidarSensor("lidar", NO_FRAMES, mount=mount)
-        assert lidar_place(Scene((lidar,)), lidar, ego, reach_ns=0) is None
+        assert lidar_position(Scene((lidar,)), lidar, ego, reach_ns=0) is None

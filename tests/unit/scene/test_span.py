@@ -1,4 +1,4 @@
-"""How long the sweeps of a lidar take, told by their stamps."""
+"""How long the sweeps of a lidar take, reported by their timestamps."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from sceneloom.scene.span import NOMINAL_PERIOD_NS, usual_period_ns
 
 
 @pytest.mark.parametrize(
-    ("stamps", "expected"),
+    ("timestamps", "expected"),
     [
         ([0, 100, 200, 350], 100),
         ([200, 0, 350, 100], 100),
@@ -17,5 +17,5 @@ from sceneloom.scene.span import NOMINAL_PERIOD_NS, usual_period_ns
         ([], NOMINAL_PERIOD_NS),
     ],
 )
-def test_the_usual_period_is_the_middle_one_of_the_steps_forward(stamps, expected):
-    assert usual_period_ns(np.array(stamps, np.int64)) == expected
+def test_the_usual_period_is_the_middle_one_of_the_steps_forward(timestamps, expected):
+    assert usual_period_ns(np.array(timestamps, np.int64)) == expected

@@ -112,14 +112,14 @@ def calibration(**changed):
     )
 
 
-def stamp(milliseconds):
+def timestamp(milliseconds):
     return Timestamp.of(1_595_682_678_000_000_000 + milliseconds * 1_000_000)
 
 
 def image(milliseconds, seq, level=7, sensor_id=1):
     return ImageData(
         sensor_id=sensor_id,
-        timestamp=stamp(milliseconds),
+        timestamp=timestamp(milliseconds),
         seq=seq,
         height=HEIGHT,
         width=WIDTH,
@@ -133,7 +133,7 @@ def cloud(milliseconds, seq, points=((10.0, 0.0, 0.0), (-10.0, 0.0, 0.0)), senso
     data = np.array(points, np.float32)
     return PointCloudData(
         sensor_id=sensor_id,
-        timestamp=stamp(milliseconds),
+        timestamp=timestamp(milliseconds),
         seq=seq,
         number=len(data),
         fields=("x", "y", "z"),
@@ -144,9 +144,9 @@ def cloud(milliseconds, seq, points=((10.0, 0.0, 0.0), (-10.0, 0.0, 0.0)), senso
 
 @pytest.fixture
 def records():
-    """Makes records: `records.image(milliseconds, seq)`, `records.cloud(…)`, `records.stamp(milliseconds)`."""
+    """Makes records: `records.image(milliseconds, seq)`, `records.cloud(…)`, `records.timestamp(milliseconds)`."""
 
     class Records:
-        image, cloud, stamp, calibration = map(staticmethod, (image, cloud, stamp, calibration))
+        image, cloud, timestamp, calibration = map(staticmethod, (image, cloud, timestamp, calibration))
 
     return Records

@@ -21,7 +21,7 @@ from sceneloom.fusion.messages import (
     Timestamp,
 )
 from sceneloom.fusion.tracked import TrackedResults
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.service.running import running_server
 from sceneloom.service.warming import warm_up
 
@@ -42,8 +42,8 @@ def compiled():
     }
 
 
-def lenses():
-    """The property `lenses` for every model that there is."""
+def camera_models():
+    """The property `camera_models` for every model that there is."""
     for name, model in MODELS.items():
         coefficients = [0.01] * min(2, len(model.coefficient_names))
         yield json.dumps(
@@ -61,23 +61,23 @@ def lenses():
         )
 
 
-def stamp(milliseconds):
+def timestamp(milliseconds):
     return Timestamp.of(10**18 + milliseconds * 1_000_000)
 
 
 def path():
-    times = np.array([stamp(k).nanoseconds for k in range(-1000, 2000, 50)])
+    times = np.array([timestamp(k).nanoseconds for k in range(-1000, 2000, 50)])
     positions = np.column_stack([np.arange(len(times)) * 0.1, np.zeros((len(times), 2))])
-    return PosePath(times, positions, np.tile([0.0, 0, 0, 1], (len(times), 1)))
+    return Poses(times, positions, np.tile([0.0, 0, 0, 1], (len(times), 1)))
 
 
-def session(properties=(), *, lens=None, cameras=(1,), moves=False, encoding="rgb8"):
+def session(properties=(), *, camera_model=None, cameras=(1,), moves=False, encoding="rgb8"):
     """Send all kinds of records, and follow the objects of the results."""
     channels = PIXELS[encoding]
     with FusionInterface() as fusion:
-        if lens is not None:
-            assert fusion.add_property("lenses", "", "string")
-            properties = (*properties, ("lenses", lens))
+        if camera_model is not None:
+            assert fusion.add_property("camera_models", "", "string")
+            properties = (*properties, ("camera_models", camera_model))
         for name, value in properties:
             assert fusion.set_property(name, value)
         for camera_id in cameras:
@@ -91,7 +91,7 @@ def session(properties=(), *, lens=None, cameras=(1,), moves=False, encoding="rg
             assert fusion.set_calibration(data, camera_id=camera_id)
         assert not moves or fusion.send_motion(path())
         for seq in range(3):
-            now = stamp(100 * seq)
+            now = timestamp(100 * seq)
             common = {"id": 1, "class_name": "Car", "confidence": 0.9, "timestamp": now}
             for camera_id in cameras:
                 assert fusion.send(
@@ -128,7 +128,7 @@ def session(properties=(), *, lens=None, cameras=(1,), moves=False, encoding="rg
         fusion.flush()
         tracked = TrackedResults()
         assert list(fusion.results(0))
-        assert [told for result in fusion.results(1) for told in tracked.take(result)]
+        assert [reported for result in fusion.results(1) for reported in tracked.take(result)]
         assert not [name for name in fusion.counters.counts() if name.startswith(("failed", "errors"))]
 
 
@@ -139,8 +139,8 @@ def sessions():
     session([("sensors", SHUTTER)], moves=True)
     for encoding in PIXELS:
         session(encoding=encoding)
-    for lens in lenses():
-        session(lens=lens, moves=True)
+    for camera_model in camera_models():
+        session(camera_model=camera_model, moves=True)
 
 
 def conformance():

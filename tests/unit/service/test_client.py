@@ -14,7 +14,7 @@ from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.messages import CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.fusion.messages.protobuf_form import encode
 from sceneloom.fusion.outcome import Cause, Outcome
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.service.client import FusionClient
 from sceneloom.service.client_errors import (
     DeadlineError,
@@ -77,14 +77,14 @@ def calibration():
     )
 
 
-def stamp(milliseconds):
+def timestamp(milliseconds):
     return Timestamp.of(1_595_682_678_000_000_000 + milliseconds * 1_000_000)
 
 
 def image(milliseconds, seq):
     return ImageData(
         sensor_id=1,
-        timestamp=stamp(milliseconds),
+        timestamp=timestamp(milliseconds),
         seq=seq,
         height=HEIGHT,
         width=WIDTH,
@@ -98,7 +98,7 @@ def cloud(milliseconds, seq, *, count=20):
     data = np.random.default_rng(seq).uniform((2, -1, -1), (9, 1, 1), (count, 3)).astype(np.float32)
     return PointCloudData(
         sensor_id=0,
-        timestamp=stamp(milliseconds),
+        timestamp=timestamp(milliseconds),
         seq=seq,
         number=count,
         fields=("x", "y", "z"),
@@ -123,8 +123,8 @@ def used(fusion):
         fusion.send(image(0, 1)),
         fusion.set_calibration(calibration(), camera_id=1, lidar_id=0),
         fusion.set_calibration(calibration(), camera_id=256, lidar_id=0),
-        fusion.send_motion(PosePath(np.array([0], np.int64), np.zeros((1, 3)), np.array([[0, 0, 0, 1.0]]))),
-        fusion.send_motion(PosePath.identity()),
+        fusion.send_motion(Poses(np.array([0], np.int64), np.zeros((1, 3)), np.array([[0, 0, 0, 1.0]]))),
+        fusion.send_motion(Poses.identity()),
         fusion.send(image(0, 2)),
         fusion.send(image(0, 2)),
         fusion.send("text"),
@@ -179,7 +179,7 @@ def test_a_stream_that_is_left_lets_the_service_go(client):
     assert client.get(0, timeout_s=60).number == 1
 
 
-def test_what_a_stream_refuses_is_told_with_its_number(client):
+def test_what_a_stream_refuses_is_reported_with_its_number(client):
     assert client.set_calibration(calibration(), camera_id=1, lidar_id=0)
     sent = client.send_stream([image(0, 1), image(0, 1), cloud(0, 1)])
     assert (sent.accepted, sent.refused) == (2, 1)
@@ -208,7 +208,7 @@ def test_values_that_cannot_be_followed_are_errors_of_the_caller(client):
         FusionClient("localhost:7000", certificate=("a.pem", "b.pem"))
 
 
-def test_nobody_at_the_address_is_told_as_unreachable():
+def test_nobody_at_the_address_is_reported_as_unreachable():
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{free.getsockname()[1]}"
@@ -216,7 +216,7 @@ def test_nobody_at_the_address_is_told_as_unreachable():
         client.flush()
 
 
-def test_no_answer_in_time_is_told_as_such():
+def test_no_answer_in_time_is_reported_as_such():
     with socket.socket() as silent:
         silent.bind(("127.0.0.1", 0))
         silent.listen()
@@ -225,7 +225,7 @@ def test_no_answer_in_time_is_told_as_such():
             client.flush()
 
 
-def test_a_missing_or_wrong_token_is_told_as_such():
+def test_a_missing_or_wrong_token_is_reported_as_such():
     with server(security=Security(token=TOKEN)) as running:
         for token in (None, "another" * 4):
             with FusionClient(running.address, token=token) as client, pytest.raises(UnauthenticatedError):
@@ -234,7 +234,7 @@ def test_a_missing_or_wrong_token_is_told_as_such():
             assert client.counters() == {}
 
 
-def test_a_record_beyond_the_limit_of_the_service_is_told_as_too_large():
+def test_a_record_beyond_the_limit_of_the_service_is_reported_as_too_large():
     with (
         server(limits=ServiceLimits(largest_message=10_000)) as running,
         FusionClient(running.address) as client,

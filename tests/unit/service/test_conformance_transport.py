@@ -51,7 +51,7 @@ def test_a_token_is_not_sent_over_an_open_connection_to_another_machine(tmp_path
         Doors(token_file=token).channel(address).close()
 
 
-def test_a_call_that_ends_with_an_error_is_told_with_its_code(serve):
+def test_a_call_that_ends_with_an_error_is_reported_with_its_code(serve):
     from sceneloom.fusion.messages.wire import fusion_pb2
 
     with GrpcTransport.connected(serve().address, Doors()) as transport:

@@ -25,7 +25,7 @@ PATIENCE_S = 60
 """For other processes on a busy machine."""
 
 LARGE = (640, 480)
-"""A picture whose result does not fit into what a connection takes without being read."""
+"""An image whose result does not fit into what a connection takes without being read."""
 
 
 def failure(function, *arguments, **options):
@@ -39,11 +39,11 @@ def send_large_pairs(call, records, count):
     width, height = LARGE
     assert call.calibrate(image_size=LARGE).status == 1
     for seq in range(count):
-        picture = fusion_pb2.SendRequest(session=call.session)
-        picture.image.CopyFrom(to_send_request(records.image(100 * seq, seq)).image)
-        picture.image.height, picture.image.width = height, width
-        picture.image.data = np.zeros(height * width * 3, np.uint8).tobytes()
-        assert call("Send", picture).status == 1
+        image = fusion_pb2.SendRequest(session=call.session)
+        image.image.CopyFrom(to_send_request(records.image(100 * seq, seq)).image)
+        image.image.height, image.image.width = height, width
+        image.image.data = np.zeros(height * width * 3, np.uint8).tobytes()
+        assert call("Send", image).status == 1
         assert call.send(records.cloud(100 * seq, seq)).status == 1
     assert call("Flush").status == 1
 
@@ -75,7 +75,7 @@ def left_of(call, count):
 
 
 COUNT = 12
-"""Results of 2 MB: more than are on their way at once."""
+"""Results of 2 MB: more than are on their trajectory at once."""
 
 
 def test_what_a_subscriber_had_not_got_when_it_left_goes_to_others_in_order(call, records):
@@ -194,7 +194,7 @@ def test_a_session_whose_fusion_hangs_blocks_no_other(serve, connect, records):
         assert slow.send(records.cloud(0, 0)).status == 1
         assert hanging.wait(PATIENCE_S)
         flushing = [slow.method("Flush").future(slow.request("Flush")) for _ in range(5)]
-        refused = [  # to be told to the observer, who does not listen
+        refused = [  # to be reported to the observer, who does not listen
             slow.method("Send").future(to_send_request(records.cloud(0, 0), session="slow")) for _ in range(5)
         ]
         quick.calibrate()
@@ -259,7 +259,7 @@ def test_requests_beyond_the_limit_are_refused_while_the_others_wait(serve, conn
         one.cancel()
 
 
-def test_a_server_that_is_told_to_end_delivers_what_waits_and_says_goodbye(connect, records, tmp_path):
+def test_a_server_that_is_reported_to_end_delivers_what_waits_and_says_goodbye(connect, records, tmp_path):
     process = subprocess.Popen(
         [sys.executable, "-m", "sceneloom", "serve", "--json"],
         stdout=subprocess.PIPE,
@@ -267,8 +267,8 @@ def test_a_server_that_is_told_to_end_delivers_what_waits_and_says_goodbye(conne
         text=True,
     )
     try:
-        told = "".join(iter(process.stdout.readline, "}\n")) + "}"
-        call = connect(json.loads(told)["address"])
+        reported = "".join(iter(process.stdout.readline, "}\n")) + "}"
+        call = connect(json.loads(reported)["address"])
         results = call("Subscribe", timeout=PATIENCE_S)
         call.calibrate()
         for seq in range(4):
@@ -288,7 +288,7 @@ def test_a_server_that_is_told_to_end_delivers_what_waits_and_says_goodbye(conne
     assert lines[2]["session"] == "default"
 
 
-def test_what_was_handed_to_callers_is_counted_so_that_a_caller_can_tell_what_it_lost(call):
+def test_what_was_handed_to_callers_is_counted_so_that_a_caller_can_report_what_it_lost(call):
     for seq in range(4):
         call.send_pair(seq)
     call("Flush")
@@ -317,8 +317,8 @@ def test_a_server_that_is_killed_ends_calls_with_unavailable_and_leaves_a_log_to
         text=True,
     )
     try:
-        told = "".join(iter(process.stdout.readline, "}\n")) + "}"
-        call = connect(json.loads(told)["address"])
+        reported = "".join(iter(process.stdout.readline, "}\n")) + "}"
+        call = connect(json.loads(reported)["address"])
         call.calibrate()
         results = call("Subscribe", timeout=PATIENCE_S)
         for seq in range(3):
@@ -356,10 +356,10 @@ def hang(*_, **__):
 def install(folder):
     """A package in a folder, that brings the algorithm `hang`."""
     (folder / "hanging.py").write_text(HANGING)
-    told = folder / "hanging-1.0.dist-info"
-    told.mkdir()
-    (told / "METADATA").write_text("Metadata-Version: 2.1\nName: hanging\nVersion: 1.0\n")
-    (told / "entry_points.txt").write_text("[sceneloom.sensor_data_fusion]\nhang = hanging:hang\n")
+    reported = folder / "hanging-1.0.dist-info"
+    reported.mkdir()
+    (reported / "METADATA").write_text("Metadata-Version: 2.1\nName: hanging\nVersion: 1.0\n")
+    (reported / "entry_points.txt").write_text("[sceneloom.sensor_data_fusion]\nhang = hanging:hang\n")
     return {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), *sys.path])}
 
 
@@ -375,8 +375,8 @@ def test_a_server_with_an_algorithm_that_hangs_ends_by_itself_and_says_so(connec
         env=install(tmp_path),
     )
     try:
-        told = "".join(iter(process.stdout.readline, "}\n")) + "}"
-        call = connect(json.loads(told)["address"], session="stuck")
+        reported = "".join(iter(process.stdout.readline, "}\n")) + "}"
+        call = connect(json.loads(reported)["address"], session="stuck")
         call.calibrate()
         call.send_pair(0)
         call.send_pair(1)
@@ -388,10 +388,10 @@ def test_a_server_with_an_algorithm_that_hangs_ends_by_itself_and_says_so(connec
         process.wait()
     assert process.returncode == 1
     *lines, last = err.splitlines()
-    (told,) = [line for line in map(json.loads, lines) if line["level"] == "error"]
-    assert (told["event"], told["sessions"]) == ("sessions do not end: an algorithm hangs", ["stuck"])
+    (reported,) = [line for line in map(json.loads, lines) if line["level"] == "error"]
+    assert (reported["event"], reported["sessions"]) == ("sessions do not end: an algorithm hangs", ["stuck"])
     assert "fusion of stuck hanging" in last
-    assert is_complete(log)  # the black box was closed all the same
+    assert is_complete(log)  # the session log was closed all the same
 
 
 def test_records_that_wait_may_be_so_large_together(serve, connect, records):

@@ -38,7 +38,7 @@ def ask(port, path="/metrics", method="GET"):
         connection.close()
 
 
-def test_calls_and_what_sessions_count_are_told(server, connect):
+def test_calls_and_what_sessions_count_are_reported(server, connect):
     call = connect(server, session="rig")
     call.calibrate()
     call.send_pair(0)

@@ -7,7 +7,7 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha.proto_reflection_descriptor_database import ProtoReflectionDescriptorDatabase
 
 
-def test_the_service_tells_its_methods_and_messages(serve):
+def test_the_service_reports_its_methods_and_messages(serve):
     with grpc.insecure_channel(serve().address) as channel:
         database = ProtoReflectionDescriptorDatabase(channel)
         assert set(database.get_services()) == {

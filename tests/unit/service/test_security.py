@@ -177,7 +177,7 @@ def test_a_certificate_needs_its_key_and_an_authority_the_certificate(tmp_path):
         for host in ("0.0.0.0", "::", "10.0.0.1", "localhost.example.org", "127.0.0.1.example.org")
     ],
 )
-def test_this_machine_is_told_from_others(host, expected):
+def test_this_machine_is_distinguished_from_others(host, expected):
     assert is_loopback(host) is expected
 
 
@@ -191,7 +191,7 @@ def test_a_token_is_read_from_a_file_that_holds_nothing_else(tmp_path):
             read_token(path)
 
 
-def test_a_port_that_is_taken_is_told(serve):
+def test_a_port_that_is_taken_is_reported(serve):
     server = serve()
     taken = f"cannot listen at 127.0.0.1:{server.port}: address already in use; choose another port"
     with pytest.raises(OptionError, match=taken):
@@ -201,7 +201,7 @@ def test_a_port_that_is_taken_is_told(serve):
 
 
 @pytest.mark.parametrize(("host", "reason"), [("203.0.113.9", "assign"), ("nowhere.invalid", "no such host")])
-def test_an_address_that_is_not_of_this_machine_is_told(host, reason):
+def test_an_address_that_is_not_of_this_machine_is_reported(host, reason):
     with pytest.raises(OptionError, match=f"cannot listen at {host}:0: .*{reason}"):
         check_port(host, 0)
 

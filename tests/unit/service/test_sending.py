@@ -17,7 +17,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline import iter_fused
 from sceneloom.scene import CameraSensor, PointsFrame
 from sceneloom.service.replay import compare
-from sceneloom.service.sending import PATIENCE_MS, Pace, Tally, send_scene
+from sceneloom.service.sending import PATIENCE_MS, Pace, Statistics, send_scene
 from sceneloom.service.sending_logs import send_log
 from sceneloom.service.session_log import BlackBox
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
@@ -153,12 +153,12 @@ def test_boxes_of_a_scene_are_sent_as_a_detector_would_see_them(receiver):
     assert np.mean([cuboids[solid] == flat_number for solid, flat_number in pairs]) > 0.6
 
 
-def test_a_lens_that_table_3_cannot_hold_is_sent_as_a_property_and_told_with_its_error(receiver):
+def test_a_camera_model_that_table_3_cannot_hold_is_sent_as_a_property_and_reported_with_its_error(receiver):
     fisheye = Camera("fisheye", 96, 64, 40.0, 40.0, 47.5, 31.5, (0.02, -0.01, 0.0, 0.0))
     report = send_scene(street(camera=fisheye), receiver, rate=0)
-    notice = next(notice for notice in report.notices if notice.code == "lens-beyond-table-3")
-    assert "px" in notice.message
-    assert "fisheye" in receiver.get_property("lenses")
+    warning = next(warning for warning in report.warnings if warning.code == "camera-model-beyond-table-3")
+    assert "px" in warning.message
+    assert "fisheye" in receiver.get_property("camera_models")
     result = receiver.get(0)
     assert result is not None
     assert receiver.fusion._setting.camera(1) == fisheye
@@ -185,7 +185,7 @@ def test_times_before_zero_are_moved_by_whole_seconds(receiver):
     shifted = moved_in_time(scene, -1_500_000_000)
     send_scene(shifted, receiver, rate=0)
     first = receiver.records[0].timestamp.nanoseconds
-    original = min(scene.lidars[0].frames[0].timestamp_ns, scene.cameras[0].pictures[0].timestamp_ns)
+    original = min(scene.lidars[0].frames[0].timestamp_ns, scene.cameras[0].images[0].timestamp_ns)
     assert first >= 0
     assert (first - (original - 1_500_000_000)) % 1_000_000_000 == 0
 
@@ -212,12 +212,12 @@ def moved_in_time(scene, offset_ns):
     sensors = tuple(
         replace(sensor, frames=frames(sensor.frames))
         if sensor in scene.lidars
-        else replace(sensor, pictures=frames(sensor.pictures))
+        else replace(sensor, images=frames(sensor.images))
         for sensor in (*scene.lidars, *scene.cameras)
     )
     trajectories = {
-        name: replace(way, timestamps_ns=way.timestamps_ns + offset_ns, file_seconds=None)
-        for name, way in scene.trajectories.items()
+        name: replace(trajectory, timestamps_ns=trajectory.timestamps_ns + offset_ns, file_seconds=None)
+        for name, trajectory in scene.trajectories.items()
     }
     return replace(scene, sensors=sensors, annotations=(), trajectories=trajectories)
 
@@ -273,13 +273,13 @@ def test_where_there_is_no_room_a_sender_waits_longer_and_longer_and_then_lets_w
         def flush(self):
             flushed.append(True)
 
-    tally = Tally(Full(), Pace(0.0, wait=waits.append))
-    tally.send(Boxes2d.empty(0, 1, Timestamp(1)))
+    statistics = Statistics(Full(), Pace(0.0, wait=waits.append))
+    statistics.send(Boxes2d.empty(0, 1, Timestamp(1)))
     assert waits == sorted(waits)
     assert len(waits) == min(full, 8)
     assert len(flushed) == flushes
-    assert tally.sent["boxes_2d"] == 1
-    assert tally.refused[Cause.QUEUE_FULL] == refused_count
+    assert statistics.sent["boxes_2d"] == 1
+    assert statistics.refused[Cause.QUEUE_FULL] == refused_count
 
 
 def test_what_is_refused_is_counted_by_cause(receiver):

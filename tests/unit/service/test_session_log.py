@@ -1,4 +1,4 @@
-"""The black box: what is written any MCAP reader gives back, and played again it gives the same bytes."""
+"""The session log: what is written any MCAP reader gives back, and played again it gives the same bytes."""
 
 import signal
 import subprocess
@@ -23,7 +23,7 @@ from sceneloom.fusion.messages import Boxes2d, Boxes3d, CalibrationData, ImageDa
 from sceneloom.fusion.messages.protobuf_form import encode
 from sceneloom.fusion.queues import Flushed
 from sceneloom.fusion.rig import Rig
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.service.log_shown import shown_records
 from sceneloom.service.replay import compare, is_complete, read_log, replay
 from sceneloom.service.session_log import BlackBox, LogWriter, unfinished_path
@@ -41,7 +41,7 @@ def calibration(focal=50.0):
     )
 
 
-def stamp(milliseconds):
+def timestamp(milliseconds):
     return Timestamp.of(1_595_682_678_000_000_000 + milliseconds * 1_000_000)
 
 
@@ -49,7 +49,7 @@ def image(milliseconds, seq, sensor_id=1):
     pixels = np.random.default_rng(seq).integers(0, 256, HEIGHT * WIDTH * 3, np.uint8)
     return ImageData(
         sensor_id=sensor_id,
-        timestamp=stamp(milliseconds),
+        timestamp=timestamp(milliseconds),
         seq=seq,
         height=HEIGHT,
         width=WIDTH,
@@ -63,7 +63,7 @@ def cloud(milliseconds, seq, sensor_id=0):
     points = np.random.default_rng(seq).uniform((2, -3, -2), (30, 3, 2), (200, 3)).astype(np.float32)
     return PointCloudData(
         sensor_id=sensor_id,
-        timestamp=stamp(milliseconds),
+        timestamp=timestamp(milliseconds),
         seq=seq,
         number=len(points),
         fields=("x", "y", "z"),
@@ -77,7 +77,7 @@ def boxes_3d(milliseconds, seq):
     return Boxes3d(
         sensor_id=0,
         seq=seq,
-        timestamp=stamp(milliseconds),
+        timestamp=timestamp(milliseconds),
         id=np.arange(count, dtype=np.int32),
         class_names=("car", "pedestrian", "car"),
         confidence=np.array([0.9, 0.5, 0.25], np.float32),
@@ -92,7 +92,7 @@ def boxes_2d(milliseconds, seq):
     return Boxes2d(
         sensor_id=1,
         seq=seq,
-        timestamp=stamp(milliseconds),
+        timestamp=timestamp(milliseconds),
         id=np.array([4, 5], np.int32),
         class_names=("car", "pedestrian"),
         confidence=np.array([0.8, 0.7], np.float32),
@@ -107,9 +107,9 @@ def drive(fusion, frames=4, *, start=0):
         if seq == start + frames // 2:
             fusion.set_calibration(calibration(80.0), camera_id=1, lidar_id=0)
             fusion.set_property("depth_kind", "range")
-        times = np.array([stamp(at).nanoseconds, stamp(at + 50).nanoseconds])
-        places = np.array([[500_000.0 + seq, 0, 0], [500_000.5 + seq, 0, 0]])
-        fusion.send_motion(PosePath(times, places, np.array([[0, 0, 0, 1.0]] * 2)))
+        times = np.array([timestamp(at).nanoseconds, timestamp(at + 50).nanoseconds])
+        locations = np.array([[500_000.0 + seq, 0, 0], [500_000.5 + seq, 0, 0]])
+        fusion.send_motion(Poses(times, locations, np.array([[0, 0, 0, 1.0]] * 2)))
         for record in (image(at, seq), cloud(at + 5, seq), boxes_2d(at, seq), boxes_3d(at + 5, seq)):
             fusion.send(record)
         fusion.send(image(at, seq))  # its number came already
@@ -177,7 +177,7 @@ def test_any_reader_gives_back_all_that_came_in_and_went_out(logged):
     assert sent[3].poses[0].position == [500_003.0, 0, 0]  # as it came, not from an origin of our own
 
 
-def test_viewers_find_pictures_clouds_boxes_and_depths_in_schemas_that_they_know(logged):
+def test_viewers_find_images_clouds_boxes_and_depths_in_schemas_that_they_know(logged):
     path, results = logged
     shown = {}
     for name, channel, message in messages_of(path):
@@ -187,7 +187,7 @@ def test_viewers_find_pictures_clouds_boxes_and_depths_in_schemas_that_they_know
     assert kinds == {
         "/rig/camera/1/image/image_shown": "RawImage",
         "/rig/camera/1/boxes_2d/boxes_2d_shown": "ImageAnnotations",
-        "/rig/camera/1/lens": "CameraCalibration",
+        "/rig/camera/1/camera_model": "CameraCalibration",
         "/rig/frames": "FrameTransform",
         "/rig/lidar/0/points/points_shown": "PointCloud",
         "/rig/lidar/0/boxes_3d/boxes_3d_shown": "SceneUpdate",
@@ -196,14 +196,14 @@ def test_viewers_find_pictures_clouds_boxes_and_depths_in_schemas_that_they_know
         "/rig/fused/camera1_lidar0/boxes_2d": "ImageAnnotations",
         "/rig/fused/camera1_lidar0/boxes_3d": "SceneUpdate",
     }
-    picture = shown["/rig/camera/1/image/image_shown"][0][1]
-    assert (picture.width, picture.height, picture.encoding, picture.step) == (
+    camera_image = shown["/rig/camera/1/image/image_shown"][0][1]
+    assert (camera_image.width, camera_image.height, camera_image.encoding, camera_image.step) == (
         WIDTH,
         HEIGHT,
         "rgb8",
         3 * WIDTH,
     )
-    assert picture.data == image(0, 0).data.tobytes()
+    assert camera_image.data == image(0, 0).data.tobytes()
     points = shown["/rig/lidar/0/points/points_shown"][0][1]
     assert np.array_equal(np.frombuffer(points.data, "<f4"), cloud(5, 0).data)
     fused = shown["/rig/fused/camera1_lidar0/points"][0][1]
@@ -226,11 +226,11 @@ def test_viewers_find_pictures_clouds_boxes_and_depths_in_schemas_that_they_know
     # a camera that looks forward: x right, y down, z forward seen from x forward, y left, z up
     q = [transform.rotation.x, transform.rotation.y, transform.rotation.z, transform.rotation.w]
     assert np.allclose(np.array(q) * np.sign(q[3]), [-0.5, 0.5, -0.5, 0.5])
-    lens = shown["/rig/camera/1/lens"][0][1]
-    assert list(lens.K) == [50, 0, 31.5, 0, 50, 23.5, 0, 0, 1]
+    camera_model = shown["/rig/camera/1/camera_model"][0][1]
+    assert list(camera_model.K) == [50, 0, 31.5, 0, 50, 23.5, 0, 0, 1]
 
 
-def test_viewers_are_told_to_remove_boxes_that_the_next_list_does_not_have(tmp_path):
+def test_viewers_are_reported_to_remove_boxes_that_the_next_list_does_not_have(tmp_path):
     path, first = tmp_path / "session.mcap", boxes_3d(5, 0)
     kept = {
         name: getattr(first, name)[:1]
@@ -248,9 +248,9 @@ def test_viewers_see_where_boxes_point_and_pixels_that_they_know():
     directions = np.array([[1, 2, 0.5], [-3, 0.1, 2], [0, 0, -1]], np.float32)
     boxes = shown_records(replace(boxes_3d(0, 0), directions=directions), "lidar")["boxes_3d"].boxes
     for box, direction in zip(boxes, directions.astype(float), strict=True):
-        turned = Rotation.from_quat(box.quaternion_xyzw).apply([[1, 0, 0], [0, 1, 0]])
-        assert np.allclose(turned[0], direction / np.linalg.norm(direction))
-        assert turned[1, 2] == pytest.approx(0)  # no roll
+        rotated = Rotation.from_quat(box.quaternion_xyzw).apply([[1, 0, 0], [0, 1, 0]])
+        assert np.allclose(rotated[0], direction / np.linalg.norm(direction))
+        assert rotated[1, 2] == pytest.approx(0)  # no roll
     pixels = np.zeros(HEIGHT * WIDTH * 2, np.uint8)
     assert shown_records(replace(image(0, 0), encoding="raw", channel=2, data=pixels), "camera") == {}
     grey = replace(image(0, 0), encoding="raw", channel=1, data=pixels[: HEIGHT * WIDTH])
@@ -327,7 +327,7 @@ def test_a_live_session_with_drops_idle_flushes_and_hot_calibration_can_be_playe
             flushed.clear()
             assert fusion.set_property("pairing_timeout_ms", 1)
             fusion.send(image(700, 50))
-            fusion.send(cloud(705, 50))  # waits for a later picture until nothing comes any more
+            fusion.send(cloud(705, 50))  # waits for a later image until nothing comes any more
             assert flushed.wait(30)
             counts = fusion.counters.counts().items()
             dropped = sum(count for name, count in counts if name.startswith("dropped.queue-full."))
@@ -371,8 +371,8 @@ def test_several_sessions_stand_side_by_side_in_one_file(tmp_path):
     assert set(report.equal) == {"a", "b", "a#2"}
     assert {name for name, _ in replay(path, session="b")} == {"b"}
     with path.open("rb") as file:
-        told = [record.metadata["session"] for record in make_reader(file).iter_metadata()]
-    assert told == ["a", "b", "a#2"]
+        reported = [record.metadata["session"] for record in make_reader(file).iter_metadata()]
+    assert reported == ["a", "b", "a#2"]
 
 
 CRASHING = """
@@ -396,7 +396,7 @@ def test_what_was_written_before_a_kill_can_be_read_and_played(tmp_path):
     assert not is_complete(left)
     report = compare(left)
     assert report
-    assert report.equal == {"rig": 4}  # the third sweep waits for a picture
+    assert report.equal == {"rig": 4}  # the third sweep waits for an image
     with pytest.raises(OutputError, match="exists already"):
         BlackBox(path)
 
@@ -468,7 +468,7 @@ def test_fusion_does_not_wait_for_the_disk_and_nothing_is_lost_of_what_there_is_
     with begun(box.session("rig"), inline=True) as fusion:
         drive(fusion)
         results += [*fusion.results(0), *fusion.results(1)]
-    assert len(results) == 6  # the fourth waits for a later picture; and not a message is in the file
+    assert len(results) == 6  # the fourth waits for a later image; and not a message is in the file
     stalled.set()
     box.close()
     assert (compare(path).equal, compare(path).gaps, box.lost) == ({"rig": 8}, {}, {})
@@ -485,8 +485,8 @@ def test_what_there_is_no_room_for_is_counted_and_the_log_says_where_it_has_gaps
     assert box.lost["rig"] >= lost > 0  # the end of the session is an event, too
     stalled.set()
     box.close()
-    told = [record for record in caplog.records if "has a gap" in record.message]
-    assert len(told) == 1
+    reported = [record for record in caplog.records if "has a gap" in record.message]
+    assert len(reported) == 1
     report = compare(path)
     assert (report.gaps, bool(report), report.complete, report.different) == ({"rig": 1}, False, True, {})
     (gap,) = [entry for entry in read_log(path) if entry.what == "gap"]
@@ -503,8 +503,8 @@ def test_a_log_with_a_gap_goes_on_after_it(tmp_path, stalled):
             assert box._changed.wait_for(box._is_done, 60)
         drive(fusion, 1, start=4)
     box.close()
-    told = [entry.what for entry in read_log(path)]
-    after = told[told.index("gap") :]
+    reported = [entry.what for entry in read_log(path)]
+    after = reported[reported.index("gap") :]
     assert after.count("gap") == 1
     assert after.count("record") == 4
 
@@ -521,7 +521,7 @@ def test_viewers_are_left_out_before_anything_else_is(tmp_path, stalled):
     assert compare(path).equal == {"rig": 8}
 
 
-def test_an_error_of_the_disk_is_told_once_and_what_it_loses_is_counted(tmp_path, caplog):
+def test_an_error_of_the_disk_is_reported_once_and_what_it_loses_is_counted(tmp_path, caplog):
     path = tmp_path / "session.mcap"
     box = BlackBox(path, kept_back_s=0)
     with begun(box.session("rig"), inline=True) as fusion:

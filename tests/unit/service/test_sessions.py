@@ -12,7 +12,7 @@ from sceneloom.service.sessions import SessionTable
 
 
 class Clock:
-    """Seconds that go on when they are told to."""
+    """Seconds that go on when they are reported to."""
 
     now_s = 1000.0
 
@@ -109,7 +109,7 @@ def test_a_result_wakes_those_who_wait_for_it_and_an_end_all_of_them(clock):
 
 
 @pytest.mark.parametrize(
-    ("table", "place", "words"),
+    ("table", "location", "words"),
     [
         ({"sessions": 3}, "service.sessions", "unknown; expected one of most_sessions"),
         ({"most_sessions": 0}, "service.most_sessions", "0; expected a whole number above 0"),
@@ -119,9 +119,9 @@ def test_a_result_wakes_those_who_wait_for_it_and_an_end_all_of_them(clock):
         ({"idle_minutes": "1"}, "service.idle_minutes", "'1'; expected a number above 0"),
     ],
 )
-def test_a_limit_that_is_none_is_told_with_its_place(table, place, words):
-    with pytest.raises(DataError, match=f"rig.toml: {place}: {words}"):
-        ServiceLimits.of(table, file="rig.toml", place="service")
+def test_a_limit_that_is_none_is_reported_with_its_location(table, location, words):
+    with pytest.raises(DataError, match=f"rig.toml: {location}: {words}"):
+        ServiceLimits.of(table, file="rig.toml", location="service")
 
 
 def test_limits_are_read_from_a_table():

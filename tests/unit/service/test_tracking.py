@@ -18,10 +18,10 @@ def send_boxes(call, seqs, *, cameras=(1,)):
 def test_a_subscriber_that_asks_for_tracks_gets_them_with_one_number_each(call):
     replies = call("Subscribe", track=True, most=5, timeout=60)
     send_boxes(call, range(5))
-    told = list(replies)
-    assert [reply.number for reply in told] == [0, 1, 2, 3, 4]
-    assert [[one.id for one in reply.detections.detections] for reply in told] == [[1]] * 5
-    speed = told[-1].detections.detections[0].velocity_vector[0]
+    reported = list(replies)
+    assert [reply.number for reply in reported] == [0, 1, 2, 3, 4]
+    assert [[one.id for one in reply.detections.detections] for reply in reported] == [[1]] * 5
+    speed = reported[-1].detections.detections[0].velocity_vector[0]
     assert speed == pytest.approx(10.0, abs=2.0)  # 1 m in 0.1 s, after five looks
 
 
@@ -31,8 +31,8 @@ def test_the_client_asks_for_tracks(serve, connect):
     call.calibrate()
     send_boxes(call, range(3))
     with FusionClient(server.address) as client:
-        told = list(client.subscribe(1, most=3, track=True))
-    assert [result.record.id.tolist() for result in told] == [[1], [1], [1]]
+        reported = list(client.subscribe(1, most=3, track=True))
+    assert [result.record.id.tolist() for result in reported] == [[1], [1], [1]]
 
 
 def test_tracks_of_sensor_data_are_refused(call):

@@ -105,7 +105,7 @@ def test_without_the_extra_the_verb_says_how_to_get_it():
     assert "Traceback" not in done.stderr
 
 
-def test_a_server_that_is_told_to_end_while_it_is_loading_does_so_at_once(monkeypatch):
+def test_a_server_that_is_reported_to_end_while_it_is_loading_does_so_at_once(monkeypatch):
     killed, here = [], threading.Event()
 
     def load(started):

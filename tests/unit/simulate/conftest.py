@@ -75,12 +75,12 @@ def slow_caster():
 
 @pytest.fixture(scope="session")
 def inside():
-    """`inside(shape, points_world)` tells which points lie strictly inside."""
+    """`inside(shape, points_world)` reports which points lie strictly inside."""
     return inside_shape
 
 
 @pytest.fixture(scope="session")
-def standing_path():
+def stationary_path():
     """An ego that all but stands at the origin, looking along x: one micrometre a second gives it a heading."""
     along = 1e-6 * (np.arange(40) - 20.0)
     return EgoPath(0, -17.0, np.column_stack([along, np.zeros(40)]), np.zeros((3, 1, 3)))
@@ -101,8 +101,8 @@ def box():
     """Make an upright box from its middle and half sizes."""
 
     def build(center, half, material=GREY, yaw=0.0):
-        turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1.0]])
-        pose = RigidTransform(turn, np.asarray(center, np.float64))
+        rotation = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1.0]])
+        pose = RigidTransform(rotation, np.asarray(center, np.float64))
         return Shape(ShapeKind.BOX, pose, tuple(map(float, half)), material)
 
     return build

@@ -7,7 +7,7 @@ from scipy import ndimage
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, OptionError
-from sceneloom.simulate import CameraSpec, PictureTruth, camera_mount
+from sceneloom.simulate import CameraSpec, ImageTruth, camera_mount
 from sceneloom.simulate.camera import RenderedCamera
 from sceneloom.simulate.edges import edge_mask
 from sceneloom.simulate.shapes import Material, Pattern
@@ -37,14 +37,14 @@ def opencv_rays(camera):
 
 
 @pytest.fixture(scope="module")
-def wall_camera(street_of, standing_path, box):
+def wall_camera(street_of, stationary_path, box):
     """A camera half a metre ahead of an ego that stands 10 m before a wall."""
 
     def make(**options):
-        street = street_of([box([11, 0, 10], [1, 40, 10], plain((200.0, 100.0, 50.0)))], standing_path)
+        street = street_of([box([11, 0, 10], [1, 40, 10], plain((200.0, 100.0, 50.0)))], stationary_path)
         spec = CameraSpec(PINHOLE, AHEAD, **options)
         times = np.array([0, 100_000_000], np.int64) + spec.offset_ns
-        return RenderedCamera.of(spec, street, standing_path, timestamps_ns=times)
+        return RenderedCamera.of(spec, street, stationary_path, timestamps_ns=times)
 
     return make
 
@@ -65,11 +65,11 @@ def test_depths_along_the_rays_of_opencv_end_on_the_surfaces(drive, camera):
     rendered = RenderedCamera.of(
         CameraSpec(camera, AHEAD), truth.street, truth.path, timestamps_ns=truth.lidar.timestamps_ns
     )
-    picture = rendered.truth(2)
-    seen = (picture.depths > 0) & (picture.depths < 60)
+    image = rendered.truth(2)
+    seen = (image.depths > 0) & (image.depths < 60)
     pose = rendered.pose(2)
-    world = pose.apply(opencv_rays(camera)[seen.ravel()] * picture.depths[seen][:, None].astype(np.float64))
-    instances = picture.instances[seen]
+    world = pose.apply(opencv_rays(camera)[seen.ravel()] * image.depths[seen][:, None].astype(np.float64))
+    instances = image.instances[seen]
     # float32 holds 60 m in steps of 4e-6 m; the iterations of both unprojections end below 1e-6 of the ray.
     assert (instances == 0).sum() > 1000
     np.testing.assert_allclose(world[instances == 0, 2], 0.0, atol=1e-4)
@@ -82,7 +82,7 @@ def test_depths_along_the_rays_of_opencv_end_on_the_surfaces(drive, camera):
         assert (np.abs(away) <= np.array(thing.size_lwh) / 2 + 1e-3).all()
 
 
-def test_left_is_left_and_up_is_up_in_the_picture(street_of, standing_path, box):
+def test_left_is_left_and_up_is_up_in_the_image(street_of, stationary_path, box):
     colors = {"left": (250.0, 20.0, 20.0), "right": (20.0, 20.0, 250.0), "up": (20.0, 250.0, 20.0)}
     shapes = [
         box([20, 5, 1.6], [1, 2, 1], plain(colors["left"])),
@@ -91,7 +91,7 @@ def test_left_is_left_and_up_is_up_in_the_picture(street_of, standing_path, box)
     ]
     spec = CameraSpec(PINHOLE, camera_mount(position=(0, 0, 1.6)))
     truth = RenderedCamera.of(
-        spec, street_of(shapes, standing_path), standing_path, timestamps_ns=np.zeros(1, np.int64)
+        spec, street_of(shapes, stationary_path), stationary_path, timestamps_ns=np.zeros(1, np.int64)
     ).truth(0)
     middles = [np.argwhere(truth.instances == number).mean(axis=0) for number in (1, 2, 3)]
     (_, left), (_, right), (top, middle) = middles
@@ -101,7 +101,7 @@ def test_left_is_left_and_up_is_up_in_the_picture(street_of, standing_path, box)
         assert truth.colors[truth.instances == number].mean(axis=0).argmax() == channel
 
 
-def test_turned_mounts_look_left_and_down():
+def test_rotated_mounts_look_left_and_down():
     mount = camera_mount(yaw_deg=90.0)
     np.testing.assert_allclose(mount.rotation @ [0, 0, 1], [0, 1, 0], atol=1e-15)
     down = camera_mount(pitch_deg=30.0)
@@ -109,16 +109,16 @@ def test_turned_mounts_look_left_and_down():
     np.testing.assert_allclose(camera_mount().rotation @ [0, 1, 0], [0, 0, -1], atol=1e-15)
 
 
-def test_the_picture_is_the_true_colour_at_pixel_centres(drive):
+def test_the_image_is_the_true_colour_at_pixel_centres(drive):
     camera = drive.scene.cameras[0]
-    rgb = camera.pictures[3].rgb
+    rgb = camera.images[3].rgb
     assert rgb.shape == (camera.camera.height, camera.camera.width, 3)
     assert rgb.dtype == np.uint8
     np.testing.assert_array_equal(rgb, drive.truth.colors("camera0", 3))
     assert len(np.unique(rgb.reshape(-1, 3), axis=0)) > 1000
 
 
-def test_supersampling_is_the_mean_of_a_finer_picture(drive):
+def test_supersampling_is_the_mean_of_a_finer_image(drive):
     truth = drive.truth
     times = truth.lidar.timestamps_ns
     fine = RenderedCamera.of(
@@ -137,11 +137,11 @@ def test_patterns_are_averaged_over_a_pixel(drive):
     times = truth.lidar.timestamps_ns
     coarse = PINHOLE.resized(60, 40)
 
-    def picture(supersampling):
+    def image(supersampling):
         spec = CameraSpec(coarse, AHEAD, supersampling=supersampling)
         return RenderedCamera.of(spec, truth.street, truth.path, timestamps_ns=times)
 
-    single, many = picture(1), picture(8)
+    single, many = image(1), image(8)
     inner = ~edge_mask(single.truth(1), within_px=1)
     difference = np.abs(single.render(1).astype(float) - many.render(1)).max(axis=-1)[inner]
     # Bare surface colours differ from the mean of 64 rays by up to 43 levels in 95 % of the pixels, filtered ones by
@@ -150,13 +150,13 @@ def test_patterns_are_averaged_over_a_pixel(drive):
     assert np.percentile(difference, 95) < 20
 
 
-def test_pixels_that_the_lens_does_not_reach_are_black_and_empty(wall_camera, standing_path):
+def test_pixels_that_the_camera_model_does_not_reach_are_black_and_empty(wall_camera, stationary_path):
     camera = wall_camera()
     folding = Camera("fisheye", 200, 100, 40.0, 40.0, 99.5, 49.5, (-0.15, 0.0, 0.0, 0.0))
     spec = CameraSpec(folding, AHEAD)
-    truth = RenderedCamera.of(spec, camera.street, standing_path, timestamps_ns=np.zeros(1, np.int64)).truth(
-        0
-    )
+    truth = RenderedCamera.of(
+        spec, camera.street, stationary_path, timestamps_ns=np.zeros(1, np.int64)
+    ).truth(0)
     # θ - 0.15 θ³ never exceeds 0.994: no pixel beyond 40 px from the axis is reached.
     v, u = np.mgrid[:100, :200]
     outside = np.hypot(u - 99.5, v - 49.5) > 41
@@ -167,7 +167,7 @@ def test_pixels_that_the_lens_does_not_reach_are_black_and_empty(wall_camera, st
 
 
 def test_the_shutter_opens_at_the_offset_where_the_ego_is_then(drive):
-    times = drive.scene.cameras[0].pictures.timestamps_ns
+    times = drive.scene.cameras[0].images.timestamps_ns
     np.testing.assert_array_equal(times, drive.truth.lidar.timestamps_ns + 50_000_000)
     pose, ego = drive.truth.world_from_camera("camera0", 4), drive.truth.path.at(times[4:5])
     mount = drive.scene.cameras[0].mount
@@ -177,16 +177,16 @@ def test_the_shutter_opens_at_the_offset_where_the_ego_is_then(drive):
     np.testing.assert_allclose(pose.rotation, ego.rotations[0] @ mount.rotation, atol=1e-12)
 
 
-def test_pictures_are_the_same_in_whatever_order_they_are_asked_for(drive):
-    pictures = drive.scene.cameras[0].pictures
-    later = pictures[6].rgb
-    assert not np.array_equal(pictures[0].rgb, later)
-    np.testing.assert_array_equal(pictures[6].rgb, later)
+def test_images_are_the_same_in_whatever_order_they_are_asked_for(drive):
+    images = drive.scene.cameras[0].images
+    later = images[6].rgb
+    assert not np.array_equal(images[0].rgb, later)
+    np.testing.assert_array_equal(images[6].rgb, later)
 
 
-def picture_of(depths, instances):
+def image_of(depths, instances):
     depths = np.asarray(depths, np.float32)
-    return PictureTruth(depths, np.asarray(instances, np.int32), np.zeros((*depths.shape, 3), np.uint8))
+    return ImageTruth(depths, np.asarray(instances, np.int32), np.zeros((*depths.shape, 3), np.uint8))
 
 
 def slow_edges(truth, within_px):
@@ -206,25 +206,25 @@ def slow_edges(truth, within_px):
 
 @pytest.mark.parametrize("within_px", [1, 2, 4])
 def test_pixels_near_a_change_of_object_are_marked(drive, within_px):
-    truth = drive.truth.picture("camera0", 0)
+    truth = drive.truth.image("camera0", 0)
     flat = replace(truth, depths=np.ones_like(truth.depths))
     np.testing.assert_array_equal(edge_mask(flat, within_px=within_px), slow_edges(truth, within_px))
 
 
 def test_a_leap_of_depth_inside_one_object_is_marked_and_a_slope_is_not():
     depths = np.tile(np.linspace(5, 9, 40), (30, 1))
-    assert not edge_mask(picture_of(depths, np.zeros((30, 40)))).any()
+    assert not edge_mask(image_of(depths, np.zeros((30, 40)))).any()
     depths[:, 20:] += 3.0
-    marked = edge_mask(picture_of(depths, np.zeros((30, 40))))
+    marked = edge_mask(image_of(depths, np.zeros((30, 40))))
     assert marked[:, 18:22].all()
     assert not marked[:, :18].any()
     assert not marked[:, 22:].any()
 
 
-def test_the_bare_ground_has_no_edges(street_of, standing_path, box):
-    street = street_of([box([-50, 0, 1], [1, 1, 1])], standing_path)
+def test_the_bare_ground_has_no_edges(street_of, stationary_path, box):
+    street = street_of([box([-50, 0, 1], [1, 1, 1])], stationary_path)
     spec = CameraSpec(PINHOLE, camera_mount(pitch_deg=35.0))
-    camera = RenderedCamera.of(spec, street, standing_path, timestamps_ns=np.zeros(1, np.int64))
+    camera = RenderedCamera.of(spec, street, stationary_path, timestamps_ns=np.zeros(1, np.int64))
     assert not edge_mask(camera.truth(0)).any()
 
 

@@ -40,13 +40,13 @@ def cast_from(street, origin, directions, *, reach=200.0, bundles=None):
 @pytest.mark.parametrize("kind", ShapeKind)
 @pytest.mark.few(1)
 def test_the_first_hit_of_each_kind_of_body_is_where_the_slow_walk_enters_it(
-    kind, street_of, standing_path, slow_caster
+    kind, street_of, stationary_path, slow_caster
 ):
     generator = np.random.default_rng(int(kind))
     hits = 0
     for _ in range(25):
         shape, origin = random_shape(generator, kind), generator.uniform(-30, 30, 3)
-        street = street_of([shape], standing_path)
+        street = street_of([shape], stationary_path)
         directions = rays_towards(generator, np.tile(shape.pose.translation, (4, 1)), origin, 0.8)
         found = cast_from(street, origin, directions)
         for k, direction in enumerate(directions):
@@ -61,7 +61,10 @@ def test_a_whole_street_is_seen_as_the_slow_walk_sees_it(drive, slow_caster):
     street = drive.truth.street
     packed = street.shapes
     rotations = np.linalg.inv(packed.maps[:, :, :3] * packed.halves[:, :, None])
-    poses = [RigidTransform(turn, sphere[:3]) for turn, sphere in zip(rotations, packed.spheres, strict=True)]
+    poses = [
+        RigidTransform(rotation, sphere[:3])
+        for rotation, sphere in zip(rotations, packed.spheres, strict=True)
+    ]
     shapes = [
         Shape(ShapeKind(kind), pose, tuple(half), PLAIN)
         for kind, pose, half in zip(packed.kinds, poses, packed.halves, strict=True)
@@ -104,17 +107,17 @@ def test_rays_of_one_bundle_can_start_from_different_poses(drive):
         np.testing.assert_allclose(found.ranges[own], expected.ranges, atol=EXACT)
 
 
-def test_the_nearest_of_several_shapes_wins_in_whatever_order_they_come(street_of, standing_path, box):
+def test_the_nearest_of_several_shapes_wins_in_whatever_order_they_come(street_of, stationary_path, box):
     near, far = box([10, 0, 2], [1, 2, 2]), box([20, 0, 2], [1, 9, 2])
     origin, ahead = np.array([0.0, 0, 2.5]), np.array([[1.0, 0, 0]])
     for shapes in ([near, far], [far, near]):
-        found = cast_from(street_of(shapes, standing_path), origin, ahead)
+        found = cast_from(street_of(shapes, stationary_path), origin, ahead)
         assert found.ranges[0] == pytest.approx(9.0, abs=EXACT)
         assert shapes[found.shapes[0]] is near
 
 
-def test_the_ground_is_met_at_height_over_slope_and_the_sky_nowhere(street_of, standing_path, box):
-    street = street_of([box([0, 50, 2], [1, 1, 1])], standing_path)
+def test_the_ground_is_met_at_height_over_slope_and_the_sky_nowhere(street_of, stationary_path, box):
+    street = street_of([box([0, 50, 2], [1, 1, 1])], stationary_path)
     directions = unit(np.array([[1.0, 0, -0.5], [1.0, 0, 0.5], [1.0, 0, 0.0], [1.0, 0, -0.001]]))
     found = cast_from(street, np.array([0.0, 0, 2.0]), directions)
     assert found.shapes.tolist() == [GROUND, SKY, SKY, SKY]
@@ -124,28 +127,30 @@ def test_the_ground_is_met_at_height_over_slope_and_the_sky_nowhere(street_of, s
     assert reflectivities_of(street, found)[1:].tolist() == [0, 0, 0]
 
 
-def test_hits_are_told_by_the_number_of_their_object(street_of, standing_path, box):
-    street = street_of([box([0, 50, 2], [1, 1, 1], PLAIN), box([10, 0, 2], [1, 1, 1], PLAIN)], standing_path)
+def test_hits_are_reported_by_the_number_of_their_object(street_of, stationary_path, box):
+    street = street_of(
+        [box([0, 50, 2], [1, 1, 1], PLAIN), box([10, 0, 2], [1, 1, 1], PLAIN)], stationary_path
+    )
     found = cast_from(street, np.array([0.0, 0, 2.0]), np.array([[1.0, 0, 0]]))
     assert instances_of(street, found).tolist() == [2]
     assert reflectivities_of(street, found).tolist() == [0.3]
 
 
-def test_a_ray_that_starts_inside_a_shape_does_not_see_it(street_of, standing_path, box):
-    street = street_of([box([0, 0, 5], [2, 2, 2]), box([10, 0, 5], [1, 1, 1])], standing_path)
+def test_a_ray_that_starts_inside_a_shape_does_not_see_it(street_of, stationary_path, box):
+    street = street_of([box([0, 0, 5], [2, 2, 2]), box([10, 0, 5], [1, 1, 1])], stationary_path)
     found = cast_from(street, np.array([0.0, 0, 5.0]), np.array([[1.0, 0, 0]]))
     assert found.shapes.tolist() == [1]
 
 
-def test_nothing_is_met_beyond_the_reach(street_of, standing_path, box):
-    street = street_of([box([10, 0, 2], [1, 1, 1])], standing_path)
+def test_nothing_is_met_beyond_the_reach(street_of, stationary_path, box):
+    street = street_of([box([10, 0, 2], [1, 1, 1])], stationary_path)
     origin, ahead = np.array([0.0, 0, 2.0]), np.array([[1.0, 0, 0]])
     assert cast_from(street, origin, ahead, reach=8.9).shapes.tolist() == [SKY]
     assert cast_from(street, origin, ahead, reach=9.1).shapes.tolist() == [0]
 
 
-def test_rays_that_are_not_finite_leave_their_slots_empty(street_of, standing_path, box):
-    street = street_of([box([10, 0, 2], [1, 9, 9])], standing_path)
+def test_rays_that_are_not_finite_leave_their_slots_empty(street_of, stationary_path, box):
+    street = street_of([box([10, 0, 2], [1, 9, 9])], stationary_path)
     directions = np.array([[1.0, 0, 0], [np.nan] * 3, [1.0, 0, 0]])
     found = cast_from(street, np.array([0.0, 0, 2.0]), directions, bundles=np.zeros(3, np.int64))
     assert found.shapes.tolist() == [0, SKY, 0]

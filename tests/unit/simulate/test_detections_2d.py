@@ -21,7 +21,7 @@ from sceneloom.simulate import (
 )
 from sceneloom.simulate.detections import FALSE
 
-LENS = Camera("pinhole", 320, 200, 190.0, 190.0, 159.5, 95.5)
+CAMERA_MODEL = Camera("pinhole", 320, 200, 190.0, 190.0, 159.5, 95.5)
 SHARP = {"car": ClassSpec(half_evidence=1e-6, false_rate=0.0, size_lwh=(4.2, 1.8, 1.5))}
 EVERYTHING = Detector2dSpec(classes=SHARP, misses=MissSpec(recall=1.0, hiding=0.0))
 """Finds all there is and makes nothing up."""
@@ -34,13 +34,13 @@ FAIR = Detector2dSpec(
 def drive():
     """A drive past parked cars with one small camera."""
     return simulate_street(
-        6, frames=50, lidar=LidarSpec(beams=2, steps=20), cameras=(CameraSpec(LENS, camera_mount()),)
+        6, frames=50, lidar=LidarSpec(beams=2, steps=20), cameras=(CameraSpec(CAMERA_MODEL, camera_mount()),)
     )
 
 
 @pytest.fixture(scope="module")
 def reports(drive):
-    """Everything found in each picture, half of it twice."""
+    """Everything found in each image, half of it twice."""
     return detect_2d(drive, "camera0", replace(EVERYTHING, repeated=0.5))
 
 
@@ -78,7 +78,7 @@ def test_edges_are_off_by_as_much_as_the_specification_says(reports):
         truth = report.truth.corners_xyxy[matched(report)]
         error = report.boxes.corners_xyxy - truth
         sigmas = 0.8 + 0.015 * np.tile(truth[:, 2:] - truth[:, :2], 2)
-        # Edges near the border are cut off there, and small boxes are kept from turning inside out.
+        # Edges near the border are cut off there, and small boxes are kept from rotating inside out.
         free = (truth > 6).all(axis=1) & (truth[:, 2] < 314) & (truth[:, 3] < 194)
         free &= (truth[:, 2:] - truth[:, :2]).min(axis=1) > 6
         normal.append((error / sigmas)[free])
@@ -88,7 +88,7 @@ def test_edges_are_off_by_as_much_as_the_specification_says(reports):
     np.testing.assert_allclose(normal.mean(axis=0), 0.0, atol=4 / np.sqrt(len(normal)))
 
 
-def test_boxes_end_where_the_picture_does_and_are_never_empty(reports, fair):
+def test_boxes_end_where_the_image_does_and_are_never_empty(reports, fair):
     edges = np.concatenate([report.boxes.corners_xyxy for report in (*reports, *fair)])
     assert (edges >= 0).all()
     assert (edges <= [320, 200, 320, 200]).all()
@@ -101,7 +101,9 @@ def test_boxes_of_whole_objects_are_the_projected_boxes_in_space(drive):
     report = detect_2d(drive, "camera0", replace(EVERYTHING, amodal=True), frames=[12])[0]
     visible = detect_2d(drive, "camera0", EVERYTHING, frames=[12])[0]
     camera_from_world = drive.truth.world_from_camera("camera0", 12).inverse()
-    matrix = np.array([[LENS.fx, 0, LENS.cx], [0, LENS.fy, LENS.cy], [0, 0, 1.0]])
+    matrix = np.array(
+        [[CAMERA_MODEL.fx, 0, CAMERA_MODEL.cx], [0, CAMERA_MODEL.fy, CAMERA_MODEL.cy], [0, 0, 1.0]]
+    )
     known = {thing.instance: thing for thing in drive.truth.objects}
     compared = 0
     for instance, box in zip(report.truth_instances, report.truth.corners_xyxy, strict=True):
@@ -112,8 +114,10 @@ def test_boxes_of_whole_objects_are_the_projected_boxes_in_space(drive):
         corners = np.column_stack([cosine * x - sine * y, sine * x + cosine * y, z]) + thing.center_world
         if camera_from_world.apply(corners)[:, 2].min() < 0.5:
             continue
-        turn, _ = cv2.Rodrigues(camera_from_world.rotation)
-        pixels = cv2.projectPoints(corners, turn, camera_from_world.translation, matrix, None)[0][:, 0] + 0.5
+        rotation, _ = cv2.Rodrigues(camera_from_world.rotation)
+        pixels = (
+            cv2.projectPoints(corners, rotation, camera_from_world.translation, matrix, None)[0][:, 0] + 0.5
+        )
         expected = np.clip([*pixels.min(axis=0), *pixels.max(axis=0)], 0, [320, 200, 320, 200])
         np.testing.assert_allclose(box, expected, atol=1e-6)
         compared += 1
@@ -124,7 +128,7 @@ def test_boxes_of_whole_objects_are_the_projected_boxes_in_space(drive):
     assert (report.truth.corners_xyxy[:, 2:] >= shown[:, 2:] - 1).all()
 
 
-def test_occlusion_is_what_the_truth_of_the_picture_says(drive, reports):
+def test_occlusion_is_what_the_truth_of_the_image_says(drive, reports):
     truth = drive.truth.occlusion("camera0", 30)
     shares = dict(zip(truth.instances.tolist(), truth.hidden.tolist(), strict=True))
     expected = [shares[int(instance)] for instance in reports[30].truth_instances]
@@ -132,7 +136,7 @@ def test_occlusion_is_what_the_truth_of_the_picture_says(drive, reports):
     assert max(expected) > 0.1
 
 
-def test_objects_are_missed_as_often_as_their_pixels_say(fair):
+def test_objects_are_missed_as_often_as_their_pixels_state(fair):
     pixels, occlusions = (
         np.concatenate([getattr(report, name) for report in fair]) for name in ("evidence", "occlusions")
     )
@@ -157,7 +161,7 @@ def test_false_boxes_come_at_their_rate_and_overlap_few_objects(fair):
                 assert shared / both < 0.3
 
 
-def test_scores_in_pictures_are_calibrated(fair):
+def test_scores_in_images_are_calibrated(fair):
     scores = np.concatenate([report.boxes.scores for report in fair])
     true = np.concatenate([(report.instances != FALSE) & ~report.duplicates for report in fair])
     assert len(scores) > 200
@@ -175,15 +179,15 @@ def test_duplicates_are_marked(reports):
         assert sorted(report.instances[~report.duplicates]) == sorted(report.truth_instances)
 
 
-def test_a_picture_is_the_same_whichever_others_are_asked_for(drive, fair):
+def test_an_image_is_the_same_whichever_others_are_asked_for(drive, fair):
     alone = detect_2d(drive, None, FAIR, frames=[44])[0]
     assert len(alone.boxes) > 1
     one, other = (np.sort(report.boxes.corners_xyxy, axis=0) for report in (alone, fair[44]))
     np.testing.assert_array_equal(one, other)
 
 
-def test_reports_of_a_faulty_camera_have_its_stamps_and_gaps(drive):
-    start = int(drive.scene.cameras[0].pictures.timestamps_ns[0])
+def test_reports_of_a_faulty_camera_have_its_timestamps_and_gaps(drive):
+    start = int(drive.scene.cameras[0].images.timestamps_ns[0])
     wrong = SensorFaults(
         time_offset_ns=-9,
         lost_frames=(1,),

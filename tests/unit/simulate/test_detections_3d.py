@@ -42,7 +42,7 @@ def drive():
 
 @pytest.fixture(scope="module")
 def reports(drive):
-    """Everything found in each sweep, half of it twice, a tenth of it turned back."""
+    """Everything found in each sweep, half of it twice, a tenth of it rotated back."""
     every = replace(EVERYTHING, covariances=True, repeated=0.5, flip_share=0.1, velocity_sigma=0.3)
     return detect_3d(drive, every)
 
@@ -64,11 +64,11 @@ def errors_of(report):
     truth = report.truth.select(rows)
     apart = report.boxes.centers - truth.centers
     own = [Rotation.from_euler("z", -yaw).apply(row) for yaw, row in zip(truth.yaws, apart, strict=True)]
-    turned = np.mod(report.boxes.yaws - truth.yaws + np.pi / 2, np.pi) - np.pi / 2
+    rotated = np.mod(report.boxes.yaws - truth.yaws + np.pi / 2, np.pi) - np.pi / 2
     ranges = np.linalg.norm(truth.centers, axis=1)
     growth = (1 + ranges / 60.0) * np.sqrt(1 + 30.0 / report.evidence[rows])
     sizes = report.boxes.sizes_lwh - truth.sizes_lwh
-    return np.column_stack([np.reshape(own, (-1, 3)), sizes, turned]), growth
+    return np.column_stack([np.reshape(own, (-1, 3)), sizes, rotated]), growth
 
 
 def test_every_object_with_a_point_on_it_is_found_by_a_detector_that_finds_all(reports):
@@ -118,10 +118,12 @@ def test_the_true_boxes_hold_the_points_of_their_objects(drive, reports):
         in_lidar = mount.inverse().apply(in_ego)
         for j, instance in enumerate(report.truth_instances):
             half = report.truth.yaws[j] / 2
-            turn = np.array([0.0, 0.0, np.sin(half), np.cos(half)])
+            rotation = np.array([0.0, 0.0, np.sin(half), np.cos(half)])
             own = in_lidar[sweep.instances == instance]
             # The box stands upright in a lidar that leans by half a degree: 2 cm at the ends of a car.
-            inside = points_in_box(own, report.truth.centers[j], report.truth.sizes_lwh[j], turn, margin=0.04)
+            inside = points_in_box(
+                own, report.truth.centers[j], report.truth.sizes_lwh[j], rotation, margin=0.04
+            )
             assert inside.all()
             assert len(own) == report.evidence[j]
             checked += len(own)
@@ -150,7 +152,7 @@ def test_boxes_in_other_frames_are_the_same_boxes(drive):
     assert own.sensor_id == "lidar"
 
 
-def test_objects_are_missed_as_often_as_points_and_occlusion_say(drive, fair):
+def test_objects_are_missed_as_often_as_points_and_occlusion_state(drive, fair):
     points, occlusions = (
         np.concatenate([getattr(report, name) for report in fair]) for name in ("evidence", "occlusions")
     )
@@ -179,11 +181,11 @@ def test_false_boxes_come_at_their_rate_near_returns_and_away_from_objects(drive
             assert apart.min(initial=99.0) > 2.5
 
 
-def test_headings_are_turned_back_as_often_as_asked_for(reports):
-    turned = np.concatenate(
+def test_headings_are_rotated_back_as_often_as_asked_for(reports):
+    rotated = np.concatenate(
         [report.boxes.yaws - report.truth.select(matched(report)).yaws for report in reports]
     )
-    back = np.cos(turned) < 0
+    back = np.cos(rotated) < 0
     assert back.mean() == pytest.approx(0.1, abs=4 * np.sqrt(0.09 / len(back)))
 
 
@@ -290,12 +292,12 @@ def test_a_wrong_mounting_moves_boxes_of_the_ego_and_not_those_of_the_sensor(dri
         np.testing.assert_array_equal(right.truth.centers, wrong.truth.centers)
         own = detect_3d(drive, EVERYTHING, frames=[5])[0].boxes.centers.copy()
         moved = wrong.boxes.centers - right.boxes.centers
-        turn = Rotation.from_euler("z", 2.0, degrees=True)
-        error = drive.truth.lidar.spec.mount.rotate(turn.apply(own) + shift - own)
+        rotation = Rotation.from_euler("z", 2.0, degrees=True)
+        error = drive.truth.lidar.spec.mount.rotate(rotation.apply(own) + shift - own)
         np.testing.assert_allclose(moved, factor * error, atol=1e-9)
 
 
-def test_reports_of_a_faulty_lidar_have_its_stamps_and_gaps(drive):
+def test_reports_of_a_faulty_lidar_have_its_timestamps_and_gaps(drive):
     start = int(drive.scene.lidars[0].frames.timestamps_ns[0])
     wrong = SensorFaults(
         time_offset_ns=40_000_000, lost_frames=(1,), blind=((start + 200_000_000, start + 300_000_000),)

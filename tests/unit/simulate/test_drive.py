@@ -25,20 +25,20 @@ def test_a_drive_has_the_sensors_of_a_recording(drive):
     assert set(scene.sensor("imu").streams) == {"accelerometer", "gyroscope"}
 
 
-def test_sweeps_and_pictures_follow_each_other_ten_times_a_second(drive):
+def test_sweeps_and_images_follow_each_other_ten_times_a_second(drive):
     lidar, camera = drive.scene.lidars[0], drive.scene.cameras[0]
     np.testing.assert_array_equal(lidar.frames.timestamps_ns, 1_000_000_000 + 100_000_000 * np.arange(8))
-    np.testing.assert_array_equal(camera.pictures.timestamps_ns - lidar.frames.timestamps_ns, 50_000_000)
+    np.testing.assert_array_equal(camera.images.timestamps_ns - lidar.frames.timestamps_ns, 50_000_000)
     assert [frame.timestamp_ns for frame in lidar.frames] == lidar.frames.timestamps_ns.tolist()
-    assert camera.pictures[3].timestamp_ns == camera.pictures.timestamps_ns[3]
+    assert camera.images[3].timestamp_ns == camera.images.timestamps_ns[3]
     assert camera.fps == 10.0
 
 
-def test_the_picture_is_taken_when_the_lidar_looks_ahead(drive):
-    frame, picture = drive.scene.lidars[0].frames[2], drive.scene.cameras[0].pictures[2]
+def test_the_image_is_taken_when_the_lidar_looks_ahead(drive):
+    frame, image = drive.scene.lidars[0].frames[2], drive.scene.cameras[0].images[2]
     ahead = frame.points.positions[:, 0] > 5 * np.abs(frame.points.positions[:, 1])
-    # The sensor looks within 11 degrees of ahead for 6 ms of its turn.
-    assert np.abs(frame.points.timestamps_ns[ahead] - picture.timestamp_ns).max() < 4_000_000
+    # The sensor looks within 11 degrees of ahead for 6 ms of its rotation.
+    assert np.abs(frame.points.timestamps_ns[ahead] - image.timestamp_ns).max() < 4_000_000
 
 
 def test_poses_of_sensors_are_trajectory_and_mounting(drive):
@@ -47,11 +47,11 @@ def test_poses_of_sensors_are_trajectory_and_mounting(drive):
         np.testing.assert_allclose(
             sensor.poses.positions, exact.positions + exact.rotations @ sensor.mount.translation, atol=1e-9
         )
-        turned = Rotation.from_quat(sensor.poses.quaternions_xyzw).as_matrix()
-        np.testing.assert_allclose(turned, exact.rotations @ sensor.mount.rotation, atol=1e-9)
+        rotated = Rotation.from_quat(sensor.poses.quaternions_xyzw).as_matrix()
+        np.testing.assert_allclose(rotated, exact.rotations @ sensor.mount.rotation, atol=1e-9)
 
 
-def test_trajectory_imu_and_gnss_reach_beyond_every_sweep_and_picture(drive):
+def test_trajectory_imu_and_gnss_reach_beyond_every_sweep_and_image(drive):
     scene = drive.scene
     first, last = (
         scene.lidars[0].frames[0].timestamp_ns,
@@ -69,7 +69,7 @@ def test_trajectory_imu_and_gnss_reach_beyond_every_sweep_and_picture(drive):
 
 def test_the_imu_keeps_a_clock_of_its_own(drive):
     imu = set(drive.scene.sensor("imu").streams["gyroscope"].timestamps_ns.tolist())
-    assert not imu & set(drive.scene.cameras[0].pictures.timestamps_ns.tolist())
+    assert not imu & set(drive.scene.cameras[0].images.timestamps_ns.tolist())
 
 
 def test_the_points_of_a_car_lie_in_its_box(exact_drive):
@@ -90,7 +90,7 @@ def test_the_points_of_a_car_lie_in_its_box(exact_drive):
     assert seen > 300
 
 
-def test_ids_of_annotations_are_unique_and_angles_are_said_to_be_degrees(drive):
+def test_ids_of_annotations_are_unique_and_angles_are_stated_to_be_degrees(drive):
     ids = [annotation.id for annotation in drive.scene.annotations]
     assert len(ids) == len(set(ids)) > 20
     ours = drive.scene.metadata["sceneloom"]
@@ -111,18 +111,18 @@ def test_cars_point_along_the_street(drive):
 def test_visible_points_fall_on_pixels_of_their_own_depth_and_object(exact_drive):
     truth, camera = exact_drive.truth, exact_drive.scene.cameras[0]
     for k in (0, 6):
-        clean, picture = truth.clean_points_world(k), truth.picture("camera0", k)
+        clean, image = truth.clean_points_world(k), truth.image("camera0", k)
         in_camera = truth.world_from_camera("camera0", k).inverse().apply(clean.positions_world)
         pixels, inside = project(camera.camera, in_camera)
         visible = truth.visible("camera0", k, clean.positions_world)
         column, row = np.rint(pixels[inside]).astype(int).T
         away = ~truth.edges("camera0", k)[row, column]
-        depth, z = picture.depths[row, column].astype(np.float64), in_camera[inside, 2]
+        depth, z = image.depths[row, column].astype(np.float64), in_camera[inside, 2]
         seen, hidden = away & visible[inside], away & ~visible[inside]
         assert seen.sum() > 1500
         # Half a pixel beside the point a slanting surface is nearer or farther: 3 % where it is met at 2 degrees.
         assert (np.abs(depth - z)[seen] < 0.03 * z[seen]).mean() > 0.999
-        assert (picture.instances[row, column] == clean.instances[inside])[seen].all()
+        assert (image.instances[row, column] == clean.instances[inside])[seen].all()
         assert hidden.sum() > 5
         assert (depth[hidden] < z[hidden]).all()
 
@@ -139,7 +139,7 @@ def test_points_behind_a_wall_are_not_visible_and_those_on_it_are(drive):
     assert truth.visible("camera0", 0, np.zeros((0, 3))).shape == (0,)
 
 
-def test_near_points_have_the_colour_that_the_picture_shows(exact_drive):
+def test_near_points_have_the_colour_that_the_image_shows(exact_drive):
     truth, camera = exact_drive.truth, exact_drive.scene.cameras[0]
     clean = truth.clean_points_world(3)
     in_camera = truth.world_from_camera("camera0", 3).inverse().apply(clean.positions_world)
@@ -147,7 +147,7 @@ def test_near_points_have_the_colour_that_the_picture_shows(exact_drive):
     near = inside & truth.visible("camera0", 3, clean.positions_world) & (clean.ranges < 15)
     column, row = np.rint(pixels[near]).astype(int).T
     away = ~truth.edges("camera0", 3)[row, column]
-    shown = camera.pictures[3].rgb[row, column].astype(int)
+    shown = camera.images[3].rgb[row, column].astype(int)
     difference = np.abs(shown - clean.colors[near]).max(axis=1)[away]
     # The nearest pixel is up to half a pixel beside the point: 1 cm at 15 m, on patterns with edges 2 cm soft.
     assert len(difference) > 500
@@ -155,17 +155,17 @@ def test_near_points_have_the_colour_that_the_picture_shows(exact_drive):
     assert np.percentile(difference, 90) <= 20
 
 
-def test_several_cameras_and_lenses_have_ids_in_their_order():
+def test_several_cameras_and_camera_models_have_ids_in_their_order():
     cameras = [
         CameraSpec(TINY, camera_mount(yaw_deg=yaw), offset_ns=offset)
         for yaw, offset in ((0.0, 0), (120.0, 20_000_000), (-120.0, 80_000_000))
     ]
     drive = simulate_street(1, frames=2, lidar=SMALL, cameras=cameras)
     assert [camera.id for camera in drive.scene.cameras] == ["camera0", "camera1", "camera2"]
-    offsets = [camera.pictures.timestamps_ns[0] - 1_000_000_000 for camera in drive.scene.cameras]
+    offsets = [camera.images.timestamps_ns[0] - 1_000_000_000 for camera in drive.scene.cameras]
     assert offsets == [0, 20_000_000, 80_000_000]
-    pictures = [camera.pictures[1].rgb for camera in drive.scene.cameras]
-    assert not np.array_equal(pictures[0], pictures[1])
+    images = [camera.images[1].rgb for camera in drive.scene.cameras]
+    assert not np.array_equal(images[0], images[1])
 
 
 def test_a_drive_can_be_a_single_sweep_without_cameras():
@@ -200,12 +200,12 @@ def test_noise_of_one_sensor_does_not_depend_on_another():
     )
 
 
-def test_the_demo_drive_has_two_lenses_with_smooth_outlines():
+def test_the_demo_drive_has_two_camera_models_with_smooth_outlines():
     drive = demo_drive(0, frames=2)
     assert [camera.camera.model for camera in drive.scene.cameras] == ["brown_conrady", "fisheye"]
-    picture = drive.scene.cameras[1].pictures[0].rgb
-    assert picture.shape == (400, 640, 3)
-    assert not np.array_equal(picture, drive.truth.colors("camera1", 0))
+    image = drive.scene.cameras[1].images[0].rgb
+    assert image.shape == (400, 640, 3)
+    assert not np.array_equal(image, drive.truth.colors("camera1", 0))
     even = [camera.camera.width % 2 + camera.camera.height % 2 for camera in drive.scene.cameras]
     assert even == [0, 0]
 
@@ -230,10 +230,10 @@ def test_asking_for_a_camera_that_is_not_there_names_those_that_are(drive):
 
 
 def test_the_parts_of_the_truth_agree_with_the_whole(drive):
-    picture = drive.truth.picture("camera0", 1)
-    np.testing.assert_array_equal(drive.truth.depth("camera0", 1), picture.depths)
-    np.testing.assert_array_equal(drive.truth.instances("camera0", 1), picture.instances)
-    assert ((picture.depths > 0) == (picture.instances >= 0)).all()
+    image = drive.truth.image("camera0", 1)
+    np.testing.assert_array_equal(drive.truth.depth("camera0", 1), image.depths)
+    np.testing.assert_array_equal(drive.truth.instances("camera0", 1), image.instances)
+    assert ((image.depths > 0) == (image.instances >= 0)).all()
     poses = drive.truth.world_from_ego(np.array([1_000_000_000, 1_500_000_000], np.int64))
     exact = drive.truth.path.at(poses.timestamps_ns)
     np.testing.assert_array_equal(poses.positions, exact.positions)

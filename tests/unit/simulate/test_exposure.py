@@ -6,7 +6,7 @@ from sceneloom.errors import OptionError
 from sceneloom.simulate import CameraSpec, ExposureSpec, LidarSpec, simulate_street
 from sceneloom.simulate.exposure import Exposure
 
-LENS = Camera("pinhole", 81, 61, 60.0, 60.0, 40.0, 30.0)
+CAMERA_MODEL = Camera("pinhole", 81, 61, 60.0, 60.0, 40.0, 30.0)
 SMALL = LidarSpec(beams=2, steps=20)
 STEADY = ExposureSpec(drift_stops=0.0)
 
@@ -18,18 +18,24 @@ def gains(spec, seconds, *, seed=0, camera=0):
 
 @pytest.fixture(scope="module")
 def drives():
-    """The same drive with plain pictures, and with exposures that change."""
+    """The same drive with plain images, and with exposures that change."""
     spec = ExposureSpec(drift_stops=0.5, steps=((0.25, 1.0),), vignetting=0.4, exposure_ns=6_000_000)
-    cameras = (CameraSpec(LENS, exposure=spec), CameraSpec(LENS, exposure=spec, supersampling=2))
+    cameras = (
+        CameraSpec(CAMERA_MODEL, exposure=spec),
+        CameraSpec(CAMERA_MODEL, exposure=spec, supersampling=2),
+    )
     return (
         simulate_street(
-            2, frames=6, lidar=SMALL, cameras=(CameraSpec(LENS), CameraSpec(LENS, supersampling=2))
+            2,
+            frames=6,
+            lidar=SMALL,
+            cameras=(CameraSpec(CAMERA_MODEL), CameraSpec(CAMERA_MODEL, supersampling=2)),
         ),
         simulate_street(2, frames=6, lidar=SMALL, cameras=cameras),
     )
 
 
-def test_the_automatic_wanders_smoothly_and_no_farther_than_told():
+def test_the_automatic_wanders_smoothly_and_no_farther_than_reported():
     seconds = np.linspace(0.0, 200.0, 40_001)
     stops = np.log2(gains(ExposureSpec(drift_stops=0.5, drift_period=7.0), seconds))
     assert 0.4 < np.abs(stops).max() <= 0.5
@@ -52,8 +58,8 @@ def test_steps_add_and_stay_where_nothing_takes_them_back():
     np.testing.assert_allclose(gains(spec, [0.5, 1.5, 100.0]), [1.0, 2.0, 0.25])
 
 
-def test_pictures_are_the_true_colours_times_the_gain_cut_off(drives):
-    truth, pictures = drives[1].truth, drives[1].scene.cameras[0].pictures
+def test_images_are_the_true_colours_times_the_gain_cut_off(drives):
+    truth, images = drives[1].truth, drives[1].scene.cameras[0].images
     v, u = np.mgrid[:61, :81]
     light = 1.0 - 0.4 * ((u - 40.0) ** 2 + (v - 30.0) ** 2) / (40.0**2 + 30.0**2)
     found = []
@@ -61,25 +67,25 @@ def test_pictures_are_the_true_colours_times_the_gain_cut_off(drives):
         gain = truth.exposure("camera0", k)
         expected = np.floor(np.minimum(255.0, truth.colors("camera0", k) * (gain * light)[..., None]) + 0.5)
         # A product that falls on a half may round to either side.
-        assert np.abs(pictures[k].rgb - expected).max() <= 1
-        assert (pictures[k].rgb == expected).mean() > 0.999
+        assert np.abs(images[k].rgb - expected).max() <= 1
+        assert (images[k].rgb == expected).mean() > 0.999
         found.append(gain)
     assert found[2] > 1.5 * found[1]
-    assert (pictures[2].rgb == 255).mean() > (pictures[1].rgb == 255).mean()
+    assert (images[2].rgb == 255).mean() > (images[1].rgb == 255).mean()
 
 
 def test_the_truth_knows_nothing_of_the_exposure(drives):
     plain, exposed = drives
     for name in ("colors", "depths", "instances"):
         np.testing.assert_array_equal(
-            getattr(plain.truth.picture("camera0", 3), name),
-            getattr(exposed.truth.picture("camera0", 3), name),
+            getattr(plain.truth.image("camera0", 3), name),
+            getattr(exposed.truth.image("camera0", 3), name),
         )
     assert plain.truth.exposure("camera0", 3) == 1.0
 
 
-def test_supersampled_pictures_are_exposed_after_the_mean(drives):
-    mean, exposed = (drive.scene.cameras[1].pictures[1].rgb for drive in drives)
+def test_supersampled_images_are_exposed_after_the_mean(drives):
+    mean, exposed = (drive.scene.cameras[1].images[1].rgb for drive in drives)
     gain = drives[1].truth.exposure("camera1", 1)
     assert gain != drives[1].truth.exposure("camera0", 1)
     # In the middle, where no light is lost; a product that falls on a half may round to either side.
@@ -89,20 +95,20 @@ def test_supersampled_pictures_are_exposed_after_the_mean(drives):
     assert np.abs(exposed[0, 0] - corner).max() <= 0.5 + 1e-9
 
 
-def test_each_picture_says_how_long_it_was_exposed_if_asked_to(drives):
+def test_each_image_says_how_long_it_was_exposed_if_asked_to(drives):
     plain, exposed = drives
-    assert exposed.scene.cameras[0].pictures[0].extras["exposureTimeSeconds"] == 0.006
-    assert plain.scene.cameras[0].pictures[0].extras == {}
-    silent = CameraSpec(LENS, exposure=ExposureSpec(exposure_ns=0))
+    assert exposed.scene.cameras[0].images[0].extras["exposureTimeSeconds"] == 0.006
+    assert plain.scene.cameras[0].images[0].extras == {}
+    silent = CameraSpec(CAMERA_MODEL, exposure=ExposureSpec(exposure_ns=0))
     drive = simulate_street(2, frames=1, lidar=SMALL, cameras=(silent,))
-    assert drive.scene.cameras[0].pictures[0].extras == {}
+    assert drive.scene.cameras[0].images[0].extras == {}
 
 
-def test_pictures_are_the_same_in_whatever_order_they_are_asked_for(drives):
-    pictures = drives[1].scene.cameras[0].pictures
-    later = pictures[4].rgb
-    assert not np.array_equal(pictures[0].rgb, later)
-    np.testing.assert_array_equal(pictures[4].rgb, later)
+def test_images_are_the_same_in_whatever_order_they_are_asked_for(drives):
+    images = drives[1].scene.cameras[0].images
+    later = images[4].rgb
+    assert not np.array_equal(images[0].rgb, later)
+    np.testing.assert_array_equal(images[4].rgb, later)
 
 
 def test_cameras_and_seeds_drift_on_their_own_and_repeat():

@@ -23,17 +23,17 @@ from sceneloom.simulate import (
 
 SWEEP_NS = 100_000_000
 START_NS = 1_000_000_000
-LENS = Camera("pinhole", 160, 120, 150.0, 150.0, 79.5, 59.5)
+CAMERA_MODEL = Camera("pinhole", 160, 120, 150.0, 150.0, 79.5, 59.5)
 
 
 @pytest.fixture(scope="module")
 def right():
     """A drive of twelve sweeps without faults."""
     lidar = LidarSpec(beams=8, steps=120, range_sigma=0.0, drop_rate=0.0)
-    return simulate_street(4, frames=12, lidar=lidar, cameras=(CameraSpec(LENS, camera_mount()),))
+    return simulate_street(4, frames=12, lidar=lidar, cameras=(CameraSpec(CAMERA_MODEL, camera_mount()),))
 
 
-def planted(drive, sensor_id, *, seed=0, **wrong):
+def injected(drive, sensor_id, *, seed=0, **wrong):
     """The drive with faults of one sensor."""
     return plant(drive, Faults({sensor_id: SensorFaults(**wrong)}, seed=seed))
 
@@ -45,8 +45,8 @@ def test_a_drive_without_faults_says_so(right):
 
 
 @pytest.mark.parametrize("sensor_id", ["lidar", "camera0"])
-def test_the_stated_mounting_is_off_by_the_planted_error_and_the_truth_is_not(right, sensor_id):
-    drive = planted(right, sensor_id, rotation_deg=(0.4, -1.5, 0.7), shift=(0.02, -0.05, 0.11))
+def test_the_stated_mounting_is_off_by_the_injected_error_and_the_truth_is_not(right, sensor_id):
+    drive = injected(right, sensor_id, rotation_deg=(0.4, -1.5, 0.7), shift=(0.02, -0.05, 0.11))
     assert drive.truth is right.truth
     stated, true = drive.scene.sensor(sensor_id), right.scene.sensor(sensor_id)
     error = np.linalg.inv(true.mount.matrix) @ stated.mount.matrix
@@ -67,30 +67,32 @@ def test_the_stated_mounting_is_off_by_the_planted_error_and_the_truth_is_not(ri
         )
 
 
-def test_points_miss_their_pixels_by_what_a_turned_camera_explains(right):
-    drive = planted(right, "camera0", rotation_deg=(0.0, 1.0, 0.0))
+def test_points_miss_their_pixels_by_what_a_rotated_camera_explains(right):
+    drive = injected(right, "camera0", rotation_deg=(0.0, 1.0, 0.0))
     clean = drive.truth.clean_points_world(5).positions_world
-    ego = drive.truth.path.at(right.scene.cameras[0].pictures.timestamps_ns[5:6])
+    ego = drive.truth.path.at(right.scene.cameras[0].images.timestamps_ns[5:6])
     in_ego = (clean - ego.positions[0]) @ ego.rotations[0]
     camera = drive.scene.cameras[0]
-    pixels, inside = project(LENS, camera.mount.inverse().apply(in_ego))
-    exact, exactly_inside = project(LENS, drive.truth.world_from_camera("camera0", 5).inverse().apply(clean))
+    pixels, inside = project(CAMERA_MODEL, camera.mount.inverse().apply(in_ego))
+    exact, exactly_inside = project(
+        CAMERA_MODEL, drive.truth.world_from_camera("camera0", 5).inverse().apply(clean)
+    )
     both = inside & exactly_inside
     assert both.sum() > 50
-    # A turn by 1 degree about the downward axis moves what lies at the angle a off the axis from f tan(a) to
-    # f tan(a - 1 degree): 2.6 px in the middle of the picture.
-    angle = np.arctan((exact[both, 0] - LENS.cx) / LENS.fx)
+    # A rotation by 1 degree about the downward axis moves what lies at the angle a off the axis from f tan(a) to
+    # f tan(a - 1 degree): 2.6 px in the middle of the image.
+    angle = np.arctan((exact[both, 0] - CAMERA_MODEL.cx) / CAMERA_MODEL.fx)
     np.testing.assert_allclose(
-        pixels[both, 0] - LENS.cx, LENS.fx * np.tan(angle - np.radians(1.0)), atol=1e-6
+        pixels[both, 0] - CAMERA_MODEL.cx, CAMERA_MODEL.fx * np.tan(angle - np.radians(1.0)), atol=1e-6
     )
-    middle = np.abs(exact[both, 0] - LENS.cx) < 15
+    middle = np.abs(exact[both, 0] - CAMERA_MODEL.cx) < 15
     assert np.abs(exact[both, 0] - pixels[both, 0])[middle] == pytest.approx(2.62, abs=0.05)
 
 
-def test_a_turned_inertial_unit_measures_gravity_askew(right):
-    drive = planted(right, "imu", rotation_deg=(10.0, 0.0, 0.0))
+def test_a_rotated_inertial_unit_measures_gravity_askew(right):
+    drive = injected(right, "imu", rotation_deg=(10.0, 0.0, 0.0))
     stated, true = (d.scene.sensor("imu").streams["accelerometer"].values for d in (drive, right))
-    # The frame is stated as turned by 10 degrees about x against where the unit is: it hangs 10 degrees the other way.
+    # The frame is stated as rotated by 10 degrees about x against where the unit is: it hangs 10 degrees the other way.
     np.testing.assert_allclose(
         stated, Rotation.from_euler("x", 10, degrees=True).apply(true.copy()), atol=1e-12
     )
@@ -98,51 +100,49 @@ def test_a_turned_inertial_unit_measures_gravity_askew(right):
 
 
 @pytest.mark.parametrize("sensor_id", ["lidar", "camera0", "gnss", "imu"])
-def test_stamps_are_late_by_the_offset_and_drift_by_the_skew(right, sensor_id):
-    drive = planted(right, sensor_id, time_offset_ns=30_000_000, clock_skew_ppm=200.0)
-    said, true = (times_of(d.scene.sensor(sensor_id)) for d in (drive, right))
-    assert len(said) == len(true)
+def test_timestamps_are_late_by_the_offset_and_drift_by_the_skew(right, sensor_id):
+    drive = injected(right, sensor_id, time_offset_ns=30_000_000, clock_skew_ppm=200.0)
+    given, true = (times_of(d.scene.sensor(sensor_id)) for d in (drive, right))
+    assert len(given) == len(true)
     expected = true + 30_000_000 + (true - true[0]) * 200e-6
-    np.testing.assert_allclose(said - expected, 0.0, atol=0.51)  # whole nanoseconds
+    np.testing.assert_allclose(given - expected, 0.0, atol=0.51)  # whole nanoseconds
 
 
 def times_of(sensor):
-    """The stamps of a sensor of any kind."""
+    """The timestamps of a sensor of any kind."""
     if hasattr(sensor, "streams"):
         return sensor.streams["gyroscope"].timestamps_ns
-    frames = getattr(sensor, "frames", getattr(sensor, "pictures", sensor))
+    frames = getattr(sensor, "frames", getattr(sensor, "images", sensor))
     return frames.timestamps_ns
 
 
 def test_point_times_follow_the_clock_of_their_sensor(right):
-    drive = planted(right, "lidar", time_offset_ns=-7_000, clock_skew_ppm=-1000.0)
-    said, true = drive.scene.lidars[0].frames[9], right.scene.lidars[0].frames[9]
+    drive = injected(right, "lidar", time_offset_ns=-7_000, clock_skew_ppm=-1000.0)
+    given, true = drive.scene.lidars[0].frames[9], right.scene.lidars[0].frames[9]
     expected = true.points.timestamps_ns - 7_000 - (true.points.timestamps_ns - START_NS) * 1e-3
-    np.testing.assert_allclose(said.points.timestamps_ns - expected, 0.0, atol=0.51)
-    assert said.timestamp_ns == drive.scene.lidars[0].frames.timestamps_ns[9]
-    np.testing.assert_array_equal(said.points.positions, true.points.positions)
+    np.testing.assert_allclose(given.points.timestamps_ns - expected, 0.0, atol=0.51)
+    assert given.timestamp_ns == drive.scene.lidars[0].frames.timestamps_ns[9]
+    np.testing.assert_array_equal(given.points.positions, true.points.positions)
 
 
-def test_an_offset_of_a_sweep_pairs_each_sweep_with_the_picture_after(right):
-    drive = planted(right, "lidar", time_offset_ns=SWEEP_NS)
+def test_an_offset_of_a_sweep_pairs_each_sweep_with_the_image_after(right):
+    drive = injected(right, "lidar", time_offset_ns=SWEEP_NS)
     for scene, shift in ((right.scene, 0), (drive.scene, 1)):
-        pictures = scene.cameras[0].pictures.timestamps_ns
-        nearest = [
-            int(np.abs(pictures - scene.lidars[0].frames[k].reference_ns).argmin()) for k in range(4, 7)
-        ]
+        images = scene.cameras[0].images.timestamps_ns
+        nearest = [int(np.abs(images - scene.lidars[0].frames[k].reference_ns).argmin()) for k in range(4, 7)]
         assert nearest == [4 + shift, 5 + shift, 6 + shift]
 
 
 def test_listed_frames_are_lost_and_the_others_are_what_they_were(right):
-    drive = planted(right, "lidar", lost_frames=(2, 3, 11))
+    drive = injected(right, "lidar", lost_frames=(2, 3, 11))
     kept = [0, 1, 4, 5, 6, 7, 8, 9, 10]
     assert drive.true_frames["lidar"].tolist() == kept
     assert len(drive.scene.lidars[0].frames) == 9
     for j, k in enumerate(kept):
-        said, true = drive.scene.lidars[0].frames[j], right.scene.lidars[0].frames[k]
-        assert said.timestamp_ns == true.timestamp_ns
-        np.testing.assert_array_equal(said.points.positions, true.points.positions)
-    assert len(drive.scene.cameras[0].pictures) == 12
+        given, true = drive.scene.lidars[0].frames[j], right.scene.lidars[0].frames[k]
+        assert given.timestamp_ns == true.timestamp_ns
+        np.testing.assert_array_equal(given.points.positions, true.points.positions)
+    assert len(drive.scene.cameras[0].images) == 12
 
 
 def test_a_share_is_lost_at_random_by_seed_and_by_sensor(right):
@@ -154,7 +154,7 @@ def test_a_share_is_lost_at_random_by_seed_and_by_sensor(right):
     assert kept / count == pytest.approx(0.7, abs=0.1)
     assert drive.true_frames["imu"].tolist() == plant(right, lost).true_frames["imu"].tolist()
     assert drive.true_frames["imu"].tolist() != other.true_frames["imu"].tolist()
-    alone = planted(right, "gnss", lost_share=0.3, seed=2)
+    alone = injected(right, "gnss", lost_share=0.3, seed=2)
     assert alone.true_frames["gnss"].tolist() == drive.true_frames["gnss"].tolist()
     streams = drive.scene.sensor("imu").streams
     np.testing.assert_array_equal(streams["gyroscope"].timestamps_ns, streams["accelerometer"].timestamps_ns)
@@ -163,41 +163,41 @@ def test_a_share_is_lost_at_random_by_seed_and_by_sensor(right):
 def test_no_frame_comes_in_a_drop_out(right):
     gap = (START_NS + 3 * SWEEP_NS, START_NS + 6 * SWEEP_NS)
     for sensor_id, missing in (("lidar", [3, 4, 5]), ("camera0", [3, 4, 5])):
-        drive = planted(right, sensor_id, drop_outs=(gap,))
+        drive = injected(right, sensor_id, drop_outs=(gap,))
         assert sorted(set(range(12)) - set(drive.true_frames[sensor_id].tolist())) == missing
-    times = planted(right, "imu", drop_outs=(gap,)).scene.sensor("imu").streams["gyroscope"].timestamps_ns
+    times = injected(right, "imu", drop_outs=(gap,)).scene.sensor("imu").streams["gyroscope"].timestamps_ns
     assert not ((times >= gap[0]) & (times < gap[1])).any()
     assert np.diff(times).max() >= gap[1] - gap[0]
 
 
-def test_a_blind_lidar_gives_sweeps_without_points_and_a_blind_camera_black_pictures(right):
+def test_a_blind_lidar_gives_sweeps_without_points_and_a_blind_camera_black_images(right):
     blind = SensorFaults(blind=((START_NS + SWEEP_NS, START_NS + 2 * SWEEP_NS),))
     drive = plant(right, Faults({"lidar": blind, "camera0": blind}))
     lidar, camera = drive.scene.lidars[0], drive.scene.cameras[0]
     assert [len(lidar.frames[k].points) > 0 for k in range(3)] == [True, False, True]
     assert lidar.frames[1].points.timestamps_ns.shape == lidar.frames[1].points.rings.shape == (0,)
     assert lidar.frames[1].reference_ns == START_NS + SWEEP_NS
-    assert [bool(camera.pictures[k].rgb.any()) for k in range(3)] == [True, False, True]
-    assert camera.pictures[1].rgb.shape == (120, 160, 3)
+    assert [bool(camera.images[k].rgb.any()) for k in range(3)] == [True, False, True]
+    assert camera.images[1].rgb.shape == (120, 160, 3)
     assert len(drive.truth.clean_points_world(1).ranges) > 100
 
 
-def test_a_stuck_sensor_repeats_itself_under_new_stamps(right):
+def test_a_stuck_sensor_repeats_itself_under_new_timestamps(right):
     interval = (START_NS + 2 * SWEEP_NS, START_NS + 5 * SWEEP_NS)
-    drive = planted(right, "lidar", stuck=(interval,))
+    drive = injected(right, "lidar", stuck=(interval,))
     assert drive.true_frames["lidar"].tolist() == [0, 1, 2, 2, 2, 5, 6, 7, 8, 9, 10, 11]
     first, last = drive.scene.lidars[0].frames[2], drive.scene.lidars[0].frames[4]
     np.testing.assert_array_equal(first.points.positions, last.points.positions)
     assert last.timestamp_ns - first.timestamp_ns == 2 * SWEEP_NS
     np.testing.assert_array_equal(last.points.timestamps_ns - first.points.timestamps_ns, 2 * SWEEP_NS)
-    values = planted(right, "imu", stuck=(interval,)).scene.sensor("imu").streams["gyroscope"]
+    values = injected(right, "imu", stuck=(interval,)).scene.sensor("imu").streams["gyroscope"]
     inside = (values.timestamps_ns >= interval[0]) & (values.timestamps_ns < interval[1])
     assert len(np.unique(values.values[inside], axis=0)) == 1
     assert len(np.unique(values.values, axis=0)) == (~inside).sum() + 1
 
 
-def test_swapped_sweeps_come_out_of_order_with_their_own_stamps(right):
-    drive = planted(right, "lidar", swapped=((4, 5), (8, 10)))
+def test_swapped_sweeps_come_out_of_order_with_their_own_timestamps(right):
+    drive = injected(right, "lidar", swapped=((4, 5), (8, 10)))
     order = [0, 1, 2, 3, 5, 4, 6, 7, 10, 9, 8, 11]
     frames = drive.scene.lidars[0].frames
     np.testing.assert_array_equal(frames.timestamps_ns, START_NS + SWEEP_NS * np.array(order))
@@ -210,31 +210,31 @@ def test_swapped_sweeps_come_out_of_order_with_their_own_stamps(right):
 @pytest.mark.parametrize(
     ("kind", "expected"),
     [
-        (PointTimes.MISSING, lambda times, stamp: None),
-        (PointTimes.ZERO, lambda times, stamp: 0 * times),
-        (PointTimes.FRAME, lambda times, stamp: 0 * times + stamp),
-        (PointTimes.RELATIVE, lambda times, stamp: times - stamp),
-        (PointTimes.MICROSECONDS, lambda times, stamp: times // 1000),
-        (PointTimes.RELATIVE_MICROSECONDS, lambda times, stamp: (times - stamp) // 1000),
-        (PointTimes.STRETCHED, lambda times, stamp: stamp + 1000 * (times - stamp)),
+        (PointTimes.MISSING, lambda times, timestamp: None),
+        (PointTimes.ZERO, lambda times, timestamp: 0 * times),
+        (PointTimes.FRAME, lambda times, timestamp: 0 * times + timestamp),
+        (PointTimes.RELATIVE, lambda times, timestamp: times - timestamp),
+        (PointTimes.MICROSECONDS, lambda times, timestamp: times // 1000),
+        (PointTimes.RELATIVE_MICROSECONDS, lambda times, timestamp: (times - timestamp) // 1000),
+        (PointTimes.STRETCHED, lambda times, timestamp: timestamp + 1000 * (times - timestamp)),
     ],
 )
 def test_point_times_are_wrong_as_asked_for(right, kind, expected):
-    said = planted(right, "lidar", point_times=kind).scene.lidars[0].frames[3]
+    given = injected(right, "lidar", point_times=kind).scene.lidars[0].frames[3]
     true = right.scene.lidars[0].frames[3]
-    assert said.timestamp_ns == true.timestamp_ns
+    assert given.timestamp_ns == true.timestamp_ns
     answer = expected(true.points.timestamps_ns, true.timestamp_ns)
     if answer is None:
-        assert said.points.timestamps_ns is None
+        assert given.points.timestamps_ns is None
     else:
-        np.testing.assert_array_equal(said.points.timestamps_ns, answer)
+        np.testing.assert_array_equal(given.points.timestamps_ns, answer)
 
 
 def test_intensities_are_scaled_and_stay_within_a_byte(right):
-    said = planted(right, "lidar", intensity_scale=3.3).scene.lidars[0].frames[0].points.intensities
+    given = injected(right, "lidar", intensity_scale=3.3).scene.lidars[0].frames[0].points.intensities
     true = right.scene.lidars[0].frames[0].points.intensities
     assert (true > 80).any()
-    np.testing.assert_array_equal(said, [min(255, round(3.3 * int(value))) for value in true])
+    np.testing.assert_array_equal(given, [min(255, round(3.3 * int(value))) for value in true])
 
 
 def test_a_radar_and_a_second_lidar_can_be_wrong_as_well():
@@ -256,22 +256,22 @@ def test_a_radar_and_a_second_lidar_can_be_wrong_as_well():
         kept = drive.true_frames[name]
         assert 1 not in kept
         for j, k in enumerate(kept):
-            said, exact = stated.frames[j], true.frames[int(k)]
-            assert said.timestamp_ns == exact.timestamp_ns + 11
+            given, exact = stated.frames[j], true.frames[int(k)]
+            assert given.timestamp_ns == exact.timestamp_ns + 11
             blind = START_NS + 2 * SWEEP_NS <= exact.timestamp_ns < START_NS + 3 * SWEEP_NS
-            assert len(said.points) == (0 if blind else len(exact.points))
+            assert len(given.points) == (0 if blind else len(exact.points))
     radar = drive.scene.sensor("radar0").frames[0].points
     np.testing.assert_array_equal(radar.lengths, right.scene.sensor("radar0").frames[0].points.lengths)
     assert drive.scene.sensor("lidar0").frames is right.scene.sensor("lidar0").frames
 
 
-def test_the_stated_lens_is_longer_and_the_picture_the_same(right):
-    drive = planted(right, "camera0", focal_scale=1.02)
+def test_the_stated_camera_model_is_longer_and_the_image_the_same(right):
+    drive = injected(right, "camera0", focal_scale=1.02)
     camera = drive.scene.cameras[0]
     assert (camera.camera.fx, camera.camera.fy) == pytest.approx((153.0, 153.0))
-    assert camera.pictures[0].camera == camera.camera
+    assert camera.images[0].camera == camera.camera
     assert camera.mount is right.scene.cameras[0].mount
-    np.testing.assert_array_equal(camera.pictures[0].rgb, right.scene.cameras[0].pictures[0].rgb)
+    np.testing.assert_array_equal(camera.images[0].rgb, right.scene.cameras[0].images[0].rgb)
 
 
 def test_faults_can_be_given_with_the_drive_and_do_not_depend_on_the_order_of_reading(right):
@@ -317,7 +317,7 @@ def test_what_reads_faulty_frames_can_be_pickled_where_the_frames_can(right):
 )
 def test_faults_that_mean_nothing_are_refused(right, sensor_id, wrong, message):
     with pytest.raises(OptionError, match=message):
-        planted(right, sensor_id, **wrong)
+        injected(right, sensor_id, **wrong)
 
 
 @pytest.mark.parametrize(
@@ -336,6 +336,6 @@ def test_numbers_out_of_bounds_are_refused(wrong, message):
         SensorFaults(**wrong)
 
 
-def test_faults_are_planted_once(right):
+def test_faults_are_injected_once(right):
     with pytest.raises(OptionError, match="faults already"):
-        planted(planted(right, "lidar", lost_frames=(1,)), "camera0", lost_frames=(1,))
+        injected(injected(right, "lidar", lost_frames=(1,)), "camera0", lost_frames=(1,))

@@ -17,7 +17,7 @@ def path():
     return plan_path(np.random.default_rng(8), start_ns=0, duration=10.0)
 
 
-def stamps(seconds, rate_hz):
+def timestamps(seconds, rate_hz):
     return np.rint(np.arange(0.0, seconds, 1 / rate_hz) * 1e9).astype(np.int64)
 
 
@@ -25,17 +25,17 @@ def integrate(start, rotation, times_ns, forces, rates):
     """Plain strap-down integration: the rotation by the mean rate of each step, the force by the trapezium rule."""
     position, velocity = start.positions[0].copy(), start.velocities[0].copy()
     for k, dt in enumerate(np.diff(times_ns) * 1e-9):
-        turned = rotation * Rotation.from_rotvec(0.5 * (rates[k] + rates[k + 1]) * dt)
+        rotated = rotation * Rotation.from_rotvec(0.5 * (rates[k] + rates[k + 1]) * dt)
         before = rotation.apply(forces[k]) + GRAVITY
-        after = turned.apply(forces[k + 1]) + GRAVITY
+        after = rotated.apply(forces[k + 1]) + GRAVITY
         position += velocity * dt + (2 * before + after) * dt**2 / 6
         velocity += 0.5 * (before + after) * dt
-        rotation = turned
+        rotation = rotated
     return position, velocity, rotation
 
 
 def test_the_true_signals_integrate_to_the_path(path):
-    times = stamps(5.0, 1000)
+    times = timestamps(5.0, 1000)
     truth = imu_truth(ImuSpec(), path, times, seed=0)
     first, last = path.at(times[:1]), path.at(times[-1:])
     position, velocity, rotation = integrate(
@@ -48,7 +48,7 @@ def test_the_true_signals_integrate_to_the_path(path):
 
 
 def test_the_measured_signals_without_their_bias_integrate_to_the_path_as_well_as_noise_allows(path):
-    times, spec = stamps(3.0, 200), ImuSpec()
+    times, spec = timestamps(3.0, 200), ImuSpec()
     truth = imu_truth(spec, path, times, seed=0)
     streams = imu_sensor(spec, truth, seed=0).streams
     first, last = path.at(times[:1]), path.at(times[-1:])
@@ -65,14 +65,14 @@ def test_the_measured_signals_without_their_bias_integrate_to_the_path_as_well_a
     assert (rotation.inv() * Rotation.from_matrix(last.rotations[0])).magnitude() < 1e-3
 
 
-def test_an_imu_that_all_but_stands_feels_gravity_upwards(standing_path):
-    truth = imu_truth(ImuSpec(), standing_path, stamps(1.0, 100), seed=0)
+def test_an_imu_that_all_but_stands_feels_gravity_upwards(stationary_path):
+    truth = imu_truth(ImuSpec(), stationary_path, timestamps(1.0, 100), seed=0)
     np.testing.assert_allclose(truth.specific_forces, np.tile(-GRAVITY, (100, 1)), atol=1e-6)
     np.testing.assert_allclose(truth.angular_rates, 0.0, atol=1e-6)
 
 
 def test_the_noise_has_the_density_and_the_bias_that_were_asked_for(path):
-    times = stamps(10.0, 400)
+    times = timestamps(10.0, 400)
     spec = ImuSpec(rate_hz=400, accelerometer_noise=0.01, gyroscope_noise=0.002)
     truth = imu_truth(spec, path, times, seed=4)
     streams = imu_sensor(spec, truth, seed=4).streams
@@ -88,13 +88,15 @@ def test_the_noise_has_the_density_and_the_bias_that_were_asked_for(path):
 
 
 def test_biases_differ_between_seeds_and_axes(path):
-    biases = [imu_truth(ImuSpec(), path, stamps(0.1, 100), seed=seed).accelerometer_bias for seed in range(3)]
+    biases = [
+        imu_truth(ImuSpec(), path, timestamps(0.1, 100), seed=seed).accelerometer_bias for seed in range(3)
+    ]
     assert len(np.unique(np.concatenate(biases))) == 9
 
 
 def test_the_bias_is_not_drawn_from_the_numbers_of_the_noise(path):
     times, spec = (
-        stamps(0.1, 100),
+        timestamps(0.1, 100),
         ImuSpec(rate_hz=100, accelerometer_noise=0.1, accelerometer_bias_sigma=1.0),
     )
     truth = imu_truth(spec, path, times, seed=0)
@@ -102,8 +104,8 @@ def test_the_bias_is_not_drawn_from_the_numbers_of_the_noise(path):
     assert not np.allclose(noise - truth.accelerometer_bias, truth.accelerometer_bias, rtol=0.01)
 
 
-def test_gnss_fixes_scatter_around_the_path_as_much_as_said(path):
-    spec, times = GnssSpec(rate_hz=200, horizontal_sigma=0.5, vertical_sigma=2.0), stamps(10.0, 200)
+def test_gnss_fixes_scatter_around_the_path_as_much_as_stated(path):
+    spec, times = GnssSpec(rate_hz=200, horizontal_sigma=0.5, vertical_sigma=2.0), timestamps(10.0, 200)
     fixes = gnss_sensor(spec, path, times, seed=1)
     error = enu_from_geodetic(fixes.positions_lla, np.array(spec.origin_lla)) - path.at(times).positions
     # 2000 fixes know a deviation to 1.6 %; five times that.
@@ -113,13 +115,13 @@ def test_gnss_fixes_scatter_around_the_path_as_much_as_said(path):
     assert set(fixes.vertical_accuracies) == {2.0}
 
 
-def test_gnss_counts_north_in_latitude_and_east_in_longitude(standing_path):
+def test_gnss_counts_north_in_latitude_and_east_in_longitude(stationary_path):
     spec = GnssSpec(horizontal_sigma=0.0, vertical_sigma=0.0, origin_lla=(60.0, 25.0, 100.0))
-    fix = gnss_sensor(spec, standing_path, stamps(0.1, 10), seed=0).positions_lla[0]
+    fix = gnss_sensor(spec, stationary_path, timestamps(0.1, 10), seed=0).positions_lla[0]
     np.testing.assert_allclose(fix, [60.0, 25.0, 100.0], atol=1e-6)
     moved = plan_path(np.random.default_rng(8), start_ns=0, duration=10.0)
-    exact = gnss_sensor(spec, moved, stamps(5.0, 10), seed=0).positions_lla
-    east, north = moved.at(stamps(5.0, 10)).positions[:, :2].T
+    exact = gnss_sensor(spec, moved, timestamps(5.0, 10), seed=0).positions_lla
+    east, north = moved.at(timestamps(5.0, 10)).positions[:, :2].T
     # A degree of latitude is 111.41 km at 60 degrees north, one of longitude 55.80 km (Bomford, Geodesy).
     np.testing.assert_allclose((exact[:, 0] - 60.0) * 111_412, north, atol=0.01)
     np.testing.assert_allclose((exact[:, 1] - 25.0) * 55_800, east, atol=0.01)

@@ -19,19 +19,19 @@ FLOAT32 = 1e-5
 
 
 @pytest.fixture(scope="module")
-def wall(street_of, standing_path, box):
-    """A wall whose face is 10 m ahead, before an ego that stands still."""
+def wall(street_of, stationary_path, box):
+    """A wall whose face is 10 m ahead, before an ego that is stationary."""
     grey = Material(Pattern.PLAIN, ((128.0, 128.0, 128.0),) * 3, reflectivity=0.8)
-    return street_of([box([11, 0, 10], [1, 40, 10], grey)], standing_path)
+    return street_of([box([11, 0, 10], [1, 40, 10], grey)], stationary_path)
 
 
 @pytest.fixture(scope="module")
-def sweep_of(wall, standing_path):
+def sweep_of(wall, stationary_path):
     """A sweep of a lidar before the wall."""
 
     def make(spec, *, seed=0, k=2):
         starts = np.arange(4, dtype=np.int64) * spec.period_ns
-        return ScanningLidar.of(spec, wall, standing_path, seed=seed, timestamps_ns=starts).sweep(k)
+        return ScanningLidar.of(spec, wall, stationary_path, seed=seed, timestamps_ns=starts).sweep(k)
 
     return make
 
@@ -40,7 +40,7 @@ def on_wall(positions):
     return positions[positions[:, 2] > -1.4]
 
 
-def test_a_standing_lidar_sees_the_wall_at_its_distance_and_the_ground_at_its_height(sweep_of):
+def test_a_stationary_lidar_sees_the_wall_at_its_distance_and_the_ground_at_its_height(sweep_of):
     positions = sweep_of(EXACT).frame.points.positions.astype(np.float64)
     ahead = on_wall(positions)
     ahead = ahead[np.abs(ahead[:, 1]) < 30]
@@ -72,7 +72,7 @@ def test_every_sweep_and_every_seed_has_noise_of_its_own(sweep_of):
 
 
 @pytest.mark.parametrize("clockwise", [True, False])
-def test_each_point_has_the_time_at_which_the_turning_sensor_looked_its_way(sweep_of, clockwise):
+def test_each_point_has_the_time_at_which_the_rotating_sensor_looked_its_trajectory(sweep_of, clockwise):
     spec = replace(EXACT, clockwise=clockwise, start_azimuth_deg=170.0)
     sweep = sweep_of(spec)
     points = sweep.frame.points
@@ -81,11 +81,11 @@ def test_each_point_has_the_time_at_which_the_turning_sensor_looked_its_way(swee
     assert times.min() >= 0
     assert times.max() < spec.period_ns
     assert (np.diff(times) >= 0).all()
-    turned = 170.0 + (-360.0 if clockwise else 360.0) * times / spec.period_ns
+    rotated = 170.0 + (-360.0 if clockwise else 360.0) * times / spec.period_ns
     positions = points.positions.astype(np.float64)  # arctan2 of float32 is 1.5e-5 degrees off by itself
     azimuths = np.degrees(np.arctan2(positions[:, 1], positions[:, 0]))
-    # Stamps are whole nanoseconds, 3.6e-6 degrees, and the nearest points are 3 m away in float32.
-    np.testing.assert_allclose((azimuths - turned + 180) % 360 - 180, 0.0, atol=2e-5)
+    # Timestamps are whole nanoseconds, 3.6e-6 degrees, and the nearest points are 3 m away in float32.
+    np.testing.assert_allclose((azimuths - rotated + 180) % 360 - 180, 0.0, atol=2e-5)
 
 
 def test_rings_count_the_lasers_from_the_lowest(sweep_of):

@@ -44,9 +44,9 @@ def movers_of(designs, curves, *, spans=None, first_instance=1):
 
 
 @pytest.fixture(scope="module")
-def street_with(standing_path):
+def street_with(stationary_path):
     def build(movers, shapes=()):
-        ground = GroundMap.of(Lane.of(standing_path))
+        ground = GroundMap.of(Lane.of(stationary_path))
         return Street((), PackedShapes.of(list(shapes), [99] * len(shapes)), ground, movers)
 
     return build
@@ -66,16 +66,16 @@ def cast_one_by_one(street, origins, directions, seconds, reach=200.0):
 
 
 def range_to_box(center, half, yaw, origin, direction):
-    """Range at which a ray enters a box turned by yaw, by the three pairs of planes."""
-    turn = np.array([[np.cos(yaw), np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
-    o, d = turn @ (origin - center), turn @ direction
+    """Range at which a ray enters a box rotated by yaw, by the three pairs of planes."""
+    rotation = np.array([[np.cos(yaw), np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    o, d = rotation @ (origin - center), rotation @ direction
     with np.errstate(divide="ignore"):
         low, high = (-half - o) / d, (half - o) / d
     near, far = np.minimum(low, high).max(), np.maximum(low, high).min()
     return near if 0 < near < far else np.inf
 
 
-def test_a_box_that_drives_and_turns_is_met_where_it_is_at_each_rays_time(street_with):
+def test_a_box_that_drives_and_rotates_is_met_where_it_is_at_each_rays_time(street_with):
     half = np.array([2.0, 0.9, 0.7])
     design = MovingDesign("car", (Part((upright_box(tuple(half), (0, 0, 0.9)),)),), (4.0, 1.8, 1.6))
     velocity, yaw_rate = np.array([-8.0, 1.5]), 0.4
@@ -105,13 +105,13 @@ def test_a_box_that_drives_and_turns_is_met_where_it_is_at_each_rays_time(street
 
 
 def slow_frames(movers, seconds):
-    """World from part of every part at one time, from the definition: turn about z, then swing about the hip."""
+    """World from part of every part at one time, from the definition: rotate about z, then swing about the hip."""
     states = movers.states(np.arange(len(movers)), at(np.full(len(movers), seconds)))
     for part, mover in enumerate(movers.mover_of_part):
-        turn = Rotation.from_euler("z", states.yaws[mover]).as_matrix()
-        world = RigidTransform(turn, states.positions[mover])
+        rotation = Rotation.from_euler("z", states.yaws[mover]).as_matrix()
+        world = RigidTransform(rotation, states.positions[mover])
         angle = movers.swings[part] * np.sin(states.gaits[mover] + movers.leads[part])
-        # Forwards: a foot below the hip goes to positive x, which is a turn about -y.
+        # Forwards: a foot below the hip goes to positive x, which is a rotation about -y.
         swing = Rotation.from_rotvec([0, -angle, 0]).as_matrix()
         hinge = movers.hinges[part]
         yield world @ RigidTransform(swing, hinge - swing @ hinge)
@@ -145,7 +145,7 @@ def test_people_and_cars_are_met_where_the_slow_walk_enters_them(street_with, sl
         for k, direction in enumerate(directions):
             expected, index = slow_caster.first_hit(shapes, origin, direction, 200.0)
             assert found.ranges[k] == pytest.approx(expected, abs=EXACT)
-            # Where two bodies of one person meet a ray at the same place either may be named.
+            # Where two bodies of one person meet a ray at the same location either may be named.
             if index < 0:
                 assert found.shapes[k] == index
             else:
@@ -176,13 +176,13 @@ def test_points_of_a_walkers_legs_move_as_the_frames_of_the_legs_do(street_with)
         part = movers.part_of_shape[shape]
         for seconds in generator.uniform(1, 8, 5):
             local = generator.uniform([-0.2, -0.2, 0.0], [0.2, 0.2, 1.6])
-            places = [
+            locations = [
                 list(slow_frames(movers, seconds + shift))[part].apply(local) for shift in (-step, 0, step)
             ]
-            velocity = velocities_of(street, np.array([shape]), places[1][None], at([seconds]))[0]
+            velocity = velocities_of(street, np.array([shape]), locations[1][None], at([seconds]))[0]
             # h²/6 times a third derivative: 0.3 rad swing of 1 m at 5 rad/s give 40, so 7e-8; a nanosecond of
             # rounding in 1e-4 s at 2 m/s is 2e-5.
-            np.testing.assert_allclose(velocity, (places[2] - places[0]) / (2 * step), atol=5e-5)
+            np.testing.assert_allclose(velocity, (locations[2] - locations[0]) / (2 * step), atol=5e-5)
 
 
 def test_what_is_not_in_the_street_is_not_met(street_with):
@@ -227,13 +227,13 @@ def test_patterns_stick_to_what_moves_and_the_light_does_not(street_with):
     difference = np.abs(first.colors[there].astype(int) - second.colors[there])
     assert there.sum() > 200
     assert (difference <= 1).mean() > 0.99
-    turned = street_with(movers_of([design], [straight_curve((8.0, 3.0), (0.0, 0.0), 0.4 + np.pi, 0.0)]))
+    rotated = street_with(movers_of([design], [straight_curve((8.0, 3.0), (0.0, 0.0), 0.4 + np.pi, 0.0)]))
     above = np.tile([8.0, 3.0, 10.0], (1, 1))
     sides = []
-    for street in (street_with(movers_of([design], [still])), turned):
+    for street in (street_with(movers_of([design], [still])), rotated):
         found, rays, upright = cast_one_by_one(street, above, np.array([[0.0, 0, -1.0]]), np.zeros(1))
         sides.append(paint(street, rays, upright, above, found).colors[0].astype(int))
-    # The roof is as light whichever way the car looks.
+    # The roof is as light whichever trajectory the car looks.
     np.testing.assert_allclose(sides[0], sides[1], atol=8)
 
 
@@ -259,7 +259,7 @@ def test_the_box_of_what_moves_holds_it_through_all_its_gait_and_is_no_larger(de
                 assert points[:, 2].min() > -0.02
     half = np.array([made.size_lwh[0] / 2, made.size_lwh[1] / 2, made.size_lwh[2]])
     assert (reached <= half + 1e-9).all()
-    # 3000 points and 25 phases come within 2 cm of the furthest place; a parked car's box is 2 cm wider.
+    # 3000 points and 25 phases come within 2 cm of the furthest location; a parked car's box is 2 cm wider.
     assert (reached > half - 0.03).all()
 
 
@@ -294,7 +294,7 @@ def test_the_balls_that_rays_are_culled_by_hold_their_bodies_at_all_times():
             for sphere, (frame, shape) in zip(balls, shapes, strict=True):
                 points = frame.apply(shape.pose.apply(surface[shape.kind] * shape.half))
                 assert np.linalg.norm(points - sphere[:3], axis=1).max() < sphere[3] + 1e-9
-    # A car's body that moves by 9 m/s for a tenth of a second needs half a metre and its turning more, not tens.
+    # A car's body that moves by 9 m/s for a tenth of a second needs half a metre and its rotating more, not tens.
     near = movers.placed(np.arange(3), at(np.linspace(2.0, 2.1, 9))).spheres[:, 3]
     assert (near < movers.shapes.spheres[:, 3] + 1.5).all()
 
@@ -309,14 +309,14 @@ def test_only_those_who_could_be_near_are_looked_at():
     assert movers.near(np.zeros(3), late, within=1e4).tolist() == []
 
 
-def test_what_moves_looks_like_the_same_thing_standing_there(street_with, standing_path):
+def test_what_moves_looks_like_the_same_thing_stationary_there(street_with, stationary_path):
     generator = np.random.default_rng(8)
     design = design_moving_car(generator)
     movers = movers_of([design], [straight_curve((9.0, 2.0), (-3.0, 1.0), 2.2, 0.3)])
     seconds = 1.3
     (frame,) = slow_frames(movers, seconds)
     bodies = [shape.moved(frame) for shape in design.parts[0].shapes]
-    parked = Street((), PackedShapes.of(bodies, [1] * len(bodies)), GroundMap.of(Lane.of(standing_path)))
+    parked = Street((), PackedShapes.of(bodies, [1] * len(bodies)), GroundMap.of(Lane.of(stationary_path)))
     aims = frame.translation + generator.normal(0, [1.5, 1.5, 0.5], (800, 3)) + [0, 0, 0.8 - 1.7]
     directions = aims / np.linalg.norm(aims, axis=1, keepdims=True)
     origins = np.tile([0.0, 0, 1.7], (800, 1))
@@ -324,9 +324,9 @@ def test_what_moves_looks_like_the_same_thing_standing_there(street_with, standi
     for street in (street_with(movers), parked):
         found, rays, upright = cast_one_by_one(street, origins, directions, np.full(800, seconds))
         looks.append((found, paint(street, rays, upright, origins, found)))
-    (moving, first), (standing, second) = looks
-    np.testing.assert_array_equal(moving.shapes, standing.shapes)
-    np.testing.assert_allclose(moving.ranges, standing.ranges, atol=EXACT)
+    (moving, first), (stationary, second) = looks
+    np.testing.assert_array_equal(moving.shapes, stationary.shapes)
+    np.testing.assert_allclose(moving.ranges, stationary.ranges, atol=EXACT)
     np.testing.assert_allclose(first.facings, second.facings, atol=1e-5)
     # A level is lost to rounding, more where a ray ends within 1e-7 m of an edge.
     difference = np.abs(first.colors.astype(int) - second.colors).max(axis=1)

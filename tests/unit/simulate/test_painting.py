@@ -75,14 +75,14 @@ def excess(kind, half, local):
 
 
 @pytest.mark.parametrize("kind", ShapeKind)
-def test_the_angle_of_incidence_is_that_to_the_slope_of_the_surface(kind, street_of, standing_path):
+def test_the_angle_of_incidence_is_that_to_the_slope_of_the_surface(kind, street_of, stationary_path):
     generator = np.random.default_rng(int(kind))
     half = np.array([1.5, 0.8, 2.0]) if kind is not ShapeKind.CYLINDER else np.array([1.2, 1.2, 2.0])
     pose = RigidTransform(Rotation.random(random_state=generator).as_matrix(), np.array([9.0, 1.0, 8.0]))
     shape = Shape(kind, pose, tuple(half), Material(Pattern.PLAIN, (BASE, BASE, BASE)))
     aims = pose.translation + generator.normal(0, 0.6, (400, 3)) - [0, 0, 5.0]
     directions = aims / np.linalg.norm(aims, axis=1, keepdims=True)
-    hits, seen = look(street_of([shape], standing_path), [0, 0, 5.0], directions)
+    hits, seen = look(street_of([shape], stationary_path), [0, 0, 5.0], directions)
     met = hits.shapes == 0
     local = pose.inverse().apply([0, 0, 5.0] + hits.ranges[met][:, None] * directions[met])
     steps = 1e-6 * np.eye(3)
@@ -94,9 +94,9 @@ def test_the_angle_of_incidence_is_that_to_the_slope_of_the_surface(kind, street
     assert (np.abs(seen.facings[met] - expected) < 1e-4).mean() > 0.99
 
 
-def test_a_plain_surface_has_its_colour_in_the_light_of_its_face(street_of, standing_path, box):
+def test_a_plain_surface_has_its_colour_in_the_light_of_its_face(street_of, stationary_path, box):
     street = street_of(
-        [box([10, 0, 5], [2, 2, 2], Material(Pattern.PLAIN, (BASE, BASE, BASE)))], standing_path
+        [box([10, 0, 5], [2, 2, 2], Material(Pattern.PLAIN, (BASE, BASE, BASE)))], stationary_path
     )
     front = look(street, [0, 0, 5], np.array([[1.0, 0, 0.01]]))[1].colors[0].astype(float)
     top = look(street, [10, 0, 15], np.array([[0.0, 0, -1.0]]))[1].colors[0].astype(float)
@@ -107,10 +107,10 @@ def test_a_plain_surface_has_its_colour_in_the_light_of_its_face(street_of, stan
 
 
 @pytest.mark.parametrize("pattern", Pattern)
-def test_every_pattern_only_mixes_the_colours_of_its_palette(pattern, street_of, standing_path, box):
+def test_every_pattern_only_mixes_the_colours_of_its_palette(pattern, street_of, stationary_path, box):
     material = Material(pattern, ((255.0, 0, 0), (0, 255.0, 0), (0, 0, 255.0)), (2.0, 2.5, 0.2))
     street = street_of(
-        [box([10, 0, 3], [1, 5, 3], material), box([8, 8, 0.5], [2, 1, 0.5], material)], standing_path
+        [box([10, 0, 3], [1, 5, 3], material), box([8, 8, 0.5], [2, 1, 0.5], material)], stationary_path
     )
     aims = np.random.default_rng(0).uniform([9, -5, -1.5], [9, 9, 3], (4000, 3))
     hits, seen = look(street, [0, 0, 1.6], aims / np.linalg.norm(aims, axis=1, keepdims=True))
@@ -127,7 +127,7 @@ def test_the_ground_shows_road_paint_pavement_and_grass_where_they_belong(drive)
     lane = Lane.of(drive.truth.path)
 
     def color_at(along, left):
-        x, y, _ = lane.place(along, left)
+        x, y, _ = lane.location(along, left)
         return look(drive.truth.street, [x, y, 0.05], np.array([[0.0, 0, -1.0]]))[1].colors[0].astype(int)
 
     asphalt = np.array([color_at(s, 0.3) for s in np.arange(0.5, 18, 0.5)])

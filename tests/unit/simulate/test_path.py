@@ -53,11 +53,11 @@ def test_velocity_is_the_slope_of_position_and_acceleration_that_of_velocity(pat
     )
 
 
-def test_angular_rates_are_those_of_the_turning_rotation(path, seconds):
+def test_angular_rates_are_those_of_the_rotating_rotation(path, seconds):
     before = Rotation.from_matrix(path.at_seconds(seconds - STEP).rotations)
     after = Rotation.from_matrix(path.at_seconds(seconds + STEP).rotations)
-    turned = (before.inv() * after).as_rotvec() / (2 * STEP)
-    np.testing.assert_allclose(turned, path.at_seconds(seconds).angular_rates, atol=DIFFERENCE)
+    rotated = (before.inv() * after).as_rotvec() / (2 * STEP)
+    np.testing.assert_allclose(rotated, path.at_seconds(seconds).angular_rates, atol=DIFFERENCE)
 
 
 def test_acceleration_has_no_leaps_at_the_knots(path):
@@ -68,7 +68,7 @@ def test_acceleration_has_no_leaps_at_the_knots(path):
     np.testing.assert_allclose(after.angular_rates, before.angular_rates, atol=1e-7)
 
 
-def test_angles_turn_in_the_order_roll_pitch_yaw():
+def test_angles_rotate_in_the_order_roll_pitch_yaw():
     roll, pitch, yaw = np.random.default_rng(0).uniform(-1, 1, (3, 20))
     expected = Rotation.from_euler("ZYX", np.column_stack([yaw, pitch, roll])).as_matrix()
     np.testing.assert_allclose(rotation_from_angles(roll, pitch, yaw), expected, atol=1e-14)
@@ -83,7 +83,7 @@ def test_the_ego_looks_where_it_goes_and_stays_upright(path, seconds):
     assert np.abs(states.positions[:, 2]).max() < 0.05
 
 
-def test_a_drive_turns_and_changes_speed_but_never_stops(path):
+def test_a_drive_rotates_and_changes_speed_but_never_stops(path):
     states = path.at_seconds(np.linspace(0, 20, 500))
     speeds = np.linalg.norm(states.velocities, axis=1)
     assert speeds.min() > 3.0
@@ -94,7 +94,7 @@ def test_a_drive_turns_and_changes_speed_but_never_stops(path):
 
 def test_bends_are_wider_than_the_pavement(path):
     lane = Lane.of(path)
-    # The pavement on the left ends 10.4 m from the way; a tighter bend would fold it over.
+    # The pavement on the left ends 10.4 m from the trajectory; a tighter bend would fold it over.
     assert np.abs(lane.curvatures).max() < 1 / 13.0
 
 
@@ -104,13 +104,13 @@ def test_the_drive_begins_at_the_origin_at_its_start_time(path):
 
 
 def test_interpolated_samples_at_100_hz_stay_within_a_millimetre(path):
-    stamps = np.arange(0, 20_000_000_001, 10_000_000) + 5_000
-    between = np.random.default_rng(1).integers(stamps[0], stamps[-1], 2000)
-    sampled, exact = path.poses(stamps).interpolate(between), path.at(between)
+    timestamps = np.arange(0, 20_000_000_001, 10_000_000) + 5_000
+    between = np.random.default_rng(1).integers(timestamps[0], timestamps[-1], 2000)
+    sampled, exact = path.poses(timestamps).interpolate(between), path.at(between)
     assert np.linalg.norm(sampled.positions - exact.positions, axis=1).max() < 1e-4
-    turned = Rotation.from_quat(sampled.quaternions_xyzw).inv() * Rotation.from_matrix(exact.rotations)
-    # Slerp misses alpha dt²/8 of a turning with angular acceleration alpha: below 1 mm at 100 m for 1e-5 rad.
-    assert turned.magnitude().max() < 1e-5
+    rotated = Rotation.from_quat(sampled.quaternions_xyzw).inv() * Rotation.from_matrix(exact.rotations)
+    # Slerp misses alpha dt²/8 of a rotating with angular acceleration alpha: below 1 mm at 100 m for 1e-5 rad.
+    assert rotated.magnitude().max() < 1e-5
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -123,8 +123,8 @@ def test_motion_with_stops_has_the_derivatives_that_it_says(seed, seconds):
     np.testing.assert_allclose(
         (after.velocities - before.velocities) / (2 * STEP), states.accelerations, atol=DIFFERENCE
     )
-    turned = Rotation.from_matrix(before.rotations).inv() * Rotation.from_matrix(after.rotations)
-    np.testing.assert_allclose(turned.as_rotvec() / (2 * STEP), states.angular_rates, atol=DIFFERENCE)
+    rotated = Rotation.from_matrix(before.rotations).inv() * Rotation.from_matrix(after.rotations)
+    np.testing.assert_allclose(rotated.as_rotvec() / (2 * STEP), states.angular_rates, atol=DIFFERENCE)
 
 
 def test_acceleration_has_no_leaps_where_a_stop_begins_or_ends():
@@ -138,10 +138,10 @@ def test_acceleration_has_no_leaps_where_a_stop_begins_or_ends():
 
 def test_a_car_that_stops_stands_truly_still_and_drives_the_same_curve():
     path, driving = planned(1, STOPPING), planned(1)
-    standing = path.at_seconds(np.linspace(5.0, 8.0, 301))
-    assert np.ptp(standing.positions, axis=0).max() == 0
-    assert np.ptp(standing.rotations, axis=0).max() == 0
-    for rates in (standing.velocities, standing.accelerations, standing.angular_rates):
+    stationary = path.at_seconds(np.linspace(5.0, 8.0, 301))
+    assert np.ptp(stationary.positions, axis=0).max() == 0
+    assert np.ptp(stationary.rotations, axis=0).max() == 0
+    for rates in (stationary.velocities, stationary.accelerations, stationary.angular_rates):
         assert not rates.any()
     np.testing.assert_array_equal(path.control_points, driving.control_points)
     seconds = np.linspace(8.0, 20.0, 60)
@@ -161,8 +161,8 @@ def test_a_car_can_stand_for_a_minute():
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.few(1)
-def test_turns_are_as_fast_as_asked_for_and_nothing_stands_in_their_way(seed):
-    path = planned(seed, PathSpec(turn_rate=1.0))
+def test_rotates_are_as_fast_as_asked_for_and_nothing_stands_in_their_trajectory(seed):
+    path = planned(seed, PathSpec(yaw_rate=1.0))
     rates = np.abs(path.at_seconds(np.linspace(0, 20, 2000)).angular_rates[:, 2])
     assert 0.9 < rates.max() < 1.1
     lane = Lane.of(path)
@@ -178,10 +178,10 @@ def test_speeds_stay_about_the_range_asked_for():
     speeds = np.linalg.norm(
         planned(2, PathSpec(speeds=(2.0, 4.0))).at_seconds(np.linspace(0, 20, 500)).velocities, axis=1
     )
-    # A turn of 0.21 rad/s needs 2.2 m/s so that it is no tighter than the street is wide; smoothing stays between.
+    # A rotation of 0.21 rad/s needs 2.2 m/s so that it is no tighter than the street is wide; smoothing stays between.
     assert speeds.min() > 1.9
     assert speeds.max() < 4.1
 
 
-def test_the_default_way_is_that_of_a_drive_without_a_specification():
+def test_the_default_trajectory_is_that_of_a_drive_without_a_specification():
     np.testing.assert_array_equal(planned(3, PathSpec()).control_points, planned(3).control_points)

@@ -51,7 +51,7 @@ def radar_of(wall, moving_path):
 
 @pytest.fixture(scope="module")
 def radar_drive():
-    """A drive with turns and two radars, one exact."""
+    """A drive with rotates and two radars, one exact."""
     return simulate_street(
         7, frames=20, lidar=LidarSpec(beams=1, steps=1), cameras=(), radars=(EXACT, RadarSpec())
     )
@@ -74,27 +74,27 @@ def test_a_wall_ahead_comes_nearer_at_the_speed_of_the_drive(radar_of):
     np.testing.assert_allclose(points.positions[ground, 2], -1.0, atol=1e-5)
 
 
-def test_speeds_are_the_change_of_the_ranges_in_turns_too_with_the_lever_arm(radar_drive):
+def test_speeds_are_the_change_of_the_ranges_in_rotations_too_with_the_lever_arm(radar_drive):
     radar, step_ns = radar_drive.truth.radars["radar0"], 1_000_000
     mount, path = radar.spec.mount, radar_drive.truth.path
-    turning = 0
+    rotating = 0
     for k in range(0, len(radar.timestamps_ns), 3):
         truth = radar.frame_truth(k)
         around = truth.timestamp_ns + np.array([-step_ns, step_ns], np.int64)
         ego = path.at(around)
-        turned = Rotation.from_matrix(ego.rotations).apply(mount.translation.copy())
-        before, after = ego.positions + turned
+        rotated = Rotation.from_matrix(ego.rotations).apply(mount.translation.copy())
+        before, after = ego.positions + rotated
         ranges = [np.linalg.norm(truth.positions_world - origin, axis=1) for origin in (before, after)]
         # Of the central difference over 1 ms: error h² / 6 times the third derivative, 1e-4 m/s at 3 m and 10 m/s.
         np.testing.assert_allclose(truth.speeds, (ranges[1] - ranges[0]) / (2e-9 * step_ns), atol=2e-4)
-        turning += abs(ego.angular_rates[0, 2]) > 0.15
+        rotating += abs(ego.angular_rates[0, 2]) > 0.15
         assert len(truth.speeds) > 20
-    assert turning > 2
+    assert rotating > 2
 
 
 @pytest.fixture(scope="module")
 def passing(moving_path, box):
-    """A radar on an ego at 8 m/s; a car-sized box ahead moves at (-3, 2) m/s and turns by 0.5 rad/s."""
+    """A radar on an ego at 8 m/s; a car-sized box ahead moves at (-3, 2) m/s and rotates by 0.5 rad/s."""
     body = box([0.0, 0.0, 0.8], [2.2, 0.9, 0.8])
     body = Shape(
         ShapeKind.BOX, RigidTransform(np.eye(3), np.array([0.0, 0.0, 0.8])), body.half, body.material
@@ -125,10 +125,10 @@ def test_what_moves_has_the_radial_speed_of_its_own_motion_against_the_radars(pa
         middle = truth.timestamp_ns * nanosecond
         ranges = []
         for moment in (-step * nanosecond, step * nanosecond):
-            turned = Rotation.from_euler("z", 0.5 * moment)
+            rotated = Rotation.from_euler("z", 0.5 * moment)
             center = np.array([40.0, -2.0, 0.0]) + (middle + moment) * np.array([-3.0, 2.0, 0.0])
             before = np.array([40.0, -2.0, 0.0]) + middle * np.array([-3.0, 2.0, 0.0])
-            moved = turned.apply(own - before) + center if len(own) else own
+            moved = rotated.apply(own - before) + center if len(own) else own
             radar = [SPEED * (middle + moment) + 3.0, 1.0, 0.7]
             ranges.append(np.linalg.norm(moved - radar, axis=1))
         speeds = (ranges[1] - ranges[0]) / (2 * step * nanosecond)
@@ -157,10 +157,10 @@ def test_positions_in_the_radars_frame_are_those_in_the_world(radar_drive):
     assert sensor.type is SensorType.RADAR
     assert sensor.points_frame is PointsFrame.SENSOR
     ego = radar_drive.truth.path.at(np.array([frame.timestamp_ns]))
-    turn = Rotation.from_matrix(ego.rotations[0])
+    rotation = Rotation.from_matrix(ego.rotations[0])
     in_ego = sensor.mount.apply(frame.points.positions)
     # float32 holds 150 m in steps of 1.5e-5 m.
-    np.testing.assert_allclose(turn.apply(in_ego) + ego.positions[0], truth.positions_world, atol=3e-5)
+    np.testing.assert_allclose(rotation.apply(in_ego) + ego.positions[0], truth.positions_world, atol=3e-5)
     np.testing.assert_array_equal(frame.points.timestamps_ns, frame.timestamp_ns)
     np.testing.assert_allclose(np.linalg.norm(frame.points.directions, axis=1), 1.0, atol=1e-6)
     ranges = np.linalg.norm(frame.points.positions, axis=1)
@@ -250,7 +250,7 @@ def test_false_returns_have_no_other_truth_than_what_is_reported(radar_of):
     np.testing.assert_allclose(world, truth.positions_world[false], atol=3e-5)
 
 
-def test_returns_come_by_their_range_so_that_their_order_tells_nothing(radar_drive):
+def test_returns_come_by_their_range_so_that_their_order_states_nothing(radar_drive):
     for name in ("radar0", "radar1"):
         points = radar_drive.scene.sensor(name).frames[4].points
         ranges = np.linalg.norm(points.positions.astype(np.float64), axis=1)

@@ -83,8 +83,8 @@ def test_each_sensor_measures_on_its_own_clock_while_the_drive_lasts(rich):
 
 def test_frames_of_all_sensors_merge_into_one_stream(rich):
     lidars = [rich.scene.sensor(f"lidar{k}") for k in range(3)]
-    stamps = np.sort(np.concatenate([lidar.frames.timestamps_ns for lidar in lidars]))
-    assert len(stamps) == 5 + 10 + 2
+    timestamps = np.sort(np.concatenate([lidar.frames.timestamps_ns for lidar in lidars]))
+    assert len(timestamps) == 5 + 10 + 2
     for lidar in lidars:
         spec = rich.truth.lidars[lidar.id].spec
         for frame in lidar.frames:
@@ -98,8 +98,8 @@ def test_further_sensors_change_nothing_of_the_first_lidar_the_street_and_the_ca
     for k in (0, 4):
         ours, theirs = (drive.truth.sweep(k) for drive in (rich, plain))
         np.testing.assert_array_equal(ours.frame.points.positions, theirs.frame.points.positions)
-    pictures = [drive.scene.cameras[0].pictures[2].rgb for drive in (rich, plain)]
-    np.testing.assert_array_equal(*pictures)
+    images = [drive.scene.cameras[0].images[2].rgb for drive in (rich, plain)]
+    np.testing.assert_array_equal(*images)
     np.testing.assert_array_equal(rich.truth.street.shapes.maps, plain.truth.street.shapes.maps)
 
 
@@ -148,10 +148,10 @@ def test_poses_of_every_sensor_are_trajectory_and_mounting(rich):
     for name in ("lidar1", "lidar2", "radar0"):
         sensor = rich.scene.sensor(name)
         exact = rich.truth.path.at(sensor.poses.timestamps_ns)
-        turn = Rotation.from_matrix(exact.rotations)
-        expected = turn.apply(sensor.mount.translation.copy()) + exact.positions
+        rotation = Rotation.from_matrix(exact.rotations)
+        expected = rotation.apply(sensor.mount.translation.copy()) + exact.positions
         np.testing.assert_allclose(sensor.poses.positions, expected, atol=1e-9)
-        away = turn * Rotation.from_matrix(sensor.mount.rotation.copy())
+        away = rotation * Rotation.from_matrix(sensor.mount.rotation.copy())
         np.testing.assert_allclose(
             Rotation.from_quat(sensor.poses.quaternions_xyzw).as_matrix(), away.as_matrix(), atol=1e-9
         )
@@ -213,7 +213,7 @@ def test_the_scene_goes_to_another_process_and_is_the_same_there():
     np.testing.assert_array_equal(
         there.sensor("radar0").frames[1].points.lengths, drive.scene.sensor("radar0").frames[1].points.lengths
     )
-    np.testing.assert_array_equal(there.cameras[0].pictures[1].rgb, drive.scene.cameras[0].pictures[1].rgb)
+    np.testing.assert_array_equal(there.cameras[0].images[1].rgb, drive.scene.cameras[0].images[1].rgb)
 
 
 def test_a_scene_file_keeps_lidars_and_radars(rich, tmp_path):
@@ -237,5 +237,5 @@ def test_a_recording_keeps_several_lidars_on_their_own_clocks(rich, tmp_path):
             ours = rich.scene.sensor(lidar.id)
             np.testing.assert_array_equal(lidar.frames.timestamps_ns, ours.frames.timestamps_ns)
             np.testing.assert_array_equal(lidar.frames[1].points.positions, ours.frames[1].points.positions)
-        stamps = [lidar.frames.timestamps_ns.tolist() for lidar in again.lidars]
-        assert all(a != b for a, b in pairwise(stamps))
+        timestamps = [lidar.frames.timestamps_ns.tolist() for lidar in again.lidars]
+        assert all(a != b for a, b in pairwise(timestamps))

@@ -54,7 +54,7 @@ def test_scores_that_do_not_know_the_rates_would_be_noticed():
     assert calibration_error(odds / (1 + odds), true) > 0.03
 
 
-def test_scores_tell_less_the_more_they_are_concentrated():
+def test_scores_report_less_the_more_they_are_concentrated():
     areas = []
     for concentration in (0.3, 1.0, 5.0):
         scores, true = draw_boxes(8, frames=500, concentration=concentration)

@@ -16,7 +16,7 @@ def test_the_street_of_a_seed_is_the_one_it_has_always_been(plain):
     assert len(plain.scene.annotations) == 77
     thing = plain.truth.objects[100]
     assert thing.label == "bin"
-    # Other processors may round sines differently in the last place.
+    # Other processors may round sines differently in the last location.
     np.testing.assert_allclose(thing.center_world, [19.919217841186637, 1.5572615535307204, 0.49], atol=1e-9)
     assert thing.yaw == pytest.approx(0.3745412551423274, abs=1e-9)
 
@@ -36,8 +36,8 @@ def test_the_sweeps_of_a_seed_are_those_it_has_always_had(plain, k, count, inten
     np.testing.assert_allclose(points.positions[5000], some, atol=1e-5)
 
 
-def test_the_pictures_of_a_seed_are_those_it_has_always_had(plain):
-    rgb, truth = plain.scene.cameras[0].pictures[1].rgb, plain.truth.picture("camera0", 1)
+def test_the_images_of_a_seed_are_those_it_has_always_had(plain):
+    rgb, truth = plain.scene.cameras[0].images[1].rgb, plain.truth.image("camera0", 1)
     np.testing.assert_allclose(
         rgb.mean(axis=(0, 1)), [103.13753945249597, 109.5844938271605, 102.08610842726785], atol=1e-3
     )

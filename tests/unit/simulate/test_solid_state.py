@@ -18,14 +18,14 @@ FLOAT32 = 1e-5
 
 
 @pytest.fixture(scope="module")
-def lidar_before_wall(street_of, standing_path, box):
-    """A lidar 10 m before a wall that fills its view, above the ground, standing still."""
-    street = street_of([box([11, 0, 30], [1, 80, 30])], standing_path)
+def lidar_before_wall(street_of, stationary_path, box):
+    """A lidar 10 m before a wall that fills its view, above the ground, stationary."""
+    street = street_of([box([11, 0, 30], [1, 80, 30])], stationary_path)
 
     def make(pattern, **options):
         spec = SolidStateSpec(pattern, mount=UPRIGHT, range_sigma=0.0, drop_rate=0.0, **options)
         starts = 70_000_000 + PERIOD_NS * np.arange(4, dtype=np.int64)
-        return ScanningLidar.of(spec, street, standing_path, seed=1, timestamps_ns=starts)
+        return ScanningLidar.of(spec, street, stationary_path, seed=1, timestamps_ns=starts)
 
     return make
 
@@ -85,7 +85,9 @@ def test_moments_are_spread_evenly_over_the_frame_and_channels_share_them(lidar_
 
 
 def test_the_rosette_adds_the_bends_of_two_prisms(lidar_before_wall):
-    pattern = Rosette(fov_deg=40.0, shots_per_second=20_000.0, turns_per_minute=(6000.0, -1700.0), share=0.6)
+    pattern = Rosette(
+        fov_deg=40.0, shots_per_second=20_000.0, rotations_per_minute=(6000.0, -1700.0), share=0.6
+    )
     lidar = lidar_before_wall(pattern)
     for k in (0, 3):
         shots = lidar.shots(k)
@@ -148,7 +150,7 @@ def test_frames_are_the_same_in_whatever_order_they_are_asked_for(lidar_before_w
     np.testing.assert_array_equal(lidar.frame(3).points.positions, later)
 
 
-def test_mounts_of_lidars_and_radars_look_along_x_turned_left_and_down():
+def test_mounts_of_lidars_and_radars_look_along_x_rotated_left_and_down():
     mount = sensor_mount(position=(1.0, 2.0, 3.0), yaw_deg=90.0)
     np.testing.assert_allclose(mount.apply([1.0, 0.0, 0.0]), [1.0, 3.0, 3.0], atol=1e-15)
     down = sensor_mount(position=(0.0, 0.0, 0.0), pitch_deg=30.0)

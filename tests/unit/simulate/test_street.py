@@ -32,7 +32,7 @@ def in_any_shape(packed, points):
 
 
 @pytest.mark.few(1)
-def test_nothing_stands_in_the_way_of_the_ego(built):
+def test_nothing_stands_in_the_ego_trajectory(built):
     path, street = built
     states = path.at_seconds(np.arange(-1.0, 16.0, 0.1))
     left = states.rotations[:, :, 1]
@@ -46,9 +46,9 @@ def test_nothing_stands_in_the_way_of_the_ego(built):
 
 def plan_corners(thing):
     length, width, _ = thing.size_lwh
-    turn = np.array([[np.cos(thing.yaw), -np.sin(thing.yaw)], [np.sin(thing.yaw), np.cos(thing.yaw)]])
+    rotation = np.array([[np.cos(thing.yaw), -np.sin(thing.yaw)], [np.sin(thing.yaw), np.cos(thing.yaw)]])
     grid = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.5, 0.5, 9)), -1).reshape(-1, 2)
-    return (grid * [length, width]) @ turn.T + thing.center_world[:2]
+    return (grid * [length, width]) @ rotation.T + thing.center_world[:2]
 
 
 def test_houses_cars_and_bins_do_not_stand_in_one_another(built):
@@ -113,21 +113,21 @@ def test_the_same_seed_builds_the_same_street_and_another_one_another():
     assert first.objects != other.objects
 
 
-def test_the_map_of_the_ground_knows_how_far_along_and_left_of_the_way_its_nodes_lie():
+def test_the_map_of_the_ground_knows_how_far_along_and_left_of_the_trajectory_its_nodes_lie():
     lane = Lane.of(plan_path(np.random.default_rng(3), start_ns=0, duration=10.0))
     ground = GroundMap.of(lane)
     along, left = ground.nodes[..., 0], ground.nodes[..., 1]
     drawn = np.argwhere((np.abs(left) < 10.0) & (along > lane.along[0] + 1) & (along < lane.along[-1] - 1))
     chosen = drawn[np.random.default_rng(0).choice(len(drawn), 500, replace=False)]
     for i, j in chosen:
-        spot = lane.place(*map(float, ground.nodes[i, j, :2]))[:2]
+        spot = lane.location(*map(float, ground.nodes[i, j, :2]))[:2]
         node = ground.corner + ground.cell * np.array([i, j])
         # Points of the lane are 25 cm apart; between them a bend of 15 m leaves its chord by 0.5 mm, and ten metres
         # to its side the rounding of the heading between them counts as millimetres.
         assert np.hypot(*(spot - node)) < 0.02
 
 
-def test_far_from_the_way_the_ground_is_only_grass():
+def test_far_from_the_trajectory_the_ground_is_only_grass():
     lane = Lane.of(plan_path(np.random.default_rng(3), start_ns=0, duration=5.0))
     ground = GroundMap.of(lane)
     nodes = ground.corner + ground.cell * np.argwhere(ground.nodes[..., 1] >= 14.0)

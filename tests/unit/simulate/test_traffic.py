@@ -45,8 +45,8 @@ def empty():
     return drive_through(None)
 
 
-def turned(yaws):
-    """Turns about z by (N,) yaws, (N, 2, 2)."""
+def rotated(yaws):
+    """Rotates about z by (N,) yaws, (N, 2, 2)."""
     rows = [[np.cos(yaws), -np.sin(yaws)], [np.sin(yaws), np.cos(yaws)]]
     return np.moveaxis(np.array(rows), 2, 0)
 
@@ -68,12 +68,12 @@ def test_there_is_something_of_everything(busy):
     assert [thing.instance for thing in busy.truth.movers] == list(range(first, first + len(labels)))
 
 
-def test_traffic_changes_neither_the_way_nor_what_stands(busy, empty):
+def test_traffic_changes_neither_the_trajectory_nor_what_stands(busy, empty):
     assert busy.truth.objects == empty.truth.objects
     np.testing.assert_array_equal(busy.truth.path.control_points, empty.truth.path.control_points)
     np.testing.assert_array_equal(busy.truth.street.shapes.maps, empty.truth.street.shapes.maps)
     assert empty.truth.movers == ()
-    seen, bare = busy.truth.picture("camera0", 3), empty.truth.picture("camera0", 3)
+    seen, bare = busy.truth.image("camera0", 3), empty.truth.image("camera0", 3)
     moving = seen.instances > len(busy.truth.objects)
     assert moving.mean() > 0.005
     np.testing.assert_array_equal(seen.colors[~moving], bare.colors[~moving])
@@ -116,9 +116,9 @@ def test_points_move_with_what_they_are_on_and_stand_on_what_stands(busy):
         which = np.full(len(own), thing.instance - first)
         before, now, after = (truth.street.movers.states(which, times[own] + t) for t in (-step, 0, step))
         # A point fixed to a rigid body, carried along by the body's poses.
-        turns = [Rotation.from_euler("z", states.yaws[:, None]) for states in (before, now, after)]
-        local = turns[1].inv().apply(clean.positions_world[own] - now.positions)
-        moved = turns[2].apply(local) + after.positions - turns[0].apply(local) - before.positions
+        rotations = [Rotation.from_euler("z", states.yaws[:, None]) for states in (before, now, after)]
+        local = rotations[1].inv().apply(clean.positions_world[own] - now.positions)
+        moved = rotations[2].apply(local) + after.positions - rotations[0].apply(local) - before.positions
         # h²/6 times a jerk below 50 m/s³.
         np.testing.assert_allclose(moved / (2e-9 * step), clean.velocities[own], atol=1e-4)
         checked += len(own)
@@ -133,10 +133,10 @@ def test_points_move_with_what_they_are_on_and_stand_on_what_stands(busy):
     [
         {},
         {"seed": 1},
-        {"path": PathSpec(turn_rate=1.0)},
+        {"path": PathSpec(yaw_rate=1.0)},
         {"path": PathSpec(stops=(Stop(1.0, 2.0),), ramp=1.0)},
     ],
-    ids=["default", "another seed", "fast turns", "a stop"],
+    ids=["default", "another seed", "fast rotates", "a stop"],
 )
 @pytest.mark.few(1)
 def test_nobody_runs_into_anybody_or_anything(options):
@@ -159,8 +159,8 @@ def test_nobody_runs_into_anybody_or_anything(options):
         rows = np.flatnonzero(near & there)
         if not len(rows):
             return False
-        points = np.einsum("tij,gj->tgi", turned(yaw_a[rows]), grid * size_a) + center_a[rows, None]
-        local = np.einsum("tji,tgj->tgi", turned(yaw_b[rows]), points - center_b[rows, None])
+        points = np.einsum("tij,gj->tgi", rotated(yaw_a[rows]), grid * size_a) + center_a[rows, None]
+        local = np.einsum("tji,tgj->tgi", rotated(yaw_b[rows]), points - center_b[rows, None])
         return (np.abs(local) < size_b / 2).all(axis=2).any()
 
     moving = [-1, *range(count, count + len(truth.movers))]
@@ -194,12 +194,12 @@ def test_in_the_egos_lane_cars_stop_and_go_with_it():
     boxes = drive.truth.boxes(times)
     cars = [k for k in range(first, len(boxes.labels)) if boxes.labels[k] == "car"]
     speeds = np.linalg.norm(boxes.velocities[:, cars], axis=2)
-    standing = (speeds < 1e-6).all(axis=0)
-    assert standing.sum() >= 2
-    assert (~standing).sum() >= 2
+    stationary = (speeds < 1e-6).all(axis=0)
+    assert stationary.sum() >= 2
+    assert (~stationary).sum() >= 2
 
 
-def test_annotations_say_within_a_centimetre_and_a_tenth_of_a_degree_where_movers_are(busy):
+def test_annotations_state_within_a_centimetre_and_a_tenth_of_a_degree_where_movers_are(busy):
     truth = busy.truth
     by_id = {annotation.id: annotation for annotation in busy.scene.annotations}
     first = len(truth.objects) + 1
@@ -207,14 +207,14 @@ def test_annotations_say_within_a_centimetre_and_a_tenth_of_a_degree_where_mover
     for thing in truth.movers:
         annotation = by_id[f"{thing.label}-{thing.instance}"]
         assert annotation.stationary == thing.stands
-        stamps, values = annotation.path.timestamps_ns, annotation.path.values
-        assert (np.diff(stamps) > 0).all()
-        times = between if thing.stands else between[(between >= stamps[0]) & (between <= stamps[-1])]
+        timestamps, values = annotation.path.timestamps_ns, annotation.path.values
+        assert (np.diff(timestamps) > 0).all()
+        times = between if thing.stands else between[(between >= timestamps[0]) & (between <= timestamps[-1])]
         states = truth.street.movers.states(np.full(len(times), thing.instance - first), times)
         middle = states.positions + np.array([0, 0, thing.size_lwh[2] / 2])
-        said = np.column_stack([np.interp(times, stamps, values[:, axis]) for axis in (3, 4, 5, 8)])
-        assert np.abs(said[:, :3] - middle).max(initial=0.0) < 0.01
-        assert np.abs(said[:, 3] - np.degrees(states.yaws)).max(initial=0.0) < 0.1
+        stated = np.column_stack([np.interp(times, timestamps, values[:, axis]) for axis in (3, 4, 5, 8)])
+        assert np.abs(stated[:, :3] - middle).max(initial=0.0) < 0.01
+        assert np.abs(stated[:, 3] - np.degrees(states.yaws)).max(initial=0.0) < 0.1
         assert (values[:, :3] == thing.size_lwh).all()
 
 
@@ -245,7 +245,7 @@ def alone(street, instance):
 
 
 @pytest.mark.parametrize("camera_id", ["camera0", "camera1"])
-def test_what_hides_an_object_is_what_a_picture_of_it_alone_shows_more_of_it(busy, camera_id):
+def test_what_hides_an_object_is_what_an_image_of_it_alone_shows_more_of_it(busy, camera_id):
     truth, k = busy.truth, 2
     camera = truth.cameras[camera_id]
     occlusion, shown = truth.occlusion(camera_id, k), truth.instances(camera_id, k)
@@ -266,15 +266,21 @@ def test_what_hides_an_object_is_what_a_picture_of_it_alone_shows_more_of_it(bus
 
 
 @pytest.mark.parametrize("camera_id", ["camera0", "camera1"])
-def test_what_a_picture_shows_of_movers_is_visible_at_its_time(busy, camera_id):
+def test_what_an_image_shows_of_movers_is_visible_at_its_time(busy, camera_id):
     truth, k = busy.truth, 5
-    camera, picture = truth.cameras[camera_id], truth.picture(camera_id, k)
-    rows, columns = np.nonzero(picture.instances > len(truth.objects))
+    camera, image = truth.cameras[camera_id], truth.image(camera_id, k)
+    rows, columns = np.nonzero(image.instances > len(truth.objects))
     assert len(rows) > 100
-    lens = camera.spec.camera
+    camera_model = camera.spec.camera
     rays = (
-        np.column_stack([(columns - lens.cx) / lens.fx, (rows - lens.cy) / lens.fy, np.ones(len(rows))])
-        * picture.depths[rows, columns].astype(np.float64)[:, None]
+        np.column_stack(
+            [
+                (columns - camera_model.cx) / camera_model.fx,
+                (rows - camera_model.cy) / camera_model.fy,
+                np.ones(len(rows)),
+            ]
+        )
+        * image.depths[rows, columns].astype(np.float64)[:, None]
     )
     rotations, origins = camera.line_poses(k)
     line = rows if len(origins) > 1 else np.zeros(len(rows), np.int64)
@@ -283,7 +289,7 @@ def test_what_a_picture_shows_of_movers_is_visible_at_its_time(busy, camera_id):
     assert truth.visible(camera_id, k, points).mean() > 0.99
     times = camera.line_times_ns(k)[line]
     first = len(truth.objects) + 1
-    which = picture.instances[rows, columns].astype(np.int64) - first
+    which = image.instances[rows, columns].astype(np.int64) - first
     states = truth.street.movers.states(which, times)
     sizes = np.array([thing.size_lwh for thing in truth.movers])[which]
     centers = states.positions + np.array([0, 0, 0.5]) * sizes
@@ -295,13 +301,13 @@ def test_what_a_picture_shows_of_movers_is_visible_at_its_time(busy, camera_id):
 
 def test_boxes_of_what_stands_are_there_at_all_times(busy):
     boxes = busy.truth.boxes([1_000_000_000, 1_700_000_000])
-    standing = len(busy.truth.objects)
-    assert boxes.present[:, :standing].all()
-    assert not boxes.velocities[:, :standing].any()
+    stationary = len(busy.truth.objects)
+    assert boxes.present[:, :stationary].all()
+    assert not boxes.velocities[:, :stationary].any()
     for k, thing in enumerate(busy.truth.objects):
         assert boxes.instances[k] == thing.instance
         np.testing.assert_array_equal(boxes.centers_world[1, k], thing.center_world)
-    assert len(boxes.labels) == standing + len(busy.truth.movers)
+    assert len(boxes.labels) == stationary + len(busy.truth.movers)
 
 
 def test_the_same_traffic_comes_whatever_is_asked_for_first(busy):
@@ -325,7 +331,13 @@ def test_nobody_moves_where_nobody_is_wanted():
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"cars": 7.0}, {"cyclists": -1.0}, {"pedestrians": float("nan")}, {"standing": 1.5}, {"crossing": 0.9}],
+    [
+        {"cars": 7.0},
+        {"cyclists": -1.0},
+        {"pedestrians": float("nan")},
+        {"stationary": 1.5},
+        {"crossing": 0.9},
+    ],
 )
 def test_traffic_that_cannot_be_is_refused_by_name(wrong):
     with pytest.raises(OptionError, match=f"traffic.{next(iter(wrong))}"):

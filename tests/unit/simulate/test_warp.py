@@ -81,8 +81,8 @@ def test_time_zero_stays_zero_even_in_a_stop():
         lambda: PathSpec(stops=(Stop(0.0, 5.0), Stop(12.0, 1.0)), ramp=4.0),
         lambda: PathSpec(speeds=(9.0, 5.0)),
         lambda: PathSpec(speeds=(0.0, 5.0)),
-        lambda: PathSpec(turn_rate=2.0),
-        lambda: PathSpec(turn_rate=float("nan")),
+        lambda: PathSpec(yaw_rate=2.0),
+        lambda: PathSpec(yaw_rate=float("nan")),
         lambda: PathSpec(ramp=0.0),
     ],
 )

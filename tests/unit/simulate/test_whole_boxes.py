@@ -15,7 +15,7 @@ from sceneloom.simulate import (
 )
 from sceneloom.simulate.whole_boxes import LineViews, projected_boxes
 
-LENS = Camera("pinhole", 320, 200, 190.0, 190.0, 159.5, 95.5)
+CAMERA_MODEL = Camera("pinhole", 320, 200, 190.0, 190.0, 159.5, 95.5)
 AHEAD = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 READOUT_NS = 60_000_000
 WHOLE = Detector2dSpec(amodal=True, misses=MissSpec(recall=1.0, hiding=0.0))
@@ -31,11 +31,14 @@ def drives():
             lidar=LidarSpec(beams=1, steps=1),
             cameras=(
                 CameraSpec(
-                    LENS, camera_mount(yaw_deg=20.0), readout_ns=READOUT_NS, left_to_right=left_to_right
+                    CAMERA_MODEL,
+                    camera_mount(yaw_deg=20.0),
+                    readout_ns=READOUT_NS,
+                    left_to_right=left_to_right,
                 ),
             ),
             traffic=TrafficSpec(cars=5.0, cyclists=4.0, pedestrians=8.0),
-            path=PathSpec(turn_rate=0.6),
+            path=PathSpec(yaw_rate=0.6),
         )
         for left_to_right in (False, True)
     ]
@@ -43,7 +46,7 @@ def drives():
 
 def test_the_box_of_an_object_beside_the_camera_reaches_the_border_and_stays_finite():
     views = LineViews(
-        LENS,
+        CAMERA_MODEL,
         False,
         AHEAD[None],
         np.zeros((1, 3)),
@@ -80,11 +83,11 @@ def test_whole_boxes_of_a_rolling_shutter_are_what_all_its_lines_see_of_the_boxe
     for instance, found in zip(report.truth_instances, report.truth.corners_xyxy, strict=True):
         own = boxes.instances.tolist().index(instance)
         seen = []
-        for line, (turn, origin) in enumerate(zip(rotations, origins, strict=True)):
+        for line, (rotation, origin) in enumerate(zip(rotations, origins, strict=True)):
             points = edge_points(
                 boxes.centers_world[line, own], boxes.yaws[line, own], boxes.sizes_lwh[own], count=200
             )
-            x, y, z = ((points - origin) @ turn).T
+            x, y, z = ((points - origin) @ rotation).T
             if z.min() < 0.5:
                 break
             pixels = np.column_stack([190.0 * x / z + 159.5, 190.0 * y / z + 95.5])
@@ -107,7 +110,7 @@ def at_once(views):
     """The views of a shutter that takes all lines with the middle one."""
     middle = slice(len(views.origins) // 2, len(views.origins) // 2 + 1)
     return LineViews(
-        views.lens,
+        views.camera_model,
         views.left_to_right,
         views.rotations[middle],
         views.origins[middle],

@@ -30,14 +30,14 @@ class Actor:
         path: where it is.
         label: its class.
         unseen: times [s] at which neither detector finds it: from, to.
-        only_in_picture: times at which the detector of pictures alone finds it.
+        only_in_image: times at which the detector of images alone finds it.
         score: of its boxes.
     """
 
     path: Path
     label: str = "Car"
     unseen: tuple[float, float] = (0.0, 0.0)
-    only_in_picture: tuple[float, float] = (0.0, 0.0)
+    only_in_image: tuple[float, float] = (0.0, 0.0)
     score: float = 0.95
 
 
@@ -49,13 +49,13 @@ class Street:
         actors: its objects.
         ego: where the lidar is.
         sigma: deviation of the middles of boxes [m].
-        turned: numbers of the frames whose boxes are the wrong way round.
+        rotated: numbers of the frames whose boxes are the wrong way round.
     """
 
     actors: Sequence[Actor]
     ego: Path = lambda seconds: (0.0, 0.0, 0.0)
     sigma: float = 0.1
-    turned: frozenset[int] = field(default_factory=frozenset)
+    rotated: frozenset[int] = field(default_factory=frozenset)
 
     def observe(
         self, times: Sequence[float], *, views: Mapping[str, View] | None = None
@@ -80,14 +80,14 @@ class Street:
         for row, actor in enumerate(seen):
             x, y, heading = actor.path(seconds)
             length, width, height = SIZES[actor.label]
-            turn = lidar_from_world.rotate(np.array([np.cos(heading), np.sin(heading), 0.0]))
+            rotation = lidar_from_world.rotate(np.array([np.cos(heading), np.sin(heading), 0.0]))
             numbers[row, :3] = lidar_from_world.apply(np.array([x, y, height / 2.0 - 1.7]))
-            numbers[row, 3:] = length, width, height, np.arctan2(turn[1], turn[0])
+            numbers[row, 3:] = length, width, height, np.arctan2(rotation[1], rotation[0])
         corners = project_outlines(view.camera, view.camera_from_lidar, numbers).corners_xyxy
         shown = corners[:, 2] > corners[:, 0]
-        alone = np.array([a.only_in_picture[0] <= seconds < a.only_in_picture[1] for a in seen], np.bool_)
+        alone = np.array([a.only_in_image[0] <= seconds < a.only_in_image[1] for a in seen], np.bool_)
         numbers[:, :2] += random.normal(scale=self.sigma, size=(count, 2))
-        if k in self.turned:
+        if k in self.rotated:
             numbers[:, 6] += np.pi
         spread = np.where(alone, 8.0, max(self.sigma, 0.05))
         return FusedBoxes(

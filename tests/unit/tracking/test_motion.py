@@ -1,4 +1,4 @@
-"""How states move and what boxes tell of them, against slopes by differences and Kalman's filter as books write it."""
+"""How states move and what boxes report them, against slopes by differences and Kalman's filter as books write it."""
 
 import numpy as np
 import pytest
@@ -26,9 +26,9 @@ def updated(means, covariances, measures, noises):
     return after, spread
 
 
-def test_velocity_turns_with_a_vehicle_and_not_with_a_person():
+def test_velocity_rotates_with_a_vehicle_and_not_with_a_person():
     means = np.zeros((2, motion.SIZE))
-    means[:, 7], means[:, motion.TURN] = 10.0, 0.4
+    means[:, 7], means[:, motion.ROTATION] = 10.0, 0.4
     after, _, _ = moved(means, np.array([True, False]), 0.1)
     assert np.arctan2(after[0, 8], after[0, 7]) == pytest.approx(0.04)
     # on a circle of 25 m, of which the chord is the mean of both velocities to second order
@@ -64,7 +64,7 @@ def test_two_short_steps_leave_as_much_doubt_as_a_long_one():
     whole = moved(means, vehicles, 0.2)[1][0]
     after, half, _ = moved(means, vehicles, 0.1)
     both = motion.predicted(after, half, vehicles, 0.1, SETTINGS)[1][0]
-    straight = [*range(6), 7, 8, 9]  # turning dies down on the way, which the noise of one step leaves out
+    straight = [*range(6), 7, 8, 9]  # rotating dies down on the way, which the noise of one step leaves out
     assert both[np.ix_(straight, straight)] == pytest.approx(whole[np.ix_(straight, straight)], rel=1e-9)
 
 
@@ -73,12 +73,12 @@ def test_a_box_near_to_where_it_is_expected_is_read_as_by_kalman():
     noise = np.diag([0.04, 0.04, 0.02, 0.02, 0.01, 0.01, 0.02])
     measures = means[:, :7] + 0.05
     after, spread = updated(means, covariances, measures, np.repeat(noise[None], 3, axis=0))
-    sight = np.eye(7, motion.SIZE)
+    visibility = np.eye(7, motion.SIZE)
     for k in range(3):
-        information = np.linalg.inv(covariances[k]) + sight.T @ np.linalg.inv(noise) @ sight
+        information = np.linalg.inv(covariances[k]) + visibility.T @ np.linalg.inv(noise) @ visibility
         expected = np.linalg.inv(information)
         mean = expected @ (
-            np.linalg.inv(covariances[k]) @ means[k] + sight.T @ np.linalg.inv(noise) @ measures[k]
+            np.linalg.inv(covariances[k]) @ means[k] + visibility.T @ np.linalg.inv(noise) @ measures[k]
         )
         mean[6] = motion.wrapped(mean[6])
         assert spread[k] == pytest.approx(expected, abs=1e-9)
@@ -94,7 +94,7 @@ def test_a_box_far_off_moves_a_state_less_than_kalman_would():
     assert 0.0 < after[0, 0] < 0.5  # of 2.5
 
 
-def test_a_heading_that_is_told_the_wrong_way_round_is_read_the_other_way():
+def test_a_heading_that_is_reported_the_wrong_way_round_is_read_the_other_way():
     means, covariances = np.zeros((1, motion.SIZE)), np.eye(motion.SIZE)[None]
     measures = np.zeros((1, 7))
     measures[0, 6] = np.pi - 0.1
@@ -102,13 +102,13 @@ def test_a_heading_that_is_told_the_wrong_way_round_is_read_the_other_way():
     assert after[0, motion.YAW] == pytest.approx(-0.05)
 
 
-def test_a_vehicle_that_seems_to_slide_sideways_turns_or_slows_down():
+def test_a_vehicle_that_seems_to_slide_sideways_rotates_or_slows_down():
     means, covariances = np.zeros((1, motion.SIZE)), np.eye(motion.SIZE)[None]
     means[0, 7:9] = 10.0, 2.0
     after, spread = means.copy(), covariances.copy()
     motion.read_no_slip(after, spread, np.array([True]), 0.1)
     across = -np.sin(after[0, 6]) * after[0, 7] + np.cos(after[0, 6]) * after[0, 8]
-    assert abs(across) < 0.2  # of 2; turning is linearised
+    assert abs(across) < 0.2  # of 2; rotating is linearised
     assert after[0, 6] > 0.0
     assert (np.linalg.eigvalsh(spread[0]) > 0.0).all()
     information = np.eye(motion.SIZE)

@@ -44,11 +44,11 @@ def test_states_are_those_of_all_boxes_at_once():
     information, pull = np.zeros((COUNT * size, COUNT * size)), np.zeros(COUNT * size)
     information[:size, :size] += np.linalg.inv(spread)
     pull[:size] += np.linalg.inv(spread) @ first
-    sight = np.eye(7, size)
+    visibility = np.eye(7, size)
     for k in range(COUNT):
         at = slice(k * size, (k + 1) * size)
-        information[at, at] += sight.T @ np.linalg.inv(noise) @ sight
-        pull[at] += sight.T @ np.linalg.inv(noise) @ boxes[k]
+        information[at, at] += visibility.T @ np.linalg.inv(noise) @ visibility
+        pull[at] += visibility.T @ np.linalg.inv(noise) @ boxes[k]
         if k:
             step = rows["slopes"][k]
             shaken = rows["spreads"][k] - step @ rows["covariances"][k - 1] @ step.T
@@ -66,7 +66,7 @@ def test_states_are_those_of_all_boxes_at_once():
         assert covariances[k] == pytest.approx(covariance[at, at], abs=1e-6)
 
 
-def test_a_heading_that_was_turned_round_on_the_way_is_the_last_one_all_along():
+def test_a_heading_that_was_reversed_on_the_way_is_the_last_one_all_along():
     rows, *_ = filtered_drive()
     for name in ("means", "predicted"):
         rows[name][:, motion.YAW] = 0.0

@@ -7,7 +7,7 @@ import pytest
 
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.tracks import Support
-from sceneloom.tracking import Observation, PictureBox, Tracker, TrackerSettings, track_drive
+from sceneloom.tracking import ImageBox, Observation, Tracker, TrackerSettings, track_drive
 
 TIMES = np.arange(40) / 10.0
 
@@ -21,7 +21,7 @@ def round_a_corner(t):
     return 25.0 + 20.0 * np.sin(0.5 * t), -10.0 + 20.0 * (1.0 - np.cos(0.5 * t)), 0.5 * t
 
 
-def test_a_car_that_drives_straight_is_one_object_with_its_place_and_speed(street, actor):
+def test_a_car_that_drives_straight_is_one_object_with_its_location_and_speed(street, actor):
     tracks = track_drive(street([actor(straight(8.0, y=3.0))]).observe(TIMES))
     assert len(tracks) == 1
     track = tracks[0]
@@ -33,7 +33,7 @@ def test_a_car_that_drives_straight_is_one_object_with_its_place_and_speed(stree
     assert track.velocities[-1, :2] == pytest.approx([8.0, 0.0], abs=0.5)  # 0.1 m of noise at 10 Hz
 
 
-def test_deviations_of_states_are_as_large_as_the_covariances_say(street, actor):
+def test_deviations_of_states_are_as_large_as_the_covariances_state(street, actor):
     tracks = track_drive(
         street([actor(straight(8.0, y=y)) for y in (-12.0, -6.0, 0.0, 6.0, 12.0)]).observe(TIMES)
     )
@@ -48,7 +48,7 @@ def test_deviations_of_states_are_as_large_as_the_covariances_say(street, actor)
     assert 0.5 < np.mean(squares) < 2.5
 
 
-def test_a_turn_is_followed_with_its_rate(street, actor):
+def test_a_rotation_is_followed_with_its_rate(street, actor):
     track = track_drive(street([actor(round_a_corner)], sigma=0.05).observe(TIMES))[0]
     assert len(track) == len(TIMES)
     assert track.yaw_rates[-1] == pytest.approx(0.5, abs=0.15)
@@ -56,7 +56,7 @@ def test_a_turn_is_followed_with_its_rate(street, actor):
     assert np.linalg.norm(track.velocities[-1]) == pytest.approx(10.0, abs=0.7)
 
 
-def test_what_stands_still_stands_still_for_a_lidar_that_moves_and_turns(street, actor):
+def test_what_is_stationary_is_stationary_for_a_lidar_that_moves_and_rotates(street, actor):
     seen = street([actor(lambda t: (30.0, 4.0, 0.3))], ego=lambda t: (5.0 * t, 0.0, 0.1 * t)).observe(TIMES)
     track = track_drive(seen)[0]
     assert np.linalg.norm(track.velocities[-1]) < 0.4
@@ -78,19 +78,19 @@ def test_what_is_hidden_for_a_second_is_the_same_object_afterwards(street, actor
     drive = street([actor(straight(5.0, y=2.0), unseen=(1.5, 2.5))])
     tracks = track_drive(drive.observe(TIMES))
     assert len(tracks) == 1
-    told = set(tracks[0].timestamps_ns.tolist())
-    assert round(2.4e9) not in told  # nothing has been seen of it for long
-    assert round(2.6e9) in told
+    reported = set(tracks[0].timestamps_ns.tolist())
+    assert round(2.4e9) not in reported  # nothing has been seen of it for long
+    assert round(2.6e9) in reported
 
 
-def test_what_the_picture_alone_shows_goes_on_with_a_box_in_the_picture(street, actor):
-    drive = street([actor(straight(5.0, y=2.0), only_in_picture=(1.5, 3.0))])
+def test_what_the_image_alone_shows_goes_on_with_a_box_in_the_image(street, actor):
+    drive = street([actor(straight(5.0, y=2.0), only_in_image=(1.5, 3.0))])
     tracks = track_drive(drive.observe(TIMES))
     assert len(tracks) == 1
     track = tracks[0]
     assert len(track) == len(TIMES)
     middle = track.timestamps_ns == round(2.5e9)
-    assert track.supports[middle] == Support.PICTURE
+    assert track.supports[middle] == Support.IMAGE
     truth = street([actor(straight(5.0, y=2.0))]).observe([2.5])[0].fused["front"].corners_xyxy[0]
     # the detector's boxes are the truth here, and the filter adds little
     assert np.abs(track.corners_xyxy["front"][middle][0] - truth).max() < 3.0
@@ -99,19 +99,19 @@ def test_what_the_picture_alone_shows_goes_on_with_a_box_in_the_picture(street, 
 def test_a_single_doubtful_box_is_no_object_and_many_are_one(street, actor):
     seen = street([actor(straight(0.0), score=0.3)]).observe(TIMES[:12])
     tracker = Tracker()
-    told = [len(tracker.step(observation)) for observation in seen]
-    assert told[0] == 0
-    assert told[-1] == 1
+    reported = [len(tracker.step(observation)) for observation in seen]
+    assert reported[0] == 0
+    assert reported[-1] == 1
 
 
-def test_boxes_the_wrong_way_round_do_not_turn_an_object_round(street, actor):
-    drive = street([actor(straight(5.0, y=2.0))], turned=frozenset({8, 9, 21}))
+def test_boxes_the_wrong_way_round_do_not_rotate_an_object_round(street, actor):
+    drive = street([actor(straight(5.0, y=2.0))], rotated=frozenset({8, 9, 21}))
     track = track_drive(drive.observe(TIMES))[0]
     assert np.abs(track.yaws).max() < 0.2
 
 
-def test_an_object_that_was_born_the_wrong_way_round_turns_as_it_drives(street, actor):
-    drive = street([actor(straight(5.0, y=2.0))], turned=frozenset({0, 1}))
+def test_an_object_that_was_born_the_wrong_way_round_rotates_as_it_drives(street, actor):
+    drive = street([actor(straight(5.0, y=2.0))], rotated=frozenset({0, 1}))
     assert abs(track_drive(drive.observe(TIMES))[0].yaws[-1]) < 0.2
 
 
@@ -134,7 +134,7 @@ def test_the_same_drive_gives_the_same_tracks(street, actor):
         assert np.array_equal(a.scores, b.scores)
 
 
-def test_a_box_in_the_picture_may_be_the_outline_of_the_box_in_space(street, actor):
+def test_a_box_in_the_image_may_be_the_outline_of_the_box_in_space(street, actor):
     seen = street([actor(straight(6.0, y=3.0))], sigma=0.01).observe(TIMES)
     wider = []
     for observation in seen:
@@ -142,7 +142,7 @@ def test_a_box_in_the_picture_may_be_the_outline_of_the_box_in_space(street, act
         corners = fused.corners_xyxy + np.array([-10.0, 0.0, 10.0, 0.0])
         wider.append(replace(observation, fused={"front": replace(fused, corners_xyxy=corners)}))
     outlined = np.array([observation.fused["front"].corners_xyxy[0] for observation in seen])
-    projected = track_drive(wider, settings=TrackerSettings(picture_box=PictureBox.PROJECTED))[0]
+    projected = track_drive(wider, settings=TrackerSettings(image_box=ImageBox.PROJECTED))[0]
     detected = track_drive(wider)[0]
     assert np.abs(projected.corners_xyxy["front"] - outlined)[20:].max() < 3.0
     assert np.abs(detected.corners_xyxy["front"] - outlined)[20:, 0].min() > 6.0
@@ -168,7 +168,7 @@ def test_moments_without_boxes_or_cameras_are_moments(street, actor):
     assert track_drive([]).tracks == ()
 
 
-def test_cars_one_behind_the_other_are_two_however_they_overlap_in_the_picture(street, actor):
+def test_cars_one_behind_the_other_are_two_however_they_overlap_in_the_image(street, actor):
     seen = street([actor(straight(0.0, start=12.0)), actor(straight(0.0, start=17.5))]).observe(TIMES[:5])
     assert len(track_drive(seen)) == 2
 
@@ -213,7 +213,7 @@ def test_time_that_goes_back_or_leaps_ends_all_objects(street, actor):
 
 
 @pytest.mark.parametrize("offline", [False, True])
-def test_one_moment_told_twice_counts_as_one_state(street, actor, offline):
+def test_one_moment_reported_twice_counts_as_one_state(street, actor, offline):
     seen = street([actor(straight(2.0))]).observe([0.0, 0.1, 0.1, 0.2])
     assert track_drive(seen, offline=offline)[0].timestamps_ns.tolist() == [0, round(0.1e9), round(0.2e9)]
 
@@ -235,7 +235,7 @@ def test_thousands_of_boxes_of_one_object_are_one_object(street, actor):
         assert len(objects) == 1
 
 
-def test_a_tracker_that_saw_nothing_tells_nothing():
+def test_a_tracker_that_saw_nothing_states_nothing():
     objects = Tracker().step(Observation(5, RigidTransform.identity()))
     assert len(objects) == 0
     assert objects.timestamp_ns == 5

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.properties.planted import planted_scene
+from tests.properties.injected import injected_scene
 
 pytest.importorskip("rerun", reason="rerun-sdk is not installed: pip install 'sceneloom[view]'")
 
@@ -33,7 +33,7 @@ class Saved:
     """A saved view.
 
     Attributes:
-        report: what was told of it.
+        report: what was reported it.
         rows: of each entity, in the order of time; what holds always first.
         timelines: all that there are.
         layout: components of the layout with their values.
@@ -58,7 +58,7 @@ class Saved:
 
 
 def nanoseconds(value: Any) -> int:
-    """A time stamp of either kind."""
+    """A timestamp of either kind."""
     return int(value.value)
 
 
@@ -115,13 +115,13 @@ def save(tmp_path: Path) -> Save:
 
 
 @pytest.fixture(scope="session")
-def planted() -> Scene:
+def injected() -> Scene:
     """A drive with every sensor and every type of annotation."""
-    return planted_scene(odd=False)
+    return injected_scene(odd=False)
 
 
 @pytest.fixture(scope="session")
-def planted_saved(planted: Scene, tmp_path_factory: pytest.TempPathFactory) -> Saved:
+def injected_saved(injected: Scene, tmp_path_factory: pytest.TempPathFactory) -> Saved:
     """That drive as a saved view."""
-    target = tmp_path_factory.mktemp("views") / "planted.rrd"
-    return read_saved(target, save_view([replace(planted, corrections="ignore")], target))
+    target = tmp_path_factory.mktemp("views") / "injected.rrd"
+    return read_saved(target, save_view([replace(injected, corrections="ignore")], target))

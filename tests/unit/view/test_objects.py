@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
-from tests.properties.planted import SHOTS, TIMES
+from tests.properties.injected import SHOTS, TIMES
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
 from sceneloom.formats.depth_images import write_depth_png
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pictures.objects import objects_of_fused
+from sceneloom.images.objects import objects_of_fused
 from sceneloom.pipeline.tracking.lines import track_lines
 from sceneloom.scene import Support, TrackedObjects
 from sceneloom.view.objects import ellipsoid
@@ -36,7 +36,7 @@ def objects(k: int, ids=(4, 9)) -> TrackedObjects:
         yaw_rates=np.zeros(2),
         covariances=covariances,
         scores=np.array([0.9, 0.4]),
-        supports=np.array([Support.BOTH, Support.PICTURE], np.uint8),
+        supports=np.array([Support.BOTH, Support.IMAGE], np.uint8),
         corners_xyxy={"left": np.array([[np.nan] * 4, [10.0, 12.0, 20.0, 30.0]])},
     )
 
@@ -53,55 +53,55 @@ def test_an_ellipsoid_has_the_axes_of_its_covariance():
     random = np.random.default_rng(3)
     matrices = random.normal(size=(20, 3, 3))
     covariances = matrices @ np.swapaxes(matrices, 1, 2)
-    half_sizes, turns = ellipsoid(covariances)
-    axes = Rotation.from_quat(turns).as_matrix()
+    half_sizes, rotations = ellipsoid(covariances)
+    axes = Rotation.from_quat(rotations).as_matrix()
     inside = stats.chi2.ppf(0.95, 3)
     made = axes @ (half_sizes[:, :, None] ** 2 / inside * np.swapaxes(axes, 1, 2))
     assert np.allclose(made, covariances)
 
 
-def test_tracks_are_boxes_with_ellipsoids_in_the_world_and_in_pictures(save, planted, tracks):
-    saved = save(planted, tracks=tracks)
-    rows = saved.timed("/planted/world/tracks/boxes", "Boxes3D:centers")
+def test_tracks_are_boxes_with_ellipsoids_in_the_world_and_in_images(save, injected, tracks):
+    saved = save(injected, tracks=tracks)
+    rows = saved.timed("/injected/world/tracks/boxes", "Boxes3D:centers")
     assert [row.time_ns for row in rows] == TIMES.tolist()
     assert np.allclose(rows[1].array("Boxes3D:centers"), [[11.0, 2.0, 0.5], [5.0, -3.0, 0.9]])
     assert np.allclose(
         Rotation.from_quat(rows[1].array("Boxes3D:quaternions")).as_euler("xyz")[:, 2], [0.3, -1.2]
     )
     assert rows[1].values["Boxes3D:labels"] == ["car 4", "pedestrian 9"]
-    assert rows[1].values["support"] == ["both", "picture"]
-    told = saved.timed("/planted/world/tracks/certainty", "Ellipsoids3D:half_sizes")[0]
-    turn = Rotation.from_quat(told.array("Ellipsoids3D:quaternions")[0]).as_matrix()
-    squares = told.array("Ellipsoids3D:half_sizes")[0] ** 2 / stats.chi2.ppf(0.95, 3)
-    assert np.allclose(turn @ np.diag(squares) @ turn.T, COVARIANCE, atol=1e-6)
-    seen = saved.timed("/planted/world/sensors/left/picture/tracks", "Boxes2D:half_sizes")[0]
+    assert rows[1].values["support"] == ["both", "image"]
+    reported = saved.timed("/injected/world/tracks/certainty", "Ellipsoids3D:half_sizes")[0]
+    rotation = Rotation.from_quat(reported.array("Ellipsoids3D:quaternions")[0]).as_matrix()
+    squares = reported.array("Ellipsoids3D:half_sizes")[0] ** 2 / stats.chi2.ppf(0.95, 3)
+    assert np.allclose(rotation @ np.diag(squares) @ rotation.T, COVARIANCE, atol=1e-6)
+    seen = saved.timed("/injected/world/sensors/left/image/tracks", "Boxes2D:half_sizes")[0]
     assert np.allclose(seen.array("Boxes2D:centers"), [[15.0, 21.0]])
     assert np.allclose(seen.array("Boxes2D:half_sizes"), [[5.0, 9.0]])
 
 
-def test_the_history_of_a_track_is_the_way_that_it_has_come(save, planted, tracks):
-    rows = save(planted, tracks=tracks).timed("/planted/world/tracks/history", "LineStrips3D:strips")
+def test_the_history_of_a_track_is_the_trajectory_that_it_has_come(save, injected, tracks):
+    rows = save(injected, tracks=tracks).timed("/injected/world/tracks/history", "LineStrips3D:strips")
     strips = rows[2].values["LineStrips3D:strips"]
     assert np.allclose(strips[0], [[10.0, 2.0, 0.5], [11.0, 2.0, 0.5], [12.0, 2.0, 0.5]])
 
 
-def test_fused_detections_are_shown_where_the_lidar_was(save, planted, tmp_path, monkeypatch):
+def test_fused_detections_are_shown_where_the_lidar_was(save, injected, tmp_path, monkeypatch):
     from sceneloom.view import drive
 
     lidar = RigidTransform(Rotation.from_euler("z", 0.5).as_matrix(), np.array([3.0, 1.0, 0.0]))
     fused = fused_boxes()
     shown = objects_of_fused(fused, "left", world_from_lidar=lidar)
     monkeypatch.setattr(drive, "read_detections", lambda path: (shown,))
-    saved = save(planted, detections=tmp_path / "any")
-    row = saved.timed("/planted/world/detections/left/boxes", "Boxes3D:centers")[0]
+    saved = save(injected, detections=tmp_path / "any")
+    row = saved.timed("/injected/world/detections/left/boxes", "Boxes3D:centers")[0]
     assert np.allclose(
         row.array("Boxes3D:centers")[0], lidar.apply(np.array([[8.0, 0.0, 0.0]]))[0], atol=1e-6
     )
-    told = saved.timed("/planted/world/detections/left/certainty", "Ellipsoids3D:half_sizes")[0]
-    turn = Rotation.from_quat(told.array("Ellipsoids3D:quaternions")[0]).as_matrix()
-    squares = told.array("Ellipsoids3D:half_sizes")[0] ** 2 / stats.chi2.ppf(0.95, 3)
+    reported = saved.timed("/injected/world/detections/left/certainty", "Ellipsoids3D:half_sizes")[0]
+    rotation = Rotation.from_quat(reported.array("Ellipsoids3D:quaternions")[0]).as_matrix()
+    squares = reported.array("Ellipsoids3D:half_sizes")[0] ** 2 / stats.chi2.ppf(0.95, 3)
     expected = lidar.rotation @ COVARIANCE @ lidar.rotation.T
-    assert np.allclose(turn @ np.diag(squares) @ turn.T, expected, atol=1e-6)
+    assert np.allclose(rotation @ np.diag(squares) @ rotation.T, expected, atol=1e-6)
 
 
 def fused_boxes():
@@ -125,33 +125,33 @@ def fused_boxes():
 
 
 @pytest.mark.parametrize(
-    ("option", "text", "told"),
+    ("option", "text", "reported"),
     [
         ("tracks", b'{"timestamp_ns": 1, "objects": [{}]}\n', "line 1"),
         ("tracks", b"\xff\xfe\n", "line 1"),
         ("detections", b'{"something": "else"}\n', "fuse --type detection"),
     ],
 )
-def test_a_file_of_another_kind_is_told(save, planted, tmp_path, option, text, told):
+def test_a_file_of_another_kind_is_reported(save, injected, tmp_path, option, text, reported):
     file = tmp_path / "other.jsonl"
     file.write_bytes(text)
-    with pytest.raises(DataError, match=told):
-        save(planted, **{option: file})
+    with pytest.raises(DataError, match=reported):
+        save(injected, **{option: file})
 
 
-def test_fused_depths_lie_over_their_pictures(save, planted, tmp_path):
-    lens = Camera("pinhole", 64, 48, 50.0, 51.0, 31.0, 24.0)
-    camera = replace(planted.cameras[0], camera=lens)
+def test_fused_depths_lie_over_their_images(save, injected, tmp_path):
+    camera_model = Camera("pinhole", 64, 48, 50.0, 51.0, 31.0, 24.0)
+    camera = replace(injected.cameras[0], camera=camera_model)
     depths = (np.arange(48 * 64, dtype=np.float32).reshape(48, 64) % 700) / 16
     folder = tmp_path / "depth"
     folder.mkdir()
     write_depth_png(depths, folder / "000001.png")
     line = {"file": "000001.png", "lidar": "top", "sweep_ns": int(TIMES[1]), "camera": "left"}
-    (folder / "index.jsonl").write_text(json.dumps({**line, "picture_ns": int(SHOTS[1])}) + "\n")
-    saved = save(replace(planted, sensors=(camera,), annotations=()), depth=folder)
-    row = saved.timed("/planted/world/sensors/left/picture/depth", "DepthImage:buffer")[0]
+    (folder / "index.jsonl").write_text(json.dumps({**line, "image_ns": int(SHOTS[1])}) + "\n")
+    saved = save(replace(injected, sensors=(camera,), annotations=()), depth=folder)
+    row = saved.timed("/injected/world/sensors/left/image/depth", "DepthImage:buffer")[0]
     steps = np.frombuffer(bytes(row.values["DepthImage:buffer"][0]), np.uint16).reshape(48, 64)
     assert row.time_ns == SHOTS[1]
     assert np.array_equal(steps / 256, depths)
     with pytest.raises(DataError, match=r"index\.jsonl"):
-        save(planted, depth=tmp_path)
+        save(injected, depth=tmp_path)

@@ -8,16 +8,25 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
-from tests.properties.planted import LENS, POINTS, RANDOM_POINTS, SHOTS, TIMES, WAY_TIMES, ego_at, jpeg
+from tests.properties.injected import (
+    CAMERA_MODEL,
+    POINTS,
+    RANDOM_POINTS,
+    SHOTS,
+    TIMES,
+    TRAJECTORY_TIMES,
+    ego_at,
+    jpeg,
+)
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError, OutputError
-from sceneloom.scene import CameraSensor, LazyFrames, Picture, PosePath, Scene, Trajectory
+from sceneloom.scene import CameraImage, CameraSensor, LazyFrames, Poses, Scene, Trajectory
 from sceneloom.view import ColourBy, ViewSettings, save_view
 
-SENSORS = "/planted/world/sensors"
+SENSORS = "/injected/world/sensors"
 SINGLE = 1e-5
-"""Places near the origin are float32 in the viewer: 24 bits of 30 m are 2 µm."""
+"""Locations near the origin are float32 in the viewer: 24 bits of 30 m are 2 µm."""
 
 
 def reference_ns(k: int) -> int:
@@ -25,93 +34,98 @@ def reference_ns(k: int) -> int:
     return int(TIMES[k] + (POINTS // 2) * 1_000_001)
 
 
-def turned(row) -> Rotation:
+def rotated(row) -> Rotation:
     return Rotation.from_quat(row.values["Transform3D:quaternion"][0])
 
 
 def pinhole_of(saved) -> np.ndarray:
     """The calibration matrix that the left camera is shown by."""
-    row = saved.timed(f"{SENSORS}/left/picture", "Pinhole:image_from_camera")[0]
+    row = saved.timed(f"{SENSORS}/left/image", "Pinhole:image_from_camera")[0]
     return row.array("Pinhole:image_from_camera").reshape(3, 3).T  # column by column in the file
 
 
-def test_everything_that_the_drive_holds_has_its_entity(planted_saved):
+def test_everything_that_the_drive_holds_has_its_entity(injected_saved):
     expected = {
-        f"{SENSORS}/top/points", f"{SENSORS}/top/points/labelled", f"{SENSORS}/left/picture",
-        f"{SENSORS}/right/picture", f"{SENSORS}/depth/picture", f"{SENSORS}/radar_front/points",
-        f"{SENSORS}/radar_front/velocities", f"{SENSORS}/left/calibrated", f"{SENSORS}/left/picture/boxes/light",
-        f"{SENSORS}/left/picture/projections/car", f"{SENSORS}/left/picture/points",
-        f"{SENSORS}/left/picture/polygon_2d/sign", "/planted/world/ego", "/planted/world/ways/vio",
-        "/planted/world/ways/gnss_ins", "/planted/world/clouds/map", r"/planted/world/corrected\ ways/adjust-1",
-        "/planted/world/annotations/cuboids/car", "/planted/world/annotations/links/drives",
-        "/planted/world/annotations/points/points", "/planted/world/annotations/polyline/lane",
-        "/planted/imu/imu_box/accelerometer", "/planted/imu/imu_box/imuTemperature", "/planted/gnss/antenna/height",
-        "/planted/earth/antenna/fix", "/planted/earth/antenna/way", "/planted/map/gnss/antenna/way",
-        "/planted/events/event-1", "/planted/relations", "/planted/annotations", "/planted/remarks",
-        r"/planted/attributes/weather\ \(left\)",
+        f"{SENSORS}/top/points", f"{SENSORS}/top/points/labelled", f"{SENSORS}/left/image",
+        f"{SENSORS}/right/image", f"{SENSORS}/depth/image", f"{SENSORS}/radar_front/points",
+        f"{SENSORS}/radar_front/velocities", f"{SENSORS}/left/calibrated", f"{SENSORS}/left/image/boxes/light",
+        f"{SENSORS}/left/image/projections/car", f"{SENSORS}/left/image/points",
+        f"{SENSORS}/left/image/polygon_2d/sign", "/injected/world/ego", "/injected/world/trajectories/vio",
+        "/injected/world/trajectories/gnss_ins", "/injected/world/clouds/map", r"/injected/world/corrected\ "
+                                                                               r"ways/adjust-1",
+        "/injected/world/annotations/cuboids/car", "/injected/world/annotations/links/drives",
+        "/injected/world/annotations/points/points", "/injected/world/annotations/polyline/lane",
+        "/injected/imu/imu_box/accelerometer", "/injected/imu/imu_box/imuTemperature", "/injected/gnss/antenna/height",
+        "/injected/earth/antenna/fix", "/injected/earth/antenna/trajectory", "/injected/map/gnss/antenna/trajectory",
+        "/injected/events/event-1", "/injected/relations", "/injected/annotations", "/injected/notes",
+        r"/injected/attributes/weather\ \(left\)",
     }  # fmt: skip
-    assert expected <= set(planted_saved.rows)
+    assert expected <= set(injected_saved.rows)
 
 
-def test_the_only_times_are_capture_times_and_frame_numbers(planted_saved):
-    assert planted_saved.timelines == {"time", "frame"}
-    sweeps = planted_saved.timed(f"{SENSORS}/top/points", "Points3D:positions")
+def test_the_only_times_are_capture_times_and_frame_numbers(injected_saved):
+    assert injected_saved.timelines == {"time", "frame"}
+    sweeps = injected_saved.timed(f"{SENSORS}/top/points", "Points3D:positions")
     assert [(row.time_ns, row.frame) for row in sweeps] == [(reference_ns(k), k) for k in range(3)]
-    pictures = planted_saved.timed(f"{SENSORS}/left/picture", "EncodedImage:blob")
-    assert [(row.time_ns, row.frame) for row in pictures] == [(int(SHOTS[k]), k) for k in range(3)]
+    images = injected_saved.timed(f"{SENSORS}/left/image", "EncodedImage:blob")
+    assert [(row.time_ns, row.frame) for row in images] == [(int(SHOTS[k]), k) for k in range(3)]
 
 
-def test_a_lidar_is_where_the_ego_carried_it(planted_saved):
-    for k, row in enumerate(planted_saved.timed(f"{SENSORS}/top", "Transform3D:translation")):
-        places, turns = ego_at(np.array([reference_ns(k)]))
-        where = places[0] + turns[0].apply([1.0, 0.0, 1.8])
+def test_a_lidar_is_where_the_ego_carried_it(injected_saved):
+    for k, row in enumerate(injected_saved.timed(f"{SENSORS}/top", "Transform3D:translation")):
+        locations, rotations = ego_at(np.array([reference_ns(k)]))
+        where = locations[0] + rotations[0].apply([1.0, 0.0, 1.8])
         assert np.allclose(row.array("Transform3D:translation")[0], where, atol=SINGLE)
-        assert (turned(row).inv() * turns[0]).magnitude() < SINGLE
+        assert (rotated(row).inv() * rotations[0]).magnitude() < SINGLE
 
 
-def test_the_points_of_a_sweep_are_where_the_moving_lidar_met_them(planted_saved):
-    shown = planted_saved.timed(f"{SENSORS}/top/points", "Points3D:positions")[1]
-    pose = planted_saved.timed(f"{SENSORS}/top", "Transform3D:translation")[1]
-    world = turned(pose).apply(shown.array("Points3D:positions")) + pose.array("Transform3D:translation")[0]
+def test_the_points_of_a_sweep_are_where_the_moving_lidar_met_them(injected_saved):
+    shown = injected_saved.timed(f"{SENSORS}/top/points", "Points3D:positions")[1]
+    pose = injected_saved.timed(f"{SENSORS}/top", "Transform3D:translation")[1]
+    world = rotated(pose).apply(shown.array("Points3D:positions")) + pose.array("Transform3D:translation")[0]
     times = TIMES[1] + np.arange(POINTS) * 1_000_001
-    places, turns = ego_at(times)
-    expected = places + turns.apply(RANDOM_POINTS[1] + [1.0, 0.0, 1.8])
+    locations, rotations = ego_at(times)
+    expected = locations + rotations.apply(RANDOM_POINTS[1] + [1.0, 0.0, 1.8])
     assert np.allclose(world, expected, atol=1e-4)  # float32 twice, at 40 m
 
 
-def test_points_as_measured_are_those_of_the_file(save, planted):
-    saved = save(planted, as_measured=True)
+def test_points_as_measured_are_those_of_the_file(save, injected):
+    saved = save(injected, as_measured=True)
     shown = saved.timed(f"{SENSORS}/top/points", "Points3D:positions")[2]
     assert np.array_equal(shown.array("Points3D:positions").astype(np.float32), RANDOM_POINTS[2])
 
 
-def test_points_that_ride_on_the_ego_or_lie_in_the_world_are_the_same_places(save, planted, planted_saved):
-    from tests.properties.planted import planted_scene
+def test_points_that_ride_on_the_ego_or_lie_in_the_world_are_the_same_locations(
+    save, injected, injected_saved
+):
+    from tests.properties.injected import injected_scene
 
-    riding = planted_scene(odd=True)
-    path = "/planted/world/clouds/top"
-    shown = save(replace(riding, corrections="ignore")).timed(path, "Points3D:positions")[1]
-    world = turned(shown).apply(shown.array("Points3D:positions")) + shown.array("Transform3D:translation")[0]
-    places, turns = ego_at(TIMES[1] + np.arange(POINTS) * 1_000_001)
-    assert np.allclose(world, places + turns.apply(RANDOM_POINTS[1]), atol=1e-4)
+    rider_association = injected_scene(odd=True)
+    path = "/injected/world/clouds/top"
+    shown = save(replace(rider_association, corrections="ignore")).timed(path, "Points3D:positions")[1]
+    world = (
+        rotated(shown).apply(shown.array("Points3D:positions")) + shown.array("Transform3D:translation")[0]
+    )
+    locations, rotations = ego_at(TIMES[1] + np.arange(POINTS) * 1_000_001)
+    assert np.allclose(world, locations + rotations.apply(RANDOM_POINTS[1]), atol=1e-4)
 
 
-@pytest.mark.parametrize("way", list(ColourBy))
-def test_every_way_of_colouring_tells_points_apart(save, planted, way):
-    saved = save(planted, colour_by=way, sensors=("top",))
-    assert saved.report.drives[0].colours == {"top": way.value}
+@pytest.mark.parametrize("trajectory", list(ColourBy))
+def test_every_way_of_colouring_reports_points_apart(save, injected, trajectory):
+    saved = save(injected, colour_by=trajectory, sensors=("top",))
+    assert saved.report.drives[0].colours == {"top": trajectory.value}
     colours = saved.timed(f"{SENSORS}/top/points", "Points3D:colors")[0].array("Points3D:colors")
     assert len(np.unique(colours)) >= 4
 
 
-def test_own_colours_are_the_points_colours(planted_saved):
-    colours = planted_saved.timed(f"{SENSORS}/top/points", "Points3D:colors")[1].array("Points3D:colors")
+def test_own_colours_are_the_points_colours(injected_saved):
+    colours = injected_saved.timed(f"{SENSORS}/top/points", "Points3D:colors")[1].array("Points3D:colors")
     rgb = (np.arange(POINTS * 3) + 1).astype(np.uint8).reshape(POINTS, 3).astype(np.uint32)
     assert np.array_equal(colours, rgb[:, 0] << 24 | rgb[:, 1] << 16 | rgb[:, 2] << 8 | 255)
 
 
-def test_a_radar_return_has_an_arrow_as_long_as_its_way_in_a_second(planted_saved):
-    arrows = planted_saved.timed(f"{SENSORS}/radar_front/velocities", "Arrows3D:vectors")[0]
+def test_a_radar_return_has_an_arrow_as_long_as_its_way_in_a_second(injected_saved):
+    arrows = injected_saved.timed(f"{SENSORS}/radar_front/velocities", "Arrows3D:vectors")[0]
     points = RANDOM_POINTS[0][:5].astype(np.float64)
     directions = points / np.linalg.norm(points, axis=1, keepdims=True)
     assert np.allclose(
@@ -120,19 +134,19 @@ def test_a_radar_return_has_an_arrow_as_long_as_its_way_in_a_second(planted_save
     assert np.allclose(arrows.array("Arrows3D:origins"), points, atol=SINGLE)
 
 
-def with_camera(scene: Scene, lens: Camera, pictures: list[Picture]) -> Scene:
+def with_camera(scene: Scene, camera_model: Camera, images: list[CameraImage]) -> Scene:
     """The drive with one camera alone."""
     camera = next(sensor for sensor in scene.cameras if sensor.id == "left")
-    frames = LazyFrames.of(pictures, [picture.timestamp_ns for picture in pictures])
-    alone = replace(camera, camera=lens, pictures=frames, video=None)
+    frames = LazyFrames.of(images, [image.timestamp_ns for image in images])
+    alone = replace(camera, camera=camera_model, images=frames, video=None)
     return replace(scene, sensors=(alone,), annotations=())
 
 
-def test_pictures_of_a_pinhole_are_its_own_files(save, planted):
-    lens = Camera("pinhole", 64, 48, 50.0, 51.0, 31.0, 24.0)
-    pictures = [replace(picture, camera=lens) for picture in planted.cameras[0].pictures]
-    saved = save(with_camera(planted, lens, pictures))
-    shown = saved.timed(f"{SENSORS}/left/picture", "EncodedImage:blob")
+def test_images_of_a_pinhole_are_its_own_files(save, injected):
+    camera_model = Camera("pinhole", 64, 48, 50.0, 51.0, 31.0, 24.0)
+    images = [replace(image, camera=camera_model) for image in injected.cameras[0].images]
+    saved = save(with_camera(injected, camera_model, images))
+    shown = saved.timed(f"{SENSORS}/left/image", "EncodedImage:blob")
     assert [bytes(row.values["EncodedImage:blob"][0]) for row in shown] == [jpeg(k) for k in range(3)]
     matrix = pinhole_of(saved)
     assert np.allclose(
@@ -140,15 +154,19 @@ def test_pictures_of_a_pinhole_are_its_own_files(save, planted):
     )  # counted from the corner
 
 
-def test_what_a_bent_lens_shows_is_where_the_shown_pinhole_has_it(save, planted):
-    lens = Camera("brown_conrady", 400, 300, 250.0, 250.0, 199.5, 149.5, (-0.3, 0.1, 0.002, -0.001, 0.0))
+def test_what_a_bent_camera_model_shows_is_where_the_shown_pinhole_has_it(save, injected):
+    camera_model = Camera(
+        "brown_conrady", 400, 300, 250.0, 250.0, 199.5, 149.5, (-0.3, 0.1, 0.002, -0.001, 0.0)
+    )
     marks = np.array([[-0.5, -0.35, 1.0], [0.45, -0.3, 1.0], [0.1, 0.2, 1.0], [-0.4, 0.3, 1.0]])
-    pixels, _ = cv2.projectPoints(marks, np.zeros(3), np.zeros(3), lens.matrix, np.array(lens.coefficients))
+    pixels, _ = cv2.projectPoints(
+        marks, np.zeros(3), np.zeros(3), camera_model.matrix, np.array(camera_model.coefficients)
+    )
     rgb = np.zeros((300, 400, 3), np.uint8)
     for u, v in np.rint(pixels.reshape(-1, 2)).astype(int):
         rgb[v - 2 : v + 3, u - 2 : u + 3] = 255
-    saved = save(with_camera(planted, lens, [Picture.of(int(SHOTS[0]), lens, rgb)]))
-    rows = saved.rows[f"{SENSORS}/left/picture"]
+    saved = save(with_camera(injected, camera_model, [CameraImage.of(int(SHOTS[0]), camera_model, rgb)]))
+    rows = saved.rows[f"{SENSORS}/left/image"]
     matrix = pinhole_of(saved)
     content = bytes(next(r.values["EncodedImage:blob"][0] for r in rows if "EncodedImage:blob" in r.values))
     shown = np.asarray(Image.open(io.BytesIO(content)).convert("L"), np.float64)
@@ -156,24 +174,26 @@ def test_what_a_bent_lens_shows_is_where_the_shown_pinhole_has_it(save, planted)
     assert count == 1 + len(marks)
     expected = (marks @ matrix.T)[:, :2] - 0.5
     for (
-        place
-    ) in expected:  # marks of five pixels around a rounded place, resampled and encoded: a pixel at most
-        assert np.linalg.norm(centres[1:] - place, axis=1).min() < 1.0
+        location
+    ) in expected:  # marks of five pixels around a rounded location, resampled and encoded: a pixel at most
+        assert np.linalg.norm(centres[1:] - location, axis=1).min() < 1.0
 
 
-def test_what_is_drawn_into_a_bent_picture_follows_it(planted_saved):
-    matrix = pinhole_of(planted_saved)
-    points = planted_saved.timed(f"{SENSORS}/left/picture/points", "Points2D:positions")[0]
+def test_what_is_drawn_into_a_bent_image_follows_it(injected_saved):
+    matrix = pinhole_of(injected_saved)
+    points = injected_saved.timed(f"{SENSORS}/left/image/points", "Points2D:positions")[0]
     drawn = np.array([[10.0, 20.0], [11.0, 20.0]]) - 0.5
-    straight = cv2.undistortPoints(drawn[:, None], LENS.matrix, np.array(LENS.coefficients)).reshape(-1, 2)
+    straight = cv2.undistortPoints(
+        drawn[:, None], CAMERA_MODEL.matrix, np.array(CAMERA_MODEL.coefficients)
+    ).reshape(-1, 2)
     expected = (np.column_stack([straight, np.ones(2)]) @ matrix.T)[:, :2]
     assert np.allclose(
         points.array("Points2D:positions"), expected, atol=2e-3
     )  # OpenCV iterates to 1e-3 of a pixel
 
 
-def test_depths_are_steps_of_a_256th_of_a_metre_and_none_is_made_up(planted_saved):
-    row = planted_saved.timed(f"{SENSORS}/depth/picture", "DepthImage:buffer")[1]
+def test_depths_are_steps_of_a_256th_of_a_metre_and_none_is_made_up(injected_saved):
+    row = injected_saved.timed(f"{SENSORS}/depth/image", "DepthImage:buffer")[1]
     steps = np.frombuffer(bytes(row.values["DepthImage:buffer"][0]), np.uint16)
     assert row.values["DepthImage:meter"] == [256.0]
     measured = np.rint((np.arange(48 * 64) % 500 + 1) * 0.001 * 256)
@@ -181,16 +201,16 @@ def test_depths_are_steps_of_a_256th_of_a_metre_and_none_is_made_up(planted_save
     assert len(np.unique(steps)) > 50
 
 
-def test_a_cuboid_is_at_each_moment_where_its_path_leads(planted_saved):
-    rows = planted_saved.timed("/planted/world/annotations/cuboids/car", "Boxes3D:centers")
+def test_a_cuboid_is_at_each_moment_where_its_path_leads(injected_saved):
+    rows = injected_saved.timed("/injected/world/annotations/cuboids/car", "Boxes3D:centers")
     moments = {row.time_ns: row for row in rows if row.values["Boxes3D:centers"]}
     assert set(map(int, TIMES)) <= set(moments)
     middle = moments[reference_ns(1)]
     share = (reference_ns(1) - TIMES[1]) / 1e8
     assert np.allclose(middle.array("Boxes3D:centers"), [[11.0 + share, 1.0, 0.75]], atol=SINGLE)
     assert np.allclose(middle.array("Boxes3D:half_sizes"), [[2.0, 1.0, 0.75]])
-    turn = Rotation.from_quat(middle.array("Boxes3D:quaternions")[0]).as_euler("xyz", degrees=True)
-    assert np.allclose(turn, [0.0, 0.0, 5.0 + 5.0 * share], atol=1e-3)
+    rotation = Rotation.from_quat(middle.array("Boxes3D:quaternions")[0]).as_euler("xyz", degrees=True)
+    assert np.allclose(rotation, [0.0, 0.0, 5.0 + 5.0 * share], atol=1e-3)
     assert middle.values["attributes"] == ["speed fast"]
     assert (middle.values["parent"], middle.values["links"]) == (["group-1"], ["drives: points person-1"])
     assert moments[int(TIMES[1])].values["seen_by"] == ["top"]
@@ -199,66 +219,66 @@ def test_a_cuboid_is_at_each_moment_where_its_path_leads(planted_saved):
     assert all(row.values["Boxes3D:centers"] == [] for row in late)
 
 
-def test_a_moving_cuboid_trails_the_way_that_it_has_come(planted_saved):
-    rows = planted_saved.timed("/planted/world/annotations/cuboids/car/trails", "LineStrips3D:strips")
+def test_a_moving_cuboid_trails_the_trajectory_that_it_has_come(injected_saved):
+    rows = injected_saved.timed("/injected/world/annotations/cuboids/car/trails", "LineStrips3D:strips")
     trail = next(row for row in rows if row.time_ns == TIMES[2]).array("LineStrips3D:strips")[0]
     assert np.allclose(trail, [[10.0 + k, 1.0, 0.75] for k in range(3)], atol=SINGLE)
 
 
-def test_a_link_leads_from_one_end_to_the_other(planted_saved):
-    rows = planted_saved.timed("/planted/world/annotations/links/drives", "Arrows3D:vectors")
+def test_a_link_leads_from_one_end_to_the_other(injected_saved):
+    rows = injected_saved.timed("/injected/world/annotations/links/drives", "Arrows3D:vectors")
     first = next(row for row in rows if row.time_ns == TIMES[0])
     assert np.allclose(first.array("Arrows3D:origins"), [[10.0, 1.0, 0.75]])
     assert np.allclose(first.array("Arrows3D:vectors"), [[-5.0, 0.0, -0.75]])
 
 
-def test_labelled_points_lie_on_their_cloud_and_have_their_class(planted_saved):
-    row = planted_saved.timed(f"{SENSORS}/top/points/labelled", "Points3D:positions")[0]
-    cloud = planted_saved.timed(f"{SENSORS}/top/points", "Points3D:positions")[1].array("Points3D:positions")
+def test_labelled_points_lie_on_their_cloud_and_have_their_class(injected_saved):
+    row = injected_saved.timed(f"{SENSORS}/top/points/labelled", "Points3D:positions")[0]
+    cloud = injected_saved.timed(f"{SENSORS}/top/points", "Points3D:positions")[1].array("Points3D:positions")
     assert row.time_ns == reference_ns(1)
     assert np.allclose(row.array("Points3D:positions"), cloud[[1, 3, 5]])
-    context = planted_saved.lasting("/planted", "AnnotationContext:context")[0]
+    context = injected_saved.lasting("/injected", "AnnotationContext:context")[0]
     names = {one["class_id"]: one["class_description"]["info"]["label"] for one in context}
     assert [names[one] for one in row.values["Points3D:class_ids"]] == ["tree-1"] * 3
 
 
-def test_an_adjustment_leads_from_the_given_way_to_the_corrected_one(planted_saved):
+def test_an_adjustment_leads_from_the_given_way_to_the_corrected_one(injected_saved):
     strip = np.array(
-        planted_saved.lasting(r"/planted/world/corrected\ ways/adjust-1", "LineStrips3D:strips")[0]
+        injected_saved.lasting(r"/injected/world/corrected\ ways/adjust-1", "LineStrips3D:strips")[0]
     )
-    places, turns = ego_at(WAY_TIMES)
-    assert np.allclose(strip, turns.apply(places) + places + 0.01, atol=SINGLE)
+    locations, rotations = ego_at(TRAJECTORY_TIMES)
+    assert np.allclose(strip, rotations.apply(locations) + locations + 0.01, atol=SINGLE)
 
 
-def test_an_event_begins_and_ends_and_its_words_are_in_the_log(planted_saved):
-    rows = planted_saved.timed("/planted/events/event-1", "StateChange:state")
-    told = [(row.time_ns, row.values["StateChange:state"]) for row in rows]
-    assert told == [(TIMES[1], ["braking"]), (TIMES[1] + 30_000_000, [""])]
+def test_an_event_begins_and_ends_and_its_words_are_in_the_log(injected_saved):
+    rows = injected_saved.timed("/injected/events/event-1", "StateChange:state")
+    reported = [(row.time_ns, row.values["StateChange:state"]) for row in rows]
+    assert reported == [(TIMES[1], ["braking"]), (TIMES[1] + 30_000_000, [""])]
     assert "state fast" in rows[0].values["TextLog:text"][0]
 
 
-def test_relations_are_a_graph_and_all_annotations_are_listed(planted_saved):
-    edges = planted_saved.lasting("/planted/relations", "GraphEdges:edges")
+def test_relations_are_a_graph_and_all_annotations_are_listed(injected_saved):
+    edges = injected_saved.lasting("/injected/relations", "GraphEdges:edges")
     pairs = {(edge["first"], edge["second"]) for edge in edges}
     assert {("group-1", "car-1"), ("object-1", "group-1"), ("car-1", "person-1")} <= pairs
-    table = planted_saved.lasting("/planted/annotations", "TextDocument:text")[0]
+    table = injected_saved.lasting("/injected/annotations", "TextDocument:text")[0]
     for name in ("car-1", "sign-1", "person-1", "tree-1", "adjust-1", "calib-1", "odd-1", "colour"):
         assert name in table or name == "colour"
 
 
-def test_fixes_are_degrees_on_earth_and_curves(planted_saved):
-    fixes = planted_saved.timed("/planted/earth/antenna/fix", "GeoPoints:positions")
+def test_fixes_are_degrees_on_earth_and_curves(injected_saved):
+    fixes = injected_saved.timed("/injected/earth/antenna/fix", "GeoPoints:positions")
     assert [row.values["GeoPoints:positions"] for row in fixes][2] == [[48.1001, 11.5001]]
-    heights = planted_saved.timed("/planted/gnss/antenna/height", "Scalars:scalars")
+    heights = injected_saved.timed("/injected/gnss/antenna/height", "Scalars:scalars")
     assert [row.values["Scalars:scalars"] for row in heights] == [[520.5]] * 3
-    inertial = planted_saved.timed("/planted/imu/imu_box/accelerometer", "Scalars:scalars")
+    inertial = injected_saved.timed("/injected/imu/imu_box/accelerometer", "Scalars:scalars")
     assert np.allclose(
         [row.values["Scalars:scalars"] for row in inertial], np.linspace(9, 10, 9).reshape(3, 3)
     )
 
 
-def test_findings_and_notices_are_in_the_log_the_worst_first(planted_saved):
-    rows = planted_saved.timed("/planted/remarks", "TextLog:text")
+def test_findings_and_warnings_are_in_the_log_the_worst_first(injected_saved):
+    rows = injected_saved.timed("/injected/notes", "TextLog:text")
     levels = [row.values["TextLog:level"][0] for row in rows]
     assert levels[0] == "ERROR"
     texts = " ".join(row.values["TextLog:text"][0] for row in rows)
@@ -266,102 +286,104 @@ def test_findings_and_notices_are_in_the_log_the_worst_first(planted_saved):
         assert word in texts
 
 
-def test_no_map_is_fetched_unless_it_is_asked_for(save, planted):
+def test_no_map_is_fetched_unless_it_is_asked_for(save, injected):
     def kinds(saved):
         return {v[0] for name, v in saved.layout if name == "ViewBlueprint:class_identifier" and v}
 
-    assert "Map" not in kinds(save(planted))
-    assert "Map" in kinds(save(planted, map_tiles=True))
+    assert "Map" not in kinds(save(injected))
+    assert "Map" in kinds(save(injected, map_tiles=True))
 
 
-def test_every_camera_has_a_view_and_the_layout_is_not_guessed(planted_saved):
+def test_every_camera_has_a_view_and_the_layout_is_not_guessed(injected_saved):
     names = [
-        value[0] for name, value in planted_saved.layout if name == "ViewBlueprint:display_name" and value
+        value[0] for name, value in injected_saved.layout if name == "ViewBlueprint:display_name" and value
     ]
     assert {"left", "right", "depth", "world", "from afar", "log", "events", "accelerometer"} <= set(names)
-    assert ("ViewportBlueprint:auto_views", [False]) in planted_saved.layout
+    assert ("ViewportBlueprint:auto_views", [False]) in injected_saved.layout
 
 
-def test_a_drive_is_cut_in_time_in_number_and_by_sensor(save, planted):
-    thin = save(planted, every=2).report.drives[0].logged
-    assert (thin["sweeps"], thin["pictures"]) == (2, 4)
-    late = save(planted, start=0.09)
+def test_a_drive_is_cut_in_time_in_number_and_by_sensor(save, injected):
+    thin = save(injected, every=2).report.drives[0].logged
+    assert (thin["sweeps"], thin["images"]) == (2, 4)
+    late = save(injected, start=0.09)
     sweeps = late.timed(f"{SENSORS}/top/points", "Points3D:positions")
     assert [(row.time_ns, row.frame) for row in sweeps] == [(reference_ns(k), k) for k in (1, 2)]
-    alone = save(planted, sensors=("left",))
-    assert alone.report.drives[0].logged["pictures"] == 3
+    alone = save(injected, sensors=("left",))
+    assert alone.report.drives[0].logged["images"] == 3
     assert "sweeps" not in alone.report.drives[0].logged
     with pytest.raises(OptionError, match="nobody"):
-        save(planted, sensors=("nobody",))
+        save(injected, sensors=("nobody",))
 
 
-def test_several_drives_have_roots_of_their_own(save, planted):
-    saved = save(planted, planted)
-    assert [drive.root for drive in saved.report.drives] == ["/planted", r"/planted\ \(2\)"]
-    assert {f"{root}/world/ego" for root in ("/planted", r"/planted\ \(2\)")} <= set(saved.rows)
+def test_several_drives_have_roots_of_their_own(save, injected):
+    saved = save(injected, injected)
+    assert [drive.root for drive in saved.report.drives] == ["/injected", r"/injected\ \(2\)"]
+    assert {f"{root}/world/ego" for root in ("/injected", r"/injected\ \(2\)")} <= set(saved.rows)
     with pytest.raises(OptionError, match="one drive"):
         ViewSettings(detections="f.jsonl")  # the settings alone are fine
-        save(planted, planted, tracks="t.jsonl")
+        save(injected, injected, tracks="t.jsonl")
 
 
-def test_a_world_far_away_is_shown_from_a_place_near_the_drive(save, planted):
+def test_a_world_far_away_is_shown_from_a_location_near_the_drive(save, injected):
     far = np.array([691_234.5, 5_334_567.25, 500.0])
-    way = planted.trajectories["vio"]
-    moved = Trajectory("vio", way.timestamps_ns, way.positions + far, way.quaternions_xyzw)
-    lidar = planted.lidars[0]
-    own = PosePath(lidar.poses.timestamps_ns, lidar.poses.positions + far, lidar.poses.quaternions_xyzw)
+    trajectory = injected.trajectories["vio"]
+    moved = Trajectory(
+        "vio", trajectory.timestamps_ns, trajectory.positions + far, trajectory.quaternions_xyzw
+    )
+    lidar = injected.lidars[0]
+    own = Poses(lidar.poses.timestamps_ns, lidar.poses.positions + far, lidar.poses.quaternions_xyzw)
     scene = replace(
-        planted, sensors=(replace(lidar, poses=own),), annotations=(), trajectories={"vio": moved}
+        injected, sensors=(replace(lidar, poses=own),), annotations=(), trajectories={"vio": moved}
     )
     saved = save(scene)
     origin = np.array(saved.report.drives[0].origin)
     assert np.abs(far - origin).max() <= 51.0
     assert (origin % 100 == 0).all()
     row = saved.timed(f"{SENSORS}/top", "Transform3D:translation")[0]
-    places, turns = ego_at(np.array([reference_ns(0)]))
-    where = places[0] + turns[0].apply([1.0, 0.0, 1.8]) + far - origin
+    locations, rotations = ego_at(np.array([reference_ns(0)]))
+    where = locations[0] + rotations[0].apply([1.0, 0.0, 1.8]) + far - origin
     assert np.allclose(row.array("Transform3D:translation")[0], where, atol=1e-4)
 
 
-def test_a_drive_without_a_way_is_shown_from_the_ego_and_says_so(save, planted):
-    lidar = replace(planted.lidars[0], poses=None, parent_id=None)
-    saved = save(replace(planted, sensors=(lidar,), annotations=(), trajectories={}))
+def test_a_drive_without_a_trajectory_is_shown_from_the_ego_and_says_so(save, injected):
+    lidar = replace(injected.lidars[0], poses=None, parent_id=None)
+    saved = save(replace(injected, sensors=(lidar,), annotations=(), trajectories={}))
     row = saved.timed(f"{SENSORS}/top", "Transform3D:translation")[0]
     assert np.allclose(row.array("Transform3D:translation"), [[1.0, 0.0, 1.8]])
-    assert "ego-stands-still" in {notice.code for notice in saved.report.drives[0].notices}
+    assert "ego-stands-still" in {warning.code for warning in saved.report.drives[0].warnings}
 
 
-def test_an_interrupted_save_leaves_nothing(planted, tmp_path):
+def test_an_interrupted_save_leaves_nothing(injected, tmp_path):
     def stop(done: int, total: int) -> None:
         if done == 4:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        save_view([planted], tmp_path / "drive.rrd", progress=stop)
+        save_view([injected], tmp_path / "drive.rrd", progress=stop)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_that_is_there_stays_and_another_suffix_is_refused(planted, tmp_path):
+def test_a_file_that_is_there_stays_and_another_suffix_is_refused(injected, tmp_path):
     target = tmp_path / "drive.rrd"
     target.write_bytes(b"mine")
     with pytest.raises(OutputError, match="--overwrite"):
-        save_view([planted], target)
+        save_view([injected], target)
     assert target.read_bytes() == b"mine"
     with pytest.raises(OptionError, match=r"\.rrd"):
-        save_view([planted], tmp_path / "drive.mcap")
+        save_view([injected], tmp_path / "drive.mcap")
 
 
-def test_a_broken_picture_is_an_error_with_its_place_or_passed_over(save, planted):
+def test_a_broken_image_is_an_error_with_its_location_or_passed_over(save, injected):
     from sceneloom.errors import DataError
 
     def torn() -> np.ndarray:
-        raise DataError("drive", "pictures[1]", "is torn")
+        raise DataError("drive", "images[1]", "is torn")
 
-    camera: CameraSensor = planted.cameras[0]
-    pictures = [replace(p, encoded=None, decode=torn) if k == 1 else p for k, p in enumerate(camera.pictures)]
-    scene = with_camera(planted, camera.camera, pictures)
+    camera: CameraSensor = injected.cameras[0]
+    images = [replace(p, encoded=None, decode=torn) if k == 1 else p for k, p in enumerate(camera.images)]
+    scene = with_camera(injected, camera.camera, images)
     with pytest.raises(DataError, match="is torn"):
         save(scene)
     saved = save(scene, reading={"lenient": True})
-    assert saved.report.drives[0].logged["pictures"] == 2
-    assert "is torn" in {notice.message for notice in saved.report.drives[0].notices}
+    assert saved.report.drives[0].logged["images"] == 2
+    assert "is torn" in {warning.message for warning in saved.report.drives[0].warnings}

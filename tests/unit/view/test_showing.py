@@ -1,4 +1,4 @@
-"""The viewer's program and page, kept on this machine; what is said where there is no viewer."""
+"""The viewer's program and page, kept on this machine; what is stated where there is no viewer."""
 
 import http.client
 import json
@@ -27,7 +27,7 @@ class Stub(BaseHTTPRequestHandler):
         self.wfile.write(b"<p>viewer</p>")
 
     def log_message(self, format: str, *arguments: object) -> None:
-        """Say nothing."""
+        """Report nothing."""
 
 
 @pytest.fixture
@@ -58,8 +58,8 @@ def test_the_page_is_passed_on_with_a_policy_and_to_this_machine_only(page_port)
 
 
 def test_the_policy_names_this_machine_alone_unless_tiles_are_asked_for():
-    told = policy(4321, map_tiles=False)
-    hosts = {word for word in told.replace(";", " ").split() if "//" in word}
+    reported = policy(4321, map_tiles=False)
+    hosts = {word for word in reported.replace(";", " ").split() if "//" in word}
     assert hosts == {"http://127.0.0.1:4321"}
     assert "https://tile.openstreetmap.org" in policy(4321, map_tiles=True)
 
@@ -71,8 +71,8 @@ def test_the_viewers_program_sends_no_usage_data_and_writes_to_its_folder_only(t
     given = {"PATH": "/usr/bin:/bin", "HOME": str(home), "XDG_CONFIG_HOME": str(home / "mine")}
     environment = sdk.silent_environment(folder, given)
     words = sdk.viewer_command("analytics", "config")
-    told = subprocess.run(words, env=environment, capture_output=True, text=True, check=True).stdout
-    settings = json.loads(told)
+    reported = subprocess.run(words, env=environment, capture_output=True, text=True, check=True).stdout
+    settings = json.loads(reported)
     assert settings["analytics_enabled"] is False
     assert settings["config_file_path"].startswith(str(folder))
     assert list(home.iterdir()) == []
@@ -90,20 +90,20 @@ def test_the_viewers_program_reaches_this_machine_alone(tmp_path, spelling):
     assert sdk.silent_environment(tmp_path, given, offline=False)["https_proxy"] == "http://proxy.example"
 
 
-def test_without_a_screen_the_other_ways_are_named(planted, monkeypatch):
+def test_without_a_screen_the_other_ways_are_named(injected, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     if not has_screen():
         with pytest.raises(OptionError, match=r"--save FILE\.rrd.*--web"):
-            show_view([planted])
+            show_view([injected])
     assert has_screen({"DISPLAY": ":0"})
 
 
-def test_without_the_extra_the_command_that_installs_it_is_named(planted, tmp_path, monkeypatch):
+def test_without_the_extra_the_command_that_installs_it_is_named(injected, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     sdk.sdk.cache_clear()
     try:
         with pytest.raises(MissingExtraError, match=r"pip install 'sceneloom\[view\]'"):
-            save_view([planted], tmp_path / "drive.rrd")
+            save_view([injected], tmp_path / "drive.rrd")
     finally:
         sdk.sdk.cache_clear()

@@ -19,7 +19,7 @@ from sceneloom.scene import (
     LidarPoints,
     LidarSensor,
     PointsFrame,
-    PosePath,
+    Poses,
     Scene,
     Trajectory,
 )
@@ -33,7 +33,7 @@ ON_FACES = 0.02
 
 @pytest.fixture(scope="module")
 def drive():
-    """A street with traffic, as seen by a lidar that turns while everything moves."""
+    """A street with traffic, as seen by a lidar that rotations while everything moves."""
     return simulate_street(
         3, frames=2, lidar=LidarSpec(beams=32, steps=400), cameras=(), traffic=TrafficSpec()
     )
@@ -56,9 +56,9 @@ def exact_counts(drive, k, instances):
             near = np.linalg.norm(world - center, axis=1) < np.linalg.norm(boxes.sizes_lwh[column])
             if instance in counts and boxes.present[moment, column] and near.any():
                 half = boxes.yaws[moment, column] / 2
-                turn = np.array([0, 0, np.sin(half), np.cos(half)])
+                rotation = np.array([0, 0, np.sin(half), np.cos(half)])
                 counts[instance] += int(
-                    points_in_box(world[near], center, boxes.sizes_lwh[column], turn).sum()
+                    points_in_box(world[near], center, boxes.sizes_lwh[column], rotation).sum()
                 )
     return counts
 
@@ -86,25 +86,29 @@ def a_scene(positions, *, frame=PointsFrame.SENSOR, coordinates_path=None, cuboi
     frames = LazyFrames.of([LidarFrame(t, points) for t in times_ns], times_ns)
     mount = RigidTransform(np.eye(3), np.array([0.0, 0.0, 2.0]))
     lidar = LidarSensor("lidar", frames, mount=mount, points_frame=frame)
-    ways = {} if coordinates_path is None else {"way": coordinates_path}
-    return Scene((lidar,), cuboids or (), trajectories=ways)
+    trajectories = {} if coordinates_path is None else {"trajectory": coordinates_path}
+    return Scene((lidar,), cuboids or (), trajectories=trajectories)
 
 
-def a_box(identifier, values, stamps=(0, 1_000_000_000), **more):
-    rows = np.tile(np.asarray(values, np.float64), (len(stamps), 1))
-    return CuboidAnnotation(identifier, CuboidPath(np.array(stamps, np.int64), rows), **more)
+def a_box(identifier, values, timestamps=(0, 1_000_000_000), **more):
+    rows = np.tile(np.asarray(values, np.float64), (len(timestamps), 1))
+    return CuboidAnnotation(identifier, CuboidPath(np.array(timestamps, np.int64), rows), **more)
 
 
-def straight_way():
-    """10 m/s along x, turned a quarter to the left all the time."""
-    turn = np.tile([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)], (2, 1))
-    return Trajectory("way", np.array([0, 1_000_000_000]), np.array([[0.0, 0, 0], [10.0, 0, 0]]), turn)
+def straight_trajectory():
+    """10 m/s along x, rotated a quarter to the left all the time."""
+    rotation = np.tile([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)], (2, 1))
+    return Trajectory(
+        "trajectory", np.array([0, 1_000_000_000]), np.array([[0.0, 0, 0], [10.0, 0, 0]]), rotation
+    )
 
 
 def test_points_of_a_sensor_are_met_where_the_sensor_was():
     # 3 m ahead of a sensor that looks along the world's y, at x = 5 m and z = 2 m half a second later
     box = a_box("a", [1, 1, 1, 5, 3, 2, 0, 0, 0])
-    scene = a_scene([[3.0, 0, 0]], coordinates_path=straight_way(), cuboids=(box,), times_ns=(0, 500_000_000))
+    scene = a_scene(
+        [[3.0, 0, 0]], coordinates_path=straight_trajectory(), cuboids=(box,), times_ns=(0, 500_000_000)
+    )
     assert count_points(scene).lidars[0].counts[:, 0].tolist() == [0, 1]
 
 
@@ -118,8 +122,8 @@ def test_a_point_counts_in_every_box_that_it_lies_in_and_those_that_ended_have_n
     boxes = (
         a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 0]),
         a_box("b", [1, 1, 1, 0, 0, 0, 0, 0, 0]),
-        a_box("gone", [9, 9, 9, 0, 0, 0, 0, 0, 0], stamps=(5, 6)),
-        a_box("stands", [9, 9, 9, 0, 0, 0, 0, 0, 0], stamps=(5,), stationary=True),
+        a_box("gone", [9, 9, 9, 0, 0, 0, 0, 0, 0], timestamps=(5, 6)),
+        a_box("stands", [9, 9, 9, 0, 0, 0, 0, 0, 0], timestamps=(5,), stationary=True),
         a_box("upside down", [-9, 9, 9, 0, 0, 0, 0, 0, 0]),
         a_box("nowhere", [9, 9, 9, np.nan, 0, 0, 0, 0, 0]),
     )
@@ -128,10 +132,10 @@ def test_a_point_counts_in_every_box_that_it_lies_in_and_those_that_ended_have_n
     assert found.there.tolist() == [[True, True, False, True, True, True]]
 
 
-def test_frames_beyond_the_way_are_counted_as_unplaced():
+def test_frames_beyond_the_trajectory_are_counted_as_unplaced():
     box = a_box("a", [9, 9, 9, 0, 0, 0, 0, 0, 0], stationary=True)
     times_ns = (0, 100_000_000, 200_000_000, 9_000_000_000)
-    scene = a_scene([[0, 0, 0]], coordinates_path=straight_way(), cuboids=(box,), times_ns=times_ns)
+    scene = a_scene([[0, 0, 0]], coordinates_path=straight_trajectory(), cuboids=(box,), times_ns=times_ns)
     for moment in ("frame", "points"):
         found = count_points(scene, moment=moment)
         assert found.unplaced == 1
@@ -151,7 +155,7 @@ def test_numbers_that_mean_nothing_spoil_their_own_cuboid_only(strange, column, 
     values = np.array([2.0, 2, 2, 0, 0, 0, 0, 0, 0])
     values[column] = strange
     good = a_box("good", [2, 2, 2, 0, 0, 0, 0, 0, 0], stationary=True)
-    scene = a_scene([[0, 0, 0]], coordinates_path=straight_way(), cuboids=(a_box("bad", values), good))
+    scene = a_scene([[0, 0, 0]], coordinates_path=straight_trajectory(), cuboids=(a_box("bad", values), good))
     raised = replace(scene, annotations=(*scene.annotations, a_box("up", [2, 2, 2, 0, 0, 2, 0, 0, 0])))
     assert count_points(raised, moment=moment).lidars[0].counts[0, 1:].tolist() == [0, 1]
     alone = replace(scene, annotations=scene.annotations[:1])
@@ -177,13 +181,13 @@ def test_a_moment_that_is_not_known_is_refused():
 def test_counts_become_an_attribute_of_each_cuboid_and_of_each_lidar():
     older = AttributePath("points", (99,), np.array([0]), sensor_id="lidar")
     elsewhere = AttributePath("points", (7,), np.array([0]), sensor_id="other")
-    box = a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 0], stamps=(0, 2), attributes=(older, elsewhere))
+    box = a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 0], timestamps=(0, 2), attributes=(older, elsewhere))
     scene = a_scene([[0, 0, 0]], frame=PointsFrame.WORLD, cuboids=(box,), times_ns=(0, 1, 2, 3))
     counted = with_counts(scene, count_points(scene)).annotations[0]
-    kept, told = counted.attributes
+    kept, reported = counted.attributes
     assert kept is elsewhere
-    assert (told.name, told.sensor_id, told.values) == ("points", "lidar", (1, 1, 1))
-    assert told.timestamps_ns.tolist() == [0, 1, 2]
+    assert (reported.name, reported.sensor_id, reported.values) == ("points", "lidar", (1, 1, 1))
+    assert reported.timestamps_ns.tolist() == [0, 1, 2]
 
 
 def test_points_in_cuboids_become_labelled_points():
@@ -228,19 +232,23 @@ def test_a_scene_without_cuboids_is_counted_to_nothing():
 def test_a_lidar_with_a_path_of_its_own_is_placed_by_it():
     box = a_box("a", [1, 1, 1, 0, 0, 10, 0, 0, 0])
     scene = a_scene([[0, 0, 0]], cuboids=(box,))
-    poses = PosePath(np.array([0]), np.array([[0.0, 0, 10]]), np.array([[0.0, 0, 0, 1]]), endless=True)
+    poses = Poses(np.array([0]), np.array([[0.0, 0, 10]]), np.array([[0.0, 0, 0, 1]]), static=True)
     lidar = replace(scene.lidars[0], mount=None, poses=poses)
     assert count_points(replace(scene, sensors=(lidar,))).lidars[0].counts.tolist() == [[1]]
 
 
 def test_frames_with_points_of_a_cuboid_become_activations():
     of_others = Activation("camera", np.array([3]))
-    box = a_box("a", [1, 1, 1, 5, 0, 0, 0, 0, 0], stamps=(0, 300), activations=(of_others,))
+    box = a_box("a", [1, 1, 1, 5, 0, 0, 0, 0, 0], timestamps=(0, 300), activations=(of_others,))
     scene = a_scene(
         [[5, 0, 0], [5.1, 0, 0]], frame=PointsFrame.WORLD, cuboids=(box,), times_ns=(0, 100, 200, 400)
     )
     counts = count_points(scene)
-    kept, told = with_activations(scene, counts).annotations[0].activations
+    kept, reported = with_activations(scene, counts).annotations[0].activations
     assert kept is of_others
-    assert (told.sensor_id, told.timestamps_ns.tolist(), told.durations_ns) == ("lidar", [0], (400,))
+    assert (reported.sensor_id, reported.timestamps_ns.tolist(), reported.durations_ns) == (
+        "lidar",
+        [0],
+        (400,),
+    )
     assert with_activations(scene, counts, min_points=3).annotations[0].activations == (of_others,)

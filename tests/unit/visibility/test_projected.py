@@ -10,13 +10,13 @@ from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
     AttributePath,
+    CameraImage,
     CameraSensor,
     CuboidAnnotation,
     CuboidPath,
     GroupAnnotation,
     LazyFrames,
-    Picture,
-    PosePath,
+    Poses,
     Projection,
     Scene,
 )
@@ -25,30 +25,30 @@ from sceneloom.simulate import CameraSpec, LidarSpec, TrafficSpec, camera_mount,
 from sceneloom.visibility.activations import activation_of
 from sceneloom.visibility.projected import project_cuboids
 
-LENS = Camera("pinhole", 800, 600, 500.0, 500.0, 399.5, 299.5)
+CAMERA_MODEL = Camera("pinhole", 800, 600, 500.0, 500.0, 399.5, 299.5)
 LOOKS_ALONG_X = np.array([[-0.5, 0.5, -0.5, 0.5]])
 """`world_from_camera` of a camera that looks along the world's x, as a quaternion."""
 
 
-def no_picture():
-    raise AssertionError("pictures need not be decoded")
+def no_image():
+    raise AssertionError("images need not be decoded")
 
 
-def a_camera(times_ns, *, camera_id="camera", lens=LENS, poses=None, mounts=None):
-    pictures = [
-        Picture(t, lens, no_picture, mount=None if mounts is None else mounts[k])
+def a_camera(times_ns, *, camera_id="camera", camera_model=CAMERA_MODEL, poses=None, mounts=None):
+    images = [
+        CameraImage(t, camera_model, no_image, mount=None if mounts is None else mounts[k])
         for k, t in enumerate(times_ns)
     ]
-    path = poses or PosePath(np.zeros(1, np.int64), np.zeros((1, 3)), LOOKS_ALONG_X, endless=True)
-    return CameraSensor(camera_id, lens, LazyFrames.of(pictures, times_ns), poses=path)
+    path = poses or Poses(np.zeros(1, np.int64), np.zeros((1, 3)), LOOKS_ALONG_X, static=True)
+    return CameraSensor(camera_id, camera_model, LazyFrames.of(images, times_ns), poses=path)
 
 
-def a_box(identifier="a", *, x=(10.0, 10.0), stamps=(0, 100), **more):
-    values = np.array([[4.0, 2.0, 1.0, place, 0.0, 0.0, 0.0, 0.0, 0.0] for place in x])
-    return CuboidAnnotation(identifier, CuboidPath(np.array(stamps, np.int64), values), **more)
+def a_box(identifier="a", *, x=(10.0, 10.0), timestamps=(0, 100), **more):
+    values = np.array([[4.0, 2.0, 1.0, location, 0.0, 0.0, 0.0, 0.0, 0.0] for location in x])
+    return CuboidAnnotation(identifier, CuboidPath(np.array(timestamps, np.int64), values), **more)
 
 
-def test_a_cuboid_gets_a_row_for_each_picture_while_it_is_there():
+def test_a_cuboid_gets_a_row_for_each_image_while_it_is_there():
     scene = Scene((a_camera((-50, 0, 50, 100, 150)),), (a_box(x=(10.0, 18.0)), GroupAnnotation("g")))
     projected = project_cuboids(scene).annotations
     (projection,) = projected[0].projections
@@ -61,14 +61,14 @@ def test_a_cuboid_gets_a_row_for_each_picture_while_it_is_there():
     assert isinstance(projected[1], GroupAnnotation)
 
 
-def test_pictures_that_do_not_show_it_have_rows_of_nan():
+def test_images_that_do_not_show_it_have_rows_of_nan():
     scene = Scene((a_camera((0, 50, 100)),), (a_box(x=(-30.0, 30.0)),))
     (projection,) = project_cuboids(scene).annotations[0].projections
     assert np.isnan(projection.boxes[:2]).all()
     assert np.isfinite(projection.boxes[2]).all()
 
 
-def test_a_cuboid_that_no_picture_shows_gets_no_projection_and_loses_an_old_one():
+def test_a_cuboid_that_no_image_shows_gets_no_projection_and_loses_an_old_one():
     old = Projection("camera", np.array([0]), np.ones((1, 4)))
     of_others = Projection("other", np.array([0]), np.ones((1, 4)))
     scene = Scene((a_camera((0, 50)),), (a_box(x=(-9.0, -9.0), projections=(old, of_others)),))
@@ -84,7 +84,7 @@ def test_boxes_that_a_person_confirmed_stay():
     assert projection.boxes[1, 0] == pytest.approx(337.5)
 
 
-def test_shares_become_attributes_of_the_camera_at_pictures_that_show_it():
+def test_shares_become_attributes_of_the_camera_at_images_that_show_it():
     older = AttributePath("occlusion", (0.9,), np.array([0]), sensor_id="camera")
     boxes = (a_box(x=(-30.0, 30.0), attributes=(older,)), a_box("b", x=(20.0, 20.0)))
     scene = Scene((a_camera((0, 100)),), boxes)
@@ -106,8 +106,8 @@ def test_what_fills_little_of_its_box_may_hide_nothing():
 
 
 def test_times_in_which_a_camera_sees_it_become_activations():
-    # it comes out from behind the camera between the second and the third picture, and ends after the fourth
-    scene = Scene((a_camera((0, 50, 100, 150, 200)),), (a_box(x=(-90.0, 90.0), stamps=(0, 160)),))
+    # it comes out from behind the camera between the second and the third image, and ends after the fourth
+    scene = Scene((a_camera((0, 50, 100, 150, 200)),), (a_box(x=(-90.0, 90.0), timestamps=(0, 160)),))
     (activation,) = project_cuboids(scene, activations=True).annotations[0].activations
     assert activation.timestamps_ns.tolist() == [100]
     assert activation.durations_ns == (100,)
@@ -129,7 +129,7 @@ def test_cameras_that_are_nowhere_are_passed_over_or_refused_when_asked_for():
     lost = replace(a_camera((0,), camera_id="lost"), poses=None)
     scene = Scene((a_camera((0,)), lost), (a_box(),))
     projected = project_cuboids(scene)
-    assert [n.code for n in projected.notices] == ["camera-unplaced"]
+    assert [n.code for n in projected.warnings] == ["camera-unplaced"]
     assert len(projected.annotations[0].projections) == 1
     with pytest.raises(PoseError, match="'lost'"):
         project_cuboids(scene, cameras="lost")
@@ -141,22 +141,22 @@ def test_cameras_that_are_nowhere_are_passed_over_or_refused_when_asked_for():
         project_cuboids(replace(scene, sensors=()))
 
 
-def test_pictures_beyond_the_way_of_the_camera_see_nothing():
-    way = PosePath(np.array([0, 50]), np.zeros((2, 3)), np.repeat(LOOKS_ALONG_X, 2, axis=0))
+def test_images_beyond_the_trajectory_of_the_camera_see_nothing():
+    trajectory = Poses(np.array([0, 50]), np.zeros((2, 3)), np.repeat(LOOKS_ALONG_X, 2, axis=0))
     late = 10**10
-    scene = Scene((a_camera((0, late), poses=way),), (a_box(stationary=True),))
+    scene = Scene((a_camera((0, late), poses=trajectory),), (a_box(stationary=True),))
     projected = project_cuboids(scene)
-    assert [(n.code, n.count) for n in projected.notices] == [("pictures-unplaced", 1)]
+    assert [(n.code, n.count) for n in projected.warnings] == [("images-unplaced", 1)]
     (projection,) = projected.annotations[0].projections
     assert np.isfinite(projection.boxes[:, 0]).tolist() == [True, False]
 
 
-def test_progress_counts_pictures():
-    told = []
+def test_progress_counts_images():
+    reported = []
     project_cuboids(
-        Scene((a_camera((0, 1)),), (a_box(),)), progress=lambda done, total: told.append((done, total))
+        Scene((a_camera((0, 1)),), (a_box(),)), progress=lambda done, total: reported.append((done, total))
     )
-    assert told == [(1, 2), (2, 2)]
+    assert reported == [(1, 2), (2, 2)]
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +171,7 @@ def street():
 
 
 def seen_at(annotation, camera_id, time_ns):
-    """The box (x1, y1, x2, y2) and the hidden share of a cuboid in a picture, or None."""
+    """The box (x1, y1, x2, y2) and the hidden share of a cuboid in an image, or None."""
     for projection in annotation.projections:
         at = np.flatnonzero(projection.timestamps_ns == time_ns)
         if projection.sensor_id == camera_id and len(at) and np.isfinite(projection.boxes[at[0], 0]):
@@ -193,7 +193,7 @@ def test_cars_that_nothing_hides_are_where_their_pixels_are(street):
     drive, projected = street
     overlaps, checked = [], 0
     for camera in drive.scene.cameras:
-        for k, time_ns in enumerate(camera.pictures.timestamps_ns):
+        for k, time_ns in enumerate(camera.images.timestamps_ns):
             shown, hidden = drive.truth.instances(camera.id, k), drive.truth.occlusion(camera.id, k)
             open_ones = dict(zip(hidden.instances.tolist(), hidden.hidden, strict=True))
             for annotation in projected.annotations:
@@ -211,10 +211,10 @@ def test_cars_that_nothing_hides_are_where_their_pixels_are(street):
     assert min(overlaps) > 0.8
 
 
-def test_whatever_a_picture_shows_of_a_cuboid_lies_in_its_box(street):
+def test_whatever_an_image_shows_of_a_cuboid_lies_in_its_box(street):
     drive, projected = street
     for camera in drive.scene.cameras:
-        for k, time_ns in enumerate(camera.pictures.timestamps_ns):
+        for k, time_ns in enumerate(camera.images.timestamps_ns):
             shown = drive.truth.instances(camera.id, k)
             for annotation in projected.annotations:
                 rows, columns = np.nonzero(shown == int(annotation.id.rsplit("-", 1)[1]))
@@ -242,31 +242,31 @@ def shares_of(scene, name, time_ns):
     }
 
 
-def test_points_of_a_lidar_tell_how_much_is_hidden_by_whatever_stands_there():
+def test_points_of_a_lidar_report_how_much_is_hidden_by_whatever_stands_there():
     drive = simulate_street(3, frames=3, traffic=TrafficSpec())
     projected = project_cuboids(drive.scene, see_through=("tree", "pole"), lidar="lidar")
     thin = {int(a.id.rsplit("-", 1)[1]) for a in drive.scene.annotations if a.label in ("tree", "pole")}
-    told, exact = [], []
-    for k, time_ns in enumerate(drive.scene.cameras[0].pictures.timestamps_ns):
+    reported, exact = [], []
+    for k, time_ns in enumerate(drive.scene.cameras[0].images.timestamps_ns):
         truth = drive.truth.occlusion("camera0", k)
         found = shares_of(projected, "occlusion_by_points", time_ns)
         for instance, hidden, alone in zip(truth.instances, truth.hidden, truth.alone_px, strict=True):
             if instance in found and alone >= 200 and instance not in thin:
-                told.append(found[instance])
+                reported.append(found[instance])
                 exact.append(hidden)
-    assert len(told) > 30
+    assert len(reported) > 30
     # lidar and camera stand apart, points are sparse, and things are rounder than their boxes
-    assert np.abs(np.subtract(told, exact)).mean() < 0.08
-    assert np.corrcoef(told, exact)[0, 1] > 0.95
+    assert np.abs(np.subtract(reported, exact)).mean() < 0.08
+    assert np.corrcoef(reported, exact)[0, 1] > 0.95
 
 
-def test_sweeps_long_before_a_picture_and_lidars_that_are_nowhere_are_no_evidence():
+def test_sweeps_long_before_an_image_and_lidars_that_are_nowhere_are_no_evidence():
     drive = simulate_street(3, frames=2, lidar=LidarSpec(beams=8, steps=90))
     (lidar,), others = drive.scene.lidars, [s for s in drive.scene.sensors if s.type != "lidar"]
     early = LazyFrames.of(list(lidar.frames), (lidar.frames.timestamps_ns - 10**9).tolist())
     scene = replace(drive.scene, sensors=(*others, replace(lidar, frames=early)))
-    told = {path.name for a in project_cuboids(scene, lidar="lidar").annotations for path in a.attributes}
-    assert told == {"truncation", "occlusion"}
+    reported = {path.name for a in project_cuboids(scene, lidar="lidar").annotations for path in a.attributes}
+    assert reported == {"truncation", "occlusion"}
     lost = replace(scene, sensors=(*others, replace(lidar, poses=None)), trajectories={})
     with pytest.raises(OptionError, match="no lidar 'none'"):
         project_cuboids(scene, lidar="none")
@@ -274,8 +274,8 @@ def test_sweeps_long_before_a_picture_and_lidars_that_are_nowhere_are_no_evidenc
         project_cuboids(lost, lidar="lidar")
 
 
-def test_a_mounting_of_one_picture_counts():
-    ego = PosePath(np.zeros(1, np.int64), np.zeros((1, 3)), np.array([[0.0, 0, 0, 1]]), endless=True)
+def test_a_mounting_of_one_image_counts():
+    ego = Poses(np.zeros(1, np.int64), np.zeros((1, 3)), np.array([[0.0, 0, 0, 1]]), static=True)
     ahead = RigidTransform.from_quaternion(np.zeros(3), LOOKS_ALONG_X[0])
     back = RigidTransform(np.diag([-1.0, -1.0, 1.0]) @ ahead.rotation, np.zeros(3))
     camera = replace(a_camera((0, 50), mounts=(None, back)), poses=None, mount=ahead)

@@ -1,4 +1,4 @@
-"""The check of a calibration: are pictures and sweeps of a drive where it says that they are?"""
+"""The check of a calibration: are images and sweeps of a drive where it says that they are?"""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -9,33 +9,33 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.calibrate.frames import MOST, CalibrationFrame, calibration_frames
 from sceneloom.calibrate.health.objective import Objective
-from sceneloom.calibrate.health.principal_point import instead_of_turn, why_untold
+from sceneloom.calibrate.health.principal_point import instead_of_rotation, why_untold
 from sceneloom.calibrate.health.search import GROUPS, Top, find_group, find_rotation
 from sceneloom.calibrate.health.verdicts import Item, Verdict, judge
 from sceneloom.calibrate.measures.agreement import MEASURES, Agreement
 from sceneloom.calibrate.measures.candidate import COUNT, Change
 from sceneloom.calibrate.measures.features import FrameFeatures
-from sceneloom.scene.notices import Notice
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier
+from sceneloom.scene.warnings import DataWarning
 
 DISTINCT = 4.5
-"""Deviations above chance from which on pictures and sweeps agree; the best of some hundred chances reaches 3.3."""
+"""Deviations above chance from which on images and sweeps agree; the best of some hundred chances reaches 3.3."""
 
 PARTS = ("rotation", "translation", "focal_length", "principal_point", "time_offset")
-"""What pictures and points are asked about, in the order of the items."""
+"""What images and points are asked about, in the order of the items."""
 
 _OWN_VIEW_M, _OWN_VIEW_DEG = 4.0, 15.0
 _LEAST_SEEN, _LEAST_EDGES = 200, 60
 _PLAIN = 0.9
-"""Pictures of which more shows nothing are dark, covered or fogged."""
+"""Images of which more shows nothing are dark, covered or fogged."""
 _BETTER, _BETTER_SIGMAS = 1.0, 3.0
-"""A part counts as off only if changing it, too, makes pictures and sweeps agree better by this."""
+"""A part counts as off only if changing it, too, makes images and sweeps agree better by this."""
 _ALIKE = 0.8
 """A good calibration stands so high, as part of the height of the best one. On simulated drives true ones stand at 0.9
 and more, those half a degree or 15 cm off below 0.5."""
-_LEAST_SPEED, _LEAST_TURN = 1.0, 0.03
-"""Slower than this [m/s, rad/s] nothing tells when a picture was taken."""
+_LEAST_SPEED, _LEAST_ROTATION = 1.0, 0.03
+"""Slower than this [m/s, rad/s] nothing reports when an image was taken."""
 
 
 class CalibrationHealth(msgspec.Struct, frozen=True, kw_only=True):
@@ -44,16 +44,17 @@ class CalibrationHealth(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         source: the drive.
         camera_id, lidar_id: whose calibration.
-        verdict: of all of it: that of the worst part. Cannot tell where the rotation cannot be told, or where another
-            part seems to be off but that may be chance, or where the stated one agrees clearly less than the best one.
-        items: by part; with boxes of detectors two more, of the turn that these show.
-        frames: pictures that were looked at.
+        verdict: of all of it: that of the worst part. Cannot report where the rotation cannot be reported, or where
+            another part seems to be off but that may be chance, or where the stated one agrees clearly less than the
+            best one.
+        items: by part; with boxes of detectors two more, of the rotation that these show.
+        frames: images that were looked at.
         views: how many different views they show.
         distinctness: how far the best calibration around stands above chance, in chance's own deviations.
         stated_distinctness: the same of the stated one.
         measures: how far each measure stands above chance, under the stated calibration and under the best one.
         change: what leads from the stated calibration to the best one, as `Change.numbers`; zeros where that cannot be
-            told.
+            reported.
         corrections: what was made of the drive's corrections before; what is judged is what they leave.
     """
 
@@ -68,7 +69,7 @@ class CalibrationHealth(msgspec.Struct, frozen=True, kw_only=True):
     stated_distinctness: float
     measures: dict[str, tuple[float, float]]
     change: tuple[float, ...] = (0.0,) * COUNT
-    corrections: tuple[Notice, ...] = ()
+    corrections: tuple[DataWarning, ...] = ()
 
     def item(self, name: str) -> Item:
         """The part of that name."""
@@ -76,27 +77,27 @@ class CalibrationHealth(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def doubted(self) -> bool:
-        """Whether pictures and points agree much better elsewhere, where they tell of the rotation at all."""
+        """Whether images and points agree much better elsewhere, where they report the rotation at all."""
         return bool(self.item("rotation").values) and self.stated_distinctness < _ALIKE * self.distinctness
 
 
 def check_calibration(
     scene: Scene, camera_id: Identifier | None = None, lidar_id: Identifier | None = None, *, most: int = MOST
 ) -> CalibrationHealth:
-    """Check how a camera is said to lie to a lidar by what both show.
+    """Check how a camera is stated to lie to a lidar by what both show.
 
     Args:
         camera_id, lidar_id: None for the scene's first ones.
-        most: pictures to look at, at most.
+        most: images to look at, at most.
 
     Raises:
         OptionError: there is no such camera or lidar.
         PoseError: it is not known how the camera lies to the lidar.
-        DataError: a picture or a sweep cannot be read.
+        DataError: an image or a sweep cannot be read.
     """
     scene = scene.corrected()
     health = check_frames(calibration_frames(scene, camera_id, lidar_id, most), source=scene.source)
-    return msgspec.structs.replace(health, corrections=scene.correction_notices)
+    return msgspec.structs.replace(health, corrections=scene.correction_warnings)
 
 
 def check_frames(frames: Sequence[CalibrationFrame], *, source: str = "frames") -> CalibrationHealth:
@@ -110,7 +111,7 @@ def check_frames(frames: Sequence[CalibrationFrame], *, source: str = "frames") 
     rotation = find_rotation(objective)
     if rotation.distinctness < DISTINCT:
         reason = (
-            f"no calibration within 6 degrees makes pictures and sweeps agree better than by chance "
+            f"no calibration within 6 degrees makes images and sweeps agree better than by chance "
             f"({rotation.distinctness:.1f} deviations; expected {DISTINCT:g}): it is far off, or they show too little"
         )
         return _untold(frames, views, source, reason, objective, rotation)
@@ -157,12 +158,12 @@ class _Found:
     def _rotation(self) -> Item:
         best = self.best
         item = judge("rotation", best.change[:3], best.covariance[:3, :3])
-        stated = self.objective.standing(self.objective.agreement.score(Change()))[0]
+        stated = self.objective.stationary(self.objective.agreement.score(Change()))[0]
         if item.verdict is Verdict.GOOD and best is self.rotation and stated < _ALIKE * best.height:
-            reason = "pictures and sweeps agree much better a little away from it"
-            return msgspec.structs.replace(item, verdict=Verdict.CANNOT_TELL, reason=reason)
+            reason = "images and sweeps agree much better a little away from it"
+            return msgspec.structs.replace(item, verdict=Verdict.UNDETERMINED, reason=reason)
         if item.verdict in _WORST_FIRST:
-            instead = instead_of_turn(self.frames[0].camera, best.change[:3])
+            instead = instead_of_rotation(self.frames[0].camera, best.change[:3])
             return msgspec.structs.replace(
                 item, reason=f"{item.reason}; {instead}" if instead else item.reason
             )
@@ -172,8 +173,8 @@ class _Found:
         top = self.joint[name]
         item = judge(name, top.change[list(top.parameters[3:])], top.covariance[3:, 3:])
         if item.verdict in {Verdict.DRIFTING, Verdict.WRONG} and not _is_better(top):
-            reason = "a change of it does not make pictures and sweeps agree better"
-            return msgspec.structs.replace(item, verdict=Verdict.CANNOT_TELL, reason=reason)
+            reason = "a change of it does not make images and sweeps agree better"
+            return msgspec.structs.replace(item, verdict=Verdict.UNDETERMINED, reason=reason)
         return item
 
     def _time_offset(self) -> Item:
@@ -181,10 +182,10 @@ class _Found:
         if not twists:
             return Item.unknown("time_offset", "the ego's motion is not known")
         speed = max(float(np.linalg.norm(twist[3:])) for twist in twists)
-        turn = max(float(np.linalg.norm(twist[:3])) for twist in twists)
-        if speed < _LEAST_SPEED and turn < _LEAST_TURN:
+        rotation = max(float(np.linalg.norm(twist[:3])) for twist in twists)
+        if speed < _LEAST_SPEED and rotation < _LEAST_ROTATION:
             return Item.unknown(
-                "time_offset", f"the ego hardly moved: {speed:.1f} m/s, {np.degrees(turn):.1f} deg/s"
+                "time_offset", f"the ego hardly moved: {speed:.1f} m/s, {np.degrees(rotation):.1f} deg/s"
             )
         return self._joint("time_offset")
 
@@ -194,19 +195,19 @@ def _is_better(top: Top) -> bool:
 
 
 def why_nothing(features: Sequence[FrameFeatures]) -> str:
-    """Why frames cannot tell anything of a calibration; "" if they may."""
+    """Why frames cannot determine anything of a calibration; "" if they may."""
     if sum(f.seen for f in features) < _LEAST_SEEN:
         seen = sum(f.seen for f in features)
-        return f"{seen} points fall into {len(features)} pictures; expected {_LEAST_SEEN} at least"
-    if np.median([f.picture.plainness for f in features]) > _PLAIN:
-        return "the pictures show nothing: dark, covered or fogged"
+        return f"{seen} points fall into {len(features)} images; expected {_LEAST_SEEN} at least"
+    if np.median([f.image.plainness for f in features]) > _PLAIN:
+        return "the images show nothing: dark, covered or fogged"
     if sum(len(f.edge_weights) for f in features) < _LEAST_EDGES:
         return "the sweeps show hardly any edges where the camera looks"
     return ""
 
 
 def views_of(frames: Sequence[CalibrationFrame]) -> Int64Array:
-    """Number frames by what they show: those from nearly the same place count as one view, (F,)."""
+    """Number frames by what they show: those from nearly the same location count as one view, (F,)."""
     views = np.zeros(len(frames), np.int64)
     begun = frames[0].world_from_lidar
     for row, frame in enumerate(frames[1:], start=1):
@@ -215,8 +216,8 @@ def views_of(frames: Sequence[CalibrationFrame]) -> Int64Array:
         if here is None or begun is None:
             continue
         step = begun.inverse() @ here
-        turn = 2.0 * np.degrees(np.arccos(np.clip(step.quaternion_xyzw[3], -1.0, 1.0)))
-        if np.linalg.norm(step.translation) > _OWN_VIEW_M or turn > _OWN_VIEW_DEG:
+        rotation = 2.0 * np.degrees(np.arccos(np.clip(step.quaternion_xyzw[3], -1.0, 1.0)))
+        if np.linalg.norm(step.translation) > _OWN_VIEW_M or rotation > _OWN_VIEW_DEG:
             views[row], begun = views[row] + 1, here
     return views
 
@@ -229,7 +230,7 @@ def _overall(items: Sequence[Item], standings: "_Standings") -> Verdict:
     worst = next((verdict for verdict in _WORST_FIRST if verdict in verdicts), items[0].verdict)
     doubted = standings.stated_distinctness < _ALIKE * standings.distinctness
     if worst is Verdict.GOOD and (doubted or any(item.suspected for item in items)):
-        return Verdict.CANNOT_TELL
+        return Verdict.UNDETERMINED
     return worst
 
 
@@ -266,16 +267,16 @@ def _untold(
     objective: Objective | None = None,
     top: Top | None = None,
 ) -> CalibrationHealth:
-    told = _Standings(0.0, 0.0, {})
+    reported = _Standings(0.0, 0.0, {})
     if objective is not None and top is not None:
-        told = replace(_standings(objective, top), change=(0.0,) * COUNT)
+        reported = replace(_standings(objective, top), change=(0.0,) * COUNT)
     return CalibrationHealth(
         source=source,
         camera_id=frames[0].camera_id,
         lidar_id=frames[0].lidar_id,
-        verdict=Verdict.CANNOT_TELL,
+        verdict=Verdict.UNDETERMINED,
         items=tuple(Item.unknown(name, reason) for name in PARTS),
         frames=len(frames),
         views=int(views.max()) + 1,
-        **asdict(told),
+        **asdict(reported),
     )

@@ -11,12 +11,12 @@ _OFF = (Verdict.WRONG, Verdict.DRIFTING)
 def with_coarse(health: CalibrationHealth, item: Item) -> CalibrationHealth:
     """Add what a coarse measure says: it never makes a calibration good, but it may make it doubtful or wrong.
 
-    Where all else calls the calibration good and it does not, nothing can be told of all of it.
+    Where all else calls the calibration good and it does not, nothing can be reported all of it.
     """
     verdict = health.verdict
     if item.verdict in _OFF:
         if verdict is Verdict.GOOD:
-            verdict = Verdict.CANNOT_TELL
+            verdict = Verdict.UNDETERMINED
             item = msgspec.structs.replace(item, reason=f"{item.reason}, but the rest agrees with it")
         elif verdict is not Verdict.WRONG:
             verdict = item.verdict

@@ -20,7 +20,7 @@ WIDE = MEASURES
 
 _FAR_LOOKS = 48
 _FAR_DEG = (2.5, 6.0)
-"""Turns so far away that nothing but chance makes pictures and clouds agree."""
+"""Rotates so far away that nothing but chance makes images and clouds agree."""
 _REPLICATES = 100
 SEED = 0
 
@@ -57,7 +57,7 @@ class Objective:
         self.chance = self._measured_chance()
         self.replicates = self._drawn_cells()
 
-    def standing(
+    def stationary(
         self, score: Score, measures: Collection[str] = FINE, *, replicated: bool = False
     ) -> Float64Array:
         """Deviations above chance, summed over measures: (1,), or (B,) for the replicates."""
@@ -70,14 +70,14 @@ class Objective:
 
     def distinctness(self, score: Score) -> float:
         """How many deviations the fine measures together stand above chance."""
-        return float(self.standing(score)[0] / self.chance.sum_deviation)
+        return float(self.stationary(score)[0] / self.chance.sum_deviation)
 
     def _measured_chance(self) -> Chance:
         looks = []
         for _ in range(_FAR_LOOKS):
             direction = self.generator.normal(size=3)
-            turn = direction / np.linalg.norm(direction) * np.radians(self.generator.uniform(*_FAR_DEG))
-            looks.append(self.agreement.score(Change.turn(turn)).values())
+            rotation = direction / np.linalg.norm(direction) * np.radians(self.generator.uniform(*_FAR_DEG))
+            looks.append(self.agreement.score(Change.rotation(rotation)).values())
         values = np.array(looks)
         known = np.isfinite(values).sum(axis=0) >= _FAR_LOOKS // 2
         means, deviations = np.zeros(len(MEASURES)), np.full(len(MEASURES), np.inf)

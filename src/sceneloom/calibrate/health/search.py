@@ -1,4 +1,4 @@
-"""Where around the stated calibration pictures and clouds agree best, and how sure that place is."""
+"""Where around the stated calibration images and clouds agree best, and how sure that location is."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,22 +16,22 @@ _FINE_RADII = (2.4, 1.6)
 """Balls of rotations that are looked at, one after another [units of a quarter degree]."""
 _NEAR_RADII, _FAR_RADII = (4.0, 2.0), (10.0, 5.0, 2.0)
 _MANY, _MANY_RADIUS, _PROMISING = 150, 7.0, 3
-"""So many turns up to so far are looked at, and so many followed up: hills are narrower than wide balls tell."""
+"""So many rotates up to so far are looked at, and so many followed up: hills are narrower than wide balls report."""
 _FINE_FROM = 4.0
 _ROUGH_FROM = 3.0
-"""In wider balls some of the features tell where to look next."""
+"""In wider balls some of the features report where to look next."""
 _LOOKS_PER_COEFFICIENT = (4.0, 2.5)
 _FARTHEST_DEG = 6.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Top:
-    """The best place that was found, by some parameters of a change.
+    """The best location that was found, by some parameters of a change.
 
     Attributes:
         parameters: which of the eight numbers were looked for.
-        change: the place.
-        replicates: (B, P) float64, the places that bootstrap replicates found, in the parameters' own units.
+        change: the location.
+        replicates: (B, P) float64, the locations that bootstrap replicates found, in the parameters' own units.
         radius: (P,) float64, of the ball that was looked at last: what comes near to it was not found.
         height: deviations above chance.
         distinctness: the same by chance's own deviation.
@@ -67,67 +67,70 @@ def find_rotation(objective: Objective) -> Top:
         wide = _climb(objective, wide, ROTATION, radius, WIDE)
         wide = _bounded(wide)
     starts = (wide, begun, *_promising(objective))
-    places = [_climb(objective, start, ROTATION, _FINE_RADII[0], FINE) for start in starts]
-    highest = _highest(objective, places)
+    locations = [_climb(objective, start, ROTATION, _FINE_RADII[0], FINE) for start in starts]
+    highest = _highest(objective, locations)
     return _top_around(objective, highest, highest, ROTATION, _FINE_RADII[1])
 
 
 def _promising(objective: Objective) -> list[Float64Array]:
-    """Some of many turns, (8,), around the stated calibration that agree best, none near another."""
+    """Some of many rotates, (8,), around the stated calibration that agree best, none near another."""
     columns = list(ROTATION)
-    turns = in_ball(_MANY, len(columns), objective.generator) * _MANY_RADIUS
-    places = np.zeros((_MANY, COUNT))
-    places[:, columns] = turns * UNITS[columns]
-    scores = [objective.agreement.score(Change.of(place), WIDE, rough=True) for place in places]
-    heights = np.array([objective.standing(score, WIDE)[0] for score in scores])
+    rotations = in_ball(_MANY, len(columns), objective.generator) * _MANY_RADIUS
+    locations = np.zeros((_MANY, COUNT))
+    locations[:, columns] = rotations * UNITS[columns]
+    scores = [objective.agreement.score(Change.of(location), WIDE, rough=True) for location in locations]
+    heights = np.array([objective.stationary(score, WIDE)[0] for score in scores])
     found: list[int] = []
     for row in np.argsort(-heights).tolist():
-        if all(np.linalg.norm(turns[row] - turns[other]) > _FINE_RADII[0] for other in found):
+        if all(np.linalg.norm(rotations[row] - rotations[other]) > _FINE_RADII[0] for other in found):
             found.append(row)
         if len(found) == _PROMISING:
             break
-    return [places[row] for row in found]
+    return [locations[row] for row in found]
 
 
 def find_group(objective: Objective, start: Float64Array, parameters: Sequence[Parameter]) -> Top:
-    """Find the best place by several parameters, from near and from farther away; the higher of both counts."""
-    places = []
+    """Find the best location by several parameters, from near and from farther away; the higher of both counts."""
+    locations = []
     for radii in (_NEAR_RADII, _FAR_RADII):
-        place = start
+        location = start
         for radius in radii[:-1]:
             measures = FINE if radius <= _FINE_FROM else WIDE
-            place = _climb(objective, place, parameters, radius, measures)
-        places.append(place)
-    return _top_around(objective, _highest(objective, places), start, parameters, _NEAR_RADII[-1])
+            location = _climb(objective, location, parameters, radius, measures)
+        locations.append(location)
+    return _top_around(objective, _highest(objective, locations), start, parameters, _NEAR_RADII[-1])
 
 
-def _highest(objective: Objective, places: Sequence[Float64Array]) -> Float64Array:
-    """The place, (8,), where pictures and sweeps agree best."""
-    heights = [objective.standing(objective.agreement.score(Change.of(place), FINE))[0] for place in places]
-    return places[int(np.argmax(heights))]
+def _highest(objective: Objective, locations: Sequence[Float64Array]) -> Float64Array:
+    """The location, (8,), where images and sweeps agree best."""
+    heights = [
+        objective.stationary(objective.agreement.score(Change.of(location), FINE))[0]
+        for location in locations
+    ]
+    return locations[int(np.argmax(heights))]
 
 
 def _top_around(
     objective: Objective,
-    place: Float64Array,
+    location: Float64Array,
     start: Float64Array,
     parameters: Sequence[Parameter],
     radius: float,
 ) -> Top:
-    """Find the top in a ball, and what replicates make of it; `start` is what its gain is told against."""
-    place, replicates = _look_around(objective, place, parameters, radius, FINE)
+    """Find the top in a ball, and what replicates make of it; `start` is what its gain is reported against."""
+    location, replicates = _look_around(objective, location, parameters, radius, FINE)
     there, here = (
-        objective.agreement.score(Change.of(numbers), FINE, by_cells=True) for numbers in (place, start)
+        objective.agreement.score(Change.of(numbers), FINE, by_cells=True) for numbers in (location, start)
     )
-    gains = objective.standing(there, replicated=True) - objective.standing(here, replicated=True)
+    gains = objective.stationary(there, replicated=True) - objective.stationary(here, replicated=True)
     return Top(
         tuple(parameters),
-        place,
+        location,
         replicates,
         radius * UNITS[list(parameters)],
-        float(objective.standing(there)[0]),
+        float(objective.stationary(there)[0]),
         objective.distinctness(there),
-        float(objective.standing(there)[0] - objective.standing(here)[0]),
+        float(objective.stationary(there)[0] - objective.stationary(here)[0]),
         float(gains.std()),
     )
 
@@ -143,14 +146,14 @@ def _climb(
     columns = list(parameters)
     rough = radius > _ROUGH_FROM
     surface, scores = _looks(objective, middle, columns, radius, measures, rough=rough)
-    values = np.array([objective.standing(score, measures) for score in scores]).T
+    values = np.array([objective.stationary(score, measures) for score in scores]).T
     top = middle.copy()
     top[columns] += radius * UNITS[columns] * surface.tops(values)[0]
     at_top = objective.agreement.score(Change.of(top), measures, rough=rough)
-    if rough or objective.standing(at_top, measures)[0] >= values.max():
+    if rough or objective.stationary(at_top, measures)[0] >= values.max():
         return top
     found = middle.copy()
-    found[columns] += radius * UNITS[columns] * surface.places[np.argmax(values[0])]
+    found[columns] += radius * UNITS[columns] * surface.locations[np.argmax(values[0])]
     return found
 
 
@@ -164,8 +167,8 @@ def _look_around(
     """Go to the top like `_climb`, and give those of the replicates, (B, P), too."""
     columns = list(parameters)
     surface, scores = _looks(objective, middle, columns, radius, measures, by_cells=True)
-    values = np.array([objective.standing(score, measures) for score in scores]).T
-    replicated = np.array([objective.standing(score, measures, replicated=True) for score in scores]).T
+    values = np.array([objective.stationary(score, measures) for score in scores]).T
+    replicated = np.array([objective.stationary(score, measures, replicated=True) for score in scores]).T
     found = middle.copy()
     found[columns] += radius * UNITS[columns] * surface.tops(values)[0]
     return found, middle[columns] + radius * UNITS[columns] * surface.tops(replicated)
@@ -181,13 +184,16 @@ def _looks(
     by_cells: bool = False,
     rough: bool = False,
 ) -> tuple[Surface, list[Score]]:
-    """Score places in a ball; one number more to be found needs more of them, but not as many more as it has terms."""
+    """Score locations in a ball; one number more to be found needs more of them.
+
+    But not as many more as it has terms.
+    """
     count = int(_LOOKS_PER_COEFFICIENT[len(columns) > len(ROTATION)] * coefficients(len(columns)))
     surface = Surface.of(count, len(columns), objective.generator)
     scores = []
-    for place in surface.places:
+    for location in surface.locations:
         numbers = middle.copy()
-        numbers[columns] += radius * UNITS[columns] * place
+        numbers[columns] += radius * UNITS[columns] * location
         candidate = Change.of(numbers)
         scores.append(objective.agreement.score(candidate, measures, by_cells=by_cells, rough=rough))
     return surface, scores

@@ -14,27 +14,29 @@ _PROBES = 3000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """Fits quadratics to values at fixed places of a ball, and finds their tops in it.
+    """Fits quadratics to values at fixed locations of a ball, and finds their tops in it.
 
     Attributes:
-        places: (N, P) float64, within the unit ball, the first one its middle.
+        locations: (N, P) float64, within the unit ball, the first one its middle.
         solve: (Q, N) float64, values to coefficients by least squares.
         probes: (K, P) float64, where tops are looked for.
         probe_terms: (K, Q) float64, their terms.
     """
 
-    places: Float64Array
+    locations: Float64Array
     solve: Float64Array
     probes: Float64Array
     probe_terms: Float64Array
 
     @classmethod
     def of(cls, count: int, dimensions: int, generator: np.random.Generator) -> "Surface":
-        """Choose places."""
-        places = in_ball(count, dimensions, generator)
-        places[0] = 0.0
+        """Choose locations."""
+        locations = in_ball(count, dimensions, generator)
+        locations[0] = 0.0
         probes = in_ball(_PROBES, dimensions, generator)
-        return cls(places, np.asarray(np.linalg.pinv(_terms(places)), np.float64), probes, _terms(probes))
+        return cls(
+            locations, np.asarray(np.linalg.pinv(_terms(locations)), np.float64), probes, _terms(probes)
+        )
 
     def tops(self, values: Float64Array) -> Float64Array:
         """Give the tops, (B, P), of the quadratics through values (B, N)."""
@@ -48,13 +50,13 @@ def coefficients(dimensions: int) -> int:
     return (dimensions + 1) * (dimensions + 2) // 2
 
 
-def _terms(places: Float64Array) -> Float64Array:
-    rows, columns = np.triu_indices(places.shape[1])
-    return np.hstack([np.ones((len(places), 1)), places, places[:, rows] * places[:, columns]])
+def _terms(locations: Float64Array) -> Float64Array:
+    rows, columns = np.triu_indices(locations.shape[1])
+    return np.hstack([np.ones((len(locations), 1)), locations, locations[:, rows] * locations[:, columns]])
 
 
 def in_ball(count: int, dimensions: int, generator: np.random.Generator) -> Float64Array:
-    """Draw places evenly from the unit ball, (count, dimensions)."""
+    """Draw locations evenly from the unit ball, (count, dimensions)."""
     directions = generator.normal(size=(count, dimensions))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     radii = generator.random((count, 1)) ** (1.0 / dimensions)

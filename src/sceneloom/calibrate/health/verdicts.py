@@ -14,12 +14,12 @@ from sceneloom.arrays import Float64Array
 
 
 class Verdict(StrEnum):
-    """What is to be said of one part of a calibration."""
+    """What is to be stated of one part of a calibration."""
 
     GOOD = "good"
     DRIFTING = "drifting"
     WRONG = "wrong"
-    CANNOT_TELL = "cannot tell"
+    UNDETERMINED = "cannot determine"
 
 
 class Item(msgspec.Struct, frozen=True, kw_only=True):
@@ -28,7 +28,7 @@ class Item(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         name: "rotation", "translation", "focal_length", "principal_point" or "time_offset"; "boxes",
             "boxes_roll" and "motion".
-        verdict: what is to be said of it.
+        verdict: what is to be stated of it.
         reason: why, where it is not good.
         unit: of the numbers.
         values: what would have to be changed; empty where nothing was found.
@@ -46,14 +46,14 @@ class Item(msgspec.Struct, frozen=True, kw_only=True):
     def suspected(self) -> bool:
         """Whether it seems to be off, but that may be chance."""
         limits = LIMITS.get(self.name)
-        if limits is None or self.verdict is not Verdict.CANNOT_TELL or not self.values:
+        if limits is None or self.verdict is not Verdict.UNDETERMINED or not self.values:
             return False
         return max(abs(v) - 2.0 * s for v, s in zip(self.values, self.sigmas, strict=True)) > limits.good
 
     @classmethod
     def unknown(cls, name: str, reason: str) -> "Item":
-        """Say why nothing can be said."""
-        return cls(name=name, verdict=Verdict.CANNOT_TELL, reason=reason)
+        """Report why nothing can be stated."""
+        return cls(name=name, verdict=Verdict.UNDETERMINED, reason=reason)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class Limits:
         good: up to this it is good.
         wrong: beyond this it is wrong.
         floor: what the measures get wrong by themselves, on each axis.
-        vague: with a larger standard deviation on any axis nothing is said.
+        vague: with a larger standard deviation on any axis nothing is stated.
         what: agrees.
     """
 
@@ -77,10 +77,10 @@ class Limits:
     wrong: float
     floor: float
     vague: float
-    what: str = "pictures and sweeps agree"
+    what: str = "images and sweeps agree"
 
 
-_BOXES = "boxes of pictures and sweeps come together"
+_BOXES = "boxes of images and sweeps come together"
 LIMITS = {
     limits.name: limits
     for limits in (
@@ -90,7 +90,7 @@ LIMITS = {
         Limits("time_offset", "ms", 1e3, 15.0, 60.0, 4.0, 9.0),
         Limits("boxes", "deg", 180.0 / np.pi, 0.4, 1.0, 0.12, 0.35, _BOXES),
         Limits("boxes_roll", "deg", 180.0 / np.pi, 1.0, 2.0, 0.4, 0.6, _BOXES),
-        Limits("motion", "deg", 180.0 / np.pi, 1.5, 3.0, 0.5, 0.8, "camera and lidar turn alike"),
+        Limits("motion", "deg", 180.0 / np.pi, 1.5, 3.0, 0.5, 0.8, "camera and lidar rotate alike"),
     )
 }
 SIGNIFICANT = 16.0
@@ -112,10 +112,10 @@ def judge(name: str, values: Float64Array, covariance: Float64Array) -> Item:
     verdict, reason = Verdict.GOOD, ""
     significant = float(found @ np.linalg.solve(spread, found)) > SIGNIFICANT
     if sigmas.max() > limits.vague:
-        verdict = Verdict.CANNOT_TELL
+        verdict = Verdict.UNDETERMINED
         reason = f"known within {sigmas.max():.2g} {limits.unit} only; expected {limits.vague:g} or better"
     elif size > limits.good and not significant:
-        verdict = Verdict.CANNOT_TELL
+        verdict = Verdict.UNDETERMINED
         reason = f"{size:.2g} {limits.unit} may be chance"
     elif size > limits.good:
         verdict = Verdict.WRONG if size > limits.wrong else Verdict.DRIFTING

@@ -1,1 +1,1 @@
-"""How well a picture and a cloud agree under a candidate calibration."""
+"""How well an image and a cloud agree under a candidate calibration."""

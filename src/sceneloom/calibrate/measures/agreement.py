@@ -1,4 +1,4 @@
-"""How well all frames agree with a candidate, by several measures, each summed over parts of the pictures.
+"""How well all frames agree with a candidate, by several measures, each summed over parts of the images.
 
 Source: mutual information of intensity and grey: Pandey, McBride, Savarese and Eustice 2012, "Automatic Targetless
 Extrinsic Calibration of a 3D Lidar and Camera by Maximizing Mutual Information"; over levels that are equally frequent
@@ -18,7 +18,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.calibrate.frames import CalibrationFrame
 from sceneloom.calibrate.measures.candidate import Change
 from sceneloom.calibrate.measures.features import TILES, FrameFeatures, extract, project_features
-from sceneloom.calibrate.measures.pictures import LEVELS, MeasuredPicture
+from sceneloom.calibrate.measures.images import LEVELS, MeasuredImage
 from sceneloom.kernels.agreement import fill_histogram, sum_by_table, sum_edges
 
 EDGES, EDGES_COARSE, INFORMATION = "edges", "edges-coarse", "information"
@@ -28,14 +28,14 @@ MEASURES = (EDGES, EDGES_COARSE, INFORMATION)
 _WIDTHS = {EDGES: "fine", EDGES_COARSE: "coarse"}
 _SMOOTHED_BINS = 0.7
 _THINNED = 3
-"""One feature of so many tells well enough where to look next."""
+"""One feature of so many reports well enough where to look next."""
 _LEAST_SHARE = 0.25
-"""Of the features that fall into the pictures under the stated calibration, so many must do so under a candidate."""
+"""Of the features that fall into the images under the stated calibration, so many must do so under a candidate."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Score:
-    """What one candidate came to, by cells: tiles of the pictures of one view.
+    """What one candidate came to, by cells: tiles of the images of one view.
 
     Attributes:
         sums: (M, C) float64, by measure and cell.
@@ -70,15 +70,15 @@ class Agreement:
         frames: Sequence[CalibrationFrame],
         views: Int64Array | None = None,
         *,
-        pictures: Sequence[MeasuredPicture | None] | None = None,
+        images: Sequence[MeasuredImage | None] | None = None,
     ) -> None:
         """Take the features of the frames.
 
         Args:
             views: (F,) int64, which frames show nearly the same; None: each another.
-            pictures: of the frames, where they were measured before.
+            images: of the frames, where they were measured before.
         """
-        measured = (None,) * len(frames) if pictures is None else pictures
+        measured = (None,) * len(frames) if images is None else images
         self.features: tuple[FrameFeatures, ...] = tuple(map(extract, frames, measured))
         self.views = np.arange(len(frames)) if views is None else views
         self.cells = TILES * (int(self.views.max(initial=0)) + 1)
@@ -103,7 +103,7 @@ class Agreement:
         by_cells: bool = False,
         rough: bool = False,
     ) -> Score:
-        """Score a candidate; a measure whose features have mostly left the pictures has no value.
+        """Score a candidate; a measure whose features have mostly left the images has no value.
 
         Args:
             measures: the only ones to be taken; the others have no value.
@@ -126,18 +126,21 @@ class Agreement:
         histogram = np.zeros((LEVELS, LEVELS))
         for features, view in zip(self.features, self.views.tolist(), strict=True):
             own = slice(view * TILES, (view + 1) * TILES)
-            placing = change.camera_from_points(features.frame), change.lens(features.picture.lens)
+            placing = (
+                change.camera_from_points(features.frame),
+                change.camera_model(features.image.camera_model),
+            )
             ids, pixels = project_features(features, features.edge_points, *placing)
             for row, name in enumerate(MEASURES):
                 if name in _WIDTHS and name in measures:
                     sum_edges(
                         ids, pixels, features.edge_kinds, features.edge_weights, features.edge_cells,
-                        features.picture.edges[_WIDTHS[name]], sums[row, own], totals[row, own],
+                        features.image.edges[_WIDTHS[name]], sums[row, own], totals[row, own],
                     )  # fmt: skip
             if INFORMATION not in measures:
                 continue
             ids, pixels = project_features(features, features.level_points, *placing)
-            fill_histogram(ids, pixels, features.levels, features.picture.levels, histogram)
+            fill_histogram(ids, pixels, features.levels, features.image.levels, histogram)
             placed.append((features, own, ids, pixels))
         row = MEASURES.index(INFORMATION)
         table = pointwise_information(histogram)
@@ -147,7 +150,7 @@ class Agreement:
             return Score(sums, totals)
         for features, own, ids, pixels in placed:
             sum_by_table(
-                ids, pixels, features.levels, features.level_cells, features.picture.levels, table,
+                ids, pixels, features.levels, features.level_cells, features.image.levels, table,
                 sums[row, own], totals[row, own],
             )  # fmt: skip
         return Score(sums, totals)

@@ -35,9 +35,9 @@ class Change:
     """What a candidate changes of the stated calibration.
 
     Attributes:
-        numbers: eight: a turn about the camera's x, y and z axes [rad] and a shift along them [m], of the cloud as the
-            camera sees it; the logarithm of a factor on the focal lengths; how long after its stamp a picture was
-            really taken [s].
+        numbers: eight: a rotation about the camera's x, y and z axes [rad] and a shift along them [m], of the cloud as
+            the camera sees it; the logarithm of a factor on the focal lengths; how long after its timestamp an image
+            was really taken [s].
     """
 
     numbers: tuple[float, ...] = (0.0,) * COUNT
@@ -48,9 +48,9 @@ class Change:
         return cls(tuple(float(number) for number in numbers))
 
     @classmethod
-    def turn(cls, turn: Float64Array) -> "Change":
-        """Turn the cloud about the camera's axes by a rotation vector, (3,) [rad]."""
-        return cls((*(float(number) for number in turn), *(0.0,) * (COUNT - 3)))
+    def rotation(cls, rotation: Float64Array) -> "Change":
+        """Rotate the cloud about the camera's axes by a rotation vector, (3,) [rad]."""
+        return cls((*(float(number) for number in rotation), *(0.0,) * (COUNT - 3)))
 
     def camera_from_lidar(self, stated: Float64Array) -> Float64Array:
         """Change a `camera_from_lidar`, (4, 4)."""
@@ -62,11 +62,11 @@ class Change:
         changed = self.camera_from_lidar(frame.camera_from_lidar.matrix)
         return frame.camera_from_points(changed, later=self.numbers[Parameter.LATER])
 
-    def lens(self, lens_vector: Float64Array) -> Float64Array:
-        """Change the numbers of a lens."""
+    def camera_model(self, intrinsics_vector: Float64Array) -> Float64Array:
+        """Change the numbers of a camera model."""
         scale = np.exp(self.numbers[Parameter.FOCAL])
         if scale == 1.0:
-            return lens_vector
-        changed = lens_vector.copy()
+            return intrinsics_vector
+        changed = intrinsics_vector.copy()
         changed[:2] *= scale
         return changed

@@ -1,7 +1,7 @@
 """Where the range jumps in a sweep: the edges of what stands before something else.
 
 Source: Levinson and Thrun 2013, "Automatic Online Calibration of Cameras and Lasers": range jumps to both sides, the
-nearer point counts. Ours: jumps across the scan lines too, and their direction, which edges of pictures must share.
+nearer point counts. Ours: jumps across the scan lines too, and their direction, which edges of images must share.
 """
 
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class DepthEdges:
     """Points at the edges of what is near.
 
     Attributes:
-        points_lidar: (N, 3) float64 [m], at the picture's time, as far away as the nearer of two points, halfway to the
+        points_lidar: (N, 3) float64 [m], at the image's time, as far away as the nearer of two points, halfway to the
             direction of the farther one: the edge is somewhere between the two.
         outwards_lidar: (N, 3) float64 [m], as far away, in the direction of the farther one.
         weights: (N,) float32, the jump [m], at most 3.
@@ -97,13 +97,18 @@ def _jumps_in_scan(
     after = np.full(len(rows), -1)
     pairs = np.flatnonzero(same & (np.diff(azimuths) <= _GAP_STEPS * step))
     after[pairs] = pairs + 1
-    ways = [
-        _jumps_along(way, _reversed(way), ranges, apart)
-        for way, apart in ((after, step), (rows_above(lines, azimuths, scan.count, step), spacing))
+    trajectories = [
+        _jumps_along(trajectory, _reversed(trajectory), ranges, apart)
+        for trajectory, apart in ((after, step), (rows_above(lines, azimuths, scan.count, step), spacing))
     ]
-    near, far, reaches = (np.concatenate(parts) for parts in zip(*ways, strict=True))
+    near, far, reaches = (np.concatenate(parts) for parts in zip(*trajectories, strict=True))
     share = min(step / spacing, 1.0) if spacing > 0 else 1.0
-    return points[near], points[far], np.repeat([1.0, share], [len(way[0]) for way in ways]), reaches
+    return (
+        points[near],
+        points[far],
+        np.repeat([1.0, share], [len(trajectory[0]) for trajectory in trajectories]),
+        reaches,
+    )
 
 
 def _reversed(ahead: Int64Array) -> Int64Array:
@@ -161,9 +166,9 @@ def rows_above(lines: Int64Array, azimuths: Float64Array, count: int, step: floa
         count: number of lines.
         step: usual angle between points of a line [rad].
     """
-    turn = 8.0  # more than all azimuths span, so that lines follow one another
-    keys = lines * turn + azimuths
-    wanted = (lines + 1) * turn + azimuths
+    rotation = 8.0  # more than all azimuths span, so that lines follow one another
+    keys = lines * rotation + azimuths
+    wanted = (lines + 1) * rotation + azimuths
     after = np.clip(np.searchsorted(keys, wanted), 1, len(keys) - 1)
     nearer = np.where(np.abs(keys[after] - wanted) < np.abs(keys[after - 1] - wanted), after, after - 1)
     found: Int64Array = np.where(
@@ -176,7 +181,7 @@ def rows_above(lines: Int64Array, azimuths: Float64Array, count: int, step: floa
 def _jumps_anywhere(
     points_lidar: Float64Array, chosen: Int64Array, eye_lidar: Float64Array
 ) -> tuple[Int64Array, Int64Array]:
-    """Jumps between neighbours in direction as seen from a place near the lidar, where no lines are known."""
+    """Jumps between neighbours in direction as seen from a location near the lidar, where no lines are known."""
     if len(chosen) <= _NEIGHBOURS:
         return chosen[:0], chosen[:0]
     points = points_lidar[chosen] - eye_lidar

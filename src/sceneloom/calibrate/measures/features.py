@@ -7,17 +7,17 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.calibrate.frames import CalibrationFrame
 from sceneloom.calibrate.measures.depth_edges import find_depth_edges
-from sceneloom.calibrate.measures.pictures import DIRECTIONS, LEVELS, MeasuredPicture, measured_picture
+from sceneloom.calibrate.measures.images import DIRECTIONS, LEVELS, MeasuredImage, measured_image
 from sceneloom.cameras.models import domain_angle, project_unbounded, projection_kernel, unproject
-from sceneloom.cameras.points_in_picture import PointsInPicture
+from sceneloom.cameras.points_in_image import PointsInImage
 from sceneloom.colouring.visibility import VisibilitySettings, find_visible
 
 TILES_ACROSS, TILES_DOWN = 6, 3
 TILES = TILES_ACROSS * TILES_DOWN
-"""Tiles of a picture: how much these differ tells how much chance there is in a score."""
+"""Tiles of an image: how much these differ reports how much chance there is in a score."""
 
 _BESIDE = np.radians(6.0)
-"""Points so far outside the picture may come into it [rad]."""
+"""Points so far outside the image may come into it [rad]."""
 _MOST_POINTS = 6000
 """Points of a frame whose intensity is compared, evenly drawn."""
 
@@ -28,21 +28,21 @@ class FrameFeatures:
 
     Attributes:
         frame: the frame.
-        picture: its picture.
+        image: its image.
         edge_points: (E, 3) float64 [m], lidar frame.
-        edge_kinds: (E,) uint8, the direction across the edge, as `MeasuredPicture.edges` counts.
+        edge_kinds: (E,) uint8, the direction across the edge, as `MeasuredImage.edges` counts.
         edge_weights: (E,) float32.
-        edge_cells: (E,) int16, tile of the picture.
+        edge_cells: (E,) int16, tile of the image.
         level_points: (P, 3) float64 [m], lidar frame, seen by the camera.
         levels: (P,) float32, intensity as a level that is as frequent as any other, 0 to `LEVELS` - 1.
         level_cells: (P,) int16.
         seen: how many points the camera sees by the stated calibration.
-        around: (A,) int64, the points of the frame in the picture and around it.
-        visible: (V,) int64, those in the picture that nothing hides.
+        around: (A,) int64, the points of the frame in the image and around it.
+        visible: (V,) int64, those in the image that nothing hides.
     """
 
     frame: CalibrationFrame
-    picture: MeasuredPicture
+    image: MeasuredImage
     edge_points: Float64Array
     edge_kinds: UInt8Array
     edge_weights: Float32Array
@@ -68,15 +68,15 @@ class FrameFeatures:
         )
 
 
-def extract(frame: CalibrationFrame, picture: MeasuredPicture | None = None) -> FrameFeatures:
-    """Take what is needed from a frame under its stated calibration; `picture` where it was measured before."""
-    if picture is None:
-        picture = measured_picture(frame.grey, frame.camera)
+def extract(frame: CalibrationFrame, image: MeasuredImage | None = None) -> FrameFeatures:
+    """Take what is needed from a frame under its stated calibration; `image` where it was measured before."""
+    if image is None:
+        image = measured_image(frame.grey, frame.camera)
     chosen = _around_view(frame)
     edges = find_depth_edges(frame, chosen)
     stated = frame.camera_from_lidar
     near, far = (
-        project_unbounded(picture.camera, stated.apply(points))
+        project_unbounded(image.camera, stated.apply(points))
         for points in (edges.points_lidar, edges.outwards_lidar)
     )
     towards = np.arctan2(far[:, 1] - near[:, 1], far[:, 0] - near[:, 0])
@@ -84,18 +84,18 @@ def extract(frame: CalibrationFrame, picture: MeasuredPicture | None = None) -> 
     kinds = np.rint(towards[known] * DIRECTIONS / np.pi).astype(np.int64) % DIRECTIONS
     seen, visible = _seen(frame, chosen)
     level_rows, levels = _levels(frame, visible)
-    level_pixels = project_unbounded(picture.camera, stated.apply(frame.points_lidar[level_rows]))
+    level_pixels = project_unbounded(image.camera, stated.apply(frame.points_lidar[level_rows]))
     order = _as_in_memory(level_pixels, np.arange(len(level_rows)))
     return FrameFeatures(
         frame,
-        picture,
+        image,
         np.ascontiguousarray(edges.points_lidar[known]),
         kinds.astype(np.uint8),
         edges.weights[known],
-        _tiles(near[known], picture),
+        _tiles(near[known], image),
         np.ascontiguousarray(frame.points_lidar[level_rows[order]]),
         levels[order],
-        _tiles(level_pixels[order], picture),
+        _tiles(level_pixels[order], image),
         seen,
         chosen,
         visible,
@@ -103,31 +103,34 @@ def extract(frame: CalibrationFrame, picture: MeasuredPicture | None = None) -> 
 
 
 def _as_in_memory(pixels: Float64Array, rows: Int64Array) -> Int64Array:
-    """Order rows of (N, 2) pixels by where a picture has them: what lies together is looked up together."""
+    """Order rows of (N, 2) pixels by where an image has them: what lies together is looked up together."""
     lines = np.floor(pixels[rows, 1] / 4.0)
     ordered: Int64Array = rows[np.lexsort((pixels[rows, 0], lines))]
     return ordered
 
 
 def project_features(
-    features: FrameFeatures, points_lidar: Float64Array, camera_from_points: Float64Array, lens: Float64Array
+    features: FrameFeatures,
+    points_lidar: Float64Array,
+    camera_from_points: Float64Array,
+    camera_model: Float64Array,
 ) -> tuple[Int64Array, Float32Array]:
-    """Give ids and pixels of the points that fall into the (reduced) picture under a candidate.
+    """Give ids and pixels of the points that fall into the (reduced) image under a candidate.
 
     Args:
         points_lidar: (N, 3) [m].
         camera_from_points: (4, 4), as `Change.camera_from_points` gives it.
-        lens: as `Change.lens` gives it.
+        camera_model: as `Change.camera_model` gives it.
     """
-    camera, count = features.picture.camera, len(points_lidar)
-    room = PointsInPicture.room(count)
+    camera, count = features.image.camera, len(points_lidar)
+    room = PointsInImage.room(count)
     kernel = projection_kernel(camera.model)
-    kept = kernel(points_lidar, camera_from_points, lens, camera.width, camera.height, room)
+    kept = kernel(points_lidar, camera_from_points, camera_model, camera.width, camera.height, room)
     return room.point_ids[:kept], room.pixels[:kept]
 
 
 def _around_view(frame: CalibrationFrame) -> Int64Array:
-    """The points that the camera sees or nearly sees, as far as directions tell."""
+    """The points that the camera sees or nearly sees, as far as directions report."""
     camera = frame.camera
     across, down = np.linspace(-0.5, camera.width - 0.5, 9), np.linspace(-0.5, camera.height - 0.5, 9)
     border = np.array(
@@ -147,7 +150,7 @@ def _around_view(frame: CalibrationFrame) -> Int64Array:
 
 
 def visible_points(frame: CalibrationFrame) -> Int64Array:
-    """The points of a frame that its picture shows under the stated calibration, (V,)."""
+    """The points of a frame that its image shows under the stated calibration, (V,)."""
     return _seen(frame, _around_view(frame))[1]
 
 
@@ -180,9 +183,7 @@ def _evened_levels(intensities: UInt8Array) -> Float32Array:
     return middles.astype(np.float32)[intensities]
 
 
-def _tiles(pixels: Float64Array, picture: MeasuredPicture) -> AnyArray:
-    columns = np.clip(pixels[:, 0] / picture.camera.width * TILES_ACROSS, 0, TILES_ACROSS - 1).astype(
-        np.int16
-    )
-    rows = np.clip(pixels[:, 1] / picture.camera.height * TILES_DOWN, 0, TILES_DOWN - 1).astype(np.int16)
+def _tiles(pixels: Float64Array, image: MeasuredImage) -> AnyArray:
+    columns = np.clip(pixels[:, 0] / image.camera.width * TILES_ACROSS, 0, TILES_ACROSS - 1).astype(np.int16)
+    rows = np.clip(pixels[:, 1] / image.camera.height * TILES_DOWN, 0, TILES_DOWN - 1).astype(np.int16)
     return np.asarray(rows * TILES_ACROSS + columns, np.int16)

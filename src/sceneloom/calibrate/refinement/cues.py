@@ -1,4 +1,4 @@
-"""The points of a frame that must fall onto something in its picture: edges in depth and in intensity, contrasts."""
+"""The points of a frame that must fall onto something in its image: edges in depth and in intensity, contrasts."""
 
 from dataclasses import dataclass
 
@@ -9,12 +9,12 @@ from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array
 from sceneloom.calibrate.frames import CalibrationFrame
 from sceneloom.calibrate.measures.depth_edges import rows_above
 from sceneloom.calibrate.measures.features import FrameFeatures, extract
-from sceneloom.calibrate.measures.pictures import DIRECTIONS, measured_picture
+from sceneloom.calibrate.measures.images import DIRECTIONS, measured_image
 from sceneloom.calibrate.scan_order import ScanOrder
 from sceneloom.cameras.models import project_unbounded
 
 CHANNELS = ("depth edges", "intensity edges", "contrasts")
-"""What is compared with a picture; contrasts of intensity are compared with its brightness, edges with its edges."""
+"""What is compared with an image; contrasts of intensity are compared with its brightness, edges with its edges."""
 
 LEVEL_MAP = DIRECTIONS
 """Number of the map of brightness; those of edges come before it."""
@@ -30,7 +30,7 @@ _SMOOTH_SHARE, _LEAST_SMOOTH = 0.02, 0.1
 """Neighbours are of one surface where the range changes by less than this share, or this many metres."""
 _GAP_STEPS = 2.5
 _SURROUNDINGS = 61
-"""Where no lines are known: points in the order of the picture whose intensities a point's own is compared with."""
+"""Where no lines are known: points in the order of the image whose intensities a point's own is compared with."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,10 +38,10 @@ class Cues:
     """The points of one frame, all channels one after the other.
 
     Attributes:
-        features: what the frame's picture and points were taken from.
+        features: what the frame's image and points were taken from.
         points_lidar: (N, 3) float64 [m].
         weights: (N,) float32; of a channel they have the mean square 1.
-        maps: (N,) int32, which of the picture's maps counts for each.
+        maps: (N,) int32, which of the image's maps counts for each.
         channels: (N,) int32, by `CHANNELS`.
     """
 
@@ -58,16 +58,16 @@ class Cues:
 
 
 def find_cues(frame: CalibrationFrame) -> Cues:
-    """Take the points of a frame that are compared with its picture."""
-    features = extract(frame, measured_picture(frame.grey, frame.camera, widths=("fine",)))
+    """Take the points of a frame that are compared with its image."""
+    features = extract(frame, measured_image(frame.grey, frame.camera, widths=("fine",)))
     bright, kinds, steps = _intensity_edges(features)
-    places, contrasts = _contrasts(features)
+    locations, contrasts = _contrasts(features)
     strongest = np.sort(np.argsort(-np.abs(contrasts), kind="stable")[:_MOST_CONTRASTS])
     contrasts = contrasts[strongest]
     parts: list[tuple[Float64Array, AnyArray, AnyArray, int]] = [
         (features.edge_points, np.sqrt(features.edge_weights), features.edge_kinds, _MOST_EDGES),
         (bright, steps, kinds, _MOST_EDGES),
-        (places[strongest], contrasts, np.full(len(contrasts), LEVEL_MAP), _MOST_CONTRASTS),
+        (locations[strongest], contrasts, np.full(len(contrasts), LEVEL_MAP), _MOST_CONTRASTS),
     ]
     drawn = [_drawn(*part) for part in parts]
     return Cues(
@@ -107,7 +107,7 @@ def _contrasts(features: FrameFeatures) -> tuple[Float64Array, Float32Array]:
 
 
 def _about_surroundings(levels: Float32Array) -> Float32Array:
-    """Levels about the mean of those beside them in the picture."""
+    """Levels about the mean of those beside them in the image."""
     if len(levels) == 0:
         return levels
     usual = ndimage.uniform_filter1d(levels, min(_SURROUNDINGS, len(levels)), mode="nearest")
@@ -151,7 +151,7 @@ def _smooth(first: Int64Array, second: Int64Array, ranges: Float64Array) -> tupl
 
 
 def _intensity_edges(features: FrameFeatures) -> tuple[Float64Array, Int64Array, Float32Array]:
-    """Where the intensity of one surface changes along a scan line: places, kinds of edge, strengths."""
+    """Where the intensity of one surface changes along a scan line: locations, kinds of edge, strengths."""
     frame, scan = features.frame, features.frame.scan
     none = np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0, np.float32)
     if scan is None or frame.intensities is None or len(features.around) < 2:
@@ -171,8 +171,8 @@ def _intensity_edges(features: FrameFeatures) -> tuple[Float64Array, Int64Array,
 
 
 def _across(features: FrameFeatures, first: Float64Array, second: Float64Array) -> Int64Array:
-    """Which direction of the picture leads from one point to the other; -1 where that is not known."""
-    stated, camera = features.frame.camera_from_lidar, features.picture.camera
+    """Which direction of the image leads from one point to the other; -1 where that is not known."""
+    stated, camera = features.frame.camera_from_lidar, features.image.camera
     a, b = (project_unbounded(camera, stated.apply(points)) for points in (first, second))
     towards = np.arctan2(b[:, 1] - a[:, 1], b[:, 0] - a[:, 0])
     known = np.isfinite(towards)

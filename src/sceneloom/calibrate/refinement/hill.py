@@ -1,7 +1,8 @@
 """The objective around a candidate, in steps of which each moves pixels about as far as any other.
 
-A turn about one axis moves pixels nearly as a shift, or as another time, does: in these numbers the objective is a long
-narrow ridge, along which one climbs slowly and whose curvature differences do not tell. By the mean square of how far
+A rotation about one axis moves pixels nearly as a shift, or as another time, does: in these numbers the objective is a
+    long
+narrow ridge, along which one climbs slowly and whose curvature differences do not report. By the mean square of how far
 pixels move it is round.
 
 Source: preconditioning by a quadratic form, e.g. Nocedal and Wright 2006, "Numerical Optimization", 5.1.
@@ -23,7 +24,7 @@ _CURVATURE_STEP = 0.4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hill:
-    """What the channels say around a candidate, and what speaks against going far.
+    """What the channels state around a candidate, and what speaks against going far.
 
     Attributes:
         linearised: the channels.

@@ -1,4 +1,4 @@
-"""Where points fall in a picture under a candidate calibration, and how that changes with its numbers."""
+"""Where points fall in an image under a candidate calibration, and how that changes with its numbers."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import project_unbounded
 
 _STEP_SHARE = 1e-4
-"""Derivatives of the lens are taken over this part of a point's distance."""
+"""Derivatives of the camera model are taken over this part of a point's distance."""
 _FOCAL_STEP = 1e-4
 _SHIFTS = range(Parameter.RIGHT, Parameter.AHEAD + 1)
 
@@ -19,7 +19,7 @@ _SHIFTS = range(Parameter.RIGHT, Parameter.AHEAD + 1)
 def moving_pixels(
     cues: Cues, chosen: AnyArray, numbers: Float64Array, free: AnyArray
 ) -> tuple[Float64Array, Float64Array]:
-    """Give pixels (M, 2) [px of the measured picture] of some points of a frame, and their derivatives (M, 2, P).
+    """Give pixels (M, 2) [px of the measured image] of some points of a frame, and their derivatives (M, 2, P).
 
     Args:
         chosen: (M,) int64, which points.
@@ -29,20 +29,20 @@ def moving_pixels(
     points = cues.points_lidar[chosen]
     change = Change.of(numbers)
     matrix = change.camera_from_points(cues.frame)
-    camera = focused(cues.features.picture.camera, float(numbers[Parameter.FOCAL]))
+    camera = focused(cues.features.image.camera, float(numbers[Parameter.FOCAL]))
     seen = points @ matrix[:3, :3].T + matrix[:3, 3]
     pixels = project_unbounded(camera, seen)
-    by_place = _by_place(camera, seen, pixels)
+    by_location = _by_location(camera, seen, pixels)
     slopes = np.empty((len(points), 2, len(free)))
     for column, k in enumerate(free.tolist()):
         if k == Parameter.FOCAL:
             wider = project_unbounded(focused(camera, _FOCAL_STEP), seen)
             slopes[:, :, column] = (wider - pixels) * (UNITS[k] / _FOCAL_STEP)
         elif k in _SHIFTS:
-            slopes[:, :, column] = by_place[k - Parameter.RIGHT].T * UNITS[k]
+            slopes[:, :, column] = by_location[k - Parameter.RIGHT].T * UNITS[k]
         else:
             velocity = _velocity(cues, k, seen, points, matrix) * UNITS[k]
-            slopes[:, :, column] = np.einsum("cin,nc->ni", by_place, velocity)
+            slopes[:, :, column] = np.einsum("cin,nc->ni", by_location, velocity)
     return pixels, slopes
 
 
@@ -52,21 +52,21 @@ def focused(camera: Camera, logarithm: float) -> Camera:
     return camera if scale == 1.0 else replace(camera, fx=camera.fx * scale, fy=camera.fy * scale)
 
 
-def _by_place(camera: Camera, seen: Float64Array, pixels: Float64Array) -> Float64Array:
-    """How pixels change with the points' places in the camera frame, (3, 2, M) [px/m], by axis."""
+def _by_location(camera: Camera, seen: Float64Array, pixels: Float64Array) -> Float64Array:
+    """How pixels change with the points' locations in the camera frame, (3, 2, M) [px/m], by axis."""
     steps = _STEP_SHARE * np.sqrt(np.einsum("ij,ij->i", seen, seen))
-    ways = np.empty((3, 2, len(seen)))
+    trajectories = np.empty((3, 2, len(seen)))
     for axis in range(3):
         ahead = seen.copy()
         ahead[:, axis] += steps
-        ways[axis] = ((project_unbounded(camera, ahead) - pixels) / steps[:, None]).T
-    return ways
+        trajectories[axis] = ((project_unbounded(camera, ahead) - pixels) / steps[:, None]).T
+    return trajectories
 
 
 def _velocity(
     cues: Cues, parameter: int, seen: Float64Array, points_lidar: Float64Array, matrix: Float64Array
 ) -> Float64Array:
-    """How the points move in the camera frame as a turn or the time grows, (M, 3)."""
+    """How the points move in the camera frame as a rotation or the time grows, (M, 3)."""
     if parameter < Parameter.RIGHT:
         return _across(np.eye(3)[parameter], seen)
     twist = cues.frame.twist_lidar
@@ -76,8 +76,8 @@ def _velocity(
     return moved
 
 
-def _across(turn: Float64Array, points: Float64Array) -> Float64Array:
+def _across(rotation: Float64Array, points: Float64Array) -> Float64Array:
     """The cross product of a vector with points, (M, 3): a product with a matrix is several times as fast."""
-    x, y, z = turn
+    x, y, z = rotation
     crossed: Float64Array = points @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
     return crossed

@@ -1,11 +1,11 @@
-"""How well points fall onto a picture, as a smooth function of a few numbers with its derivatives.
+"""How well points fall onto an image, as a smooth function of a few numbers with its derivatives.
 
-Each channel compares its points with a map of the picture that was blurred to some width and freed of what is wider:
-a candidate that moves points nowhere in particular gets 0. If a point that is where it belongs meets the mean value m
-of its map, and the map's values vary by v, then m/v times the value is the logarithm of how much likelier the point's
-place is than any other (both normal): channels are weighted by that, so the best-matching ones count most.
+Each channel compares its points with a map of the image that was blurred to some width and freed of what is wider:
+a candidate that moves non-finite points in particular gets 0. If a point that is where it belongs meets the mean value
+m of its map, and the map's values vary by v, then m/v times the value is the logarithm of how much likelier the point's
+location is than any other (both normal): channels are weighted by that, so the best-matching ones count most.
 
-Source: edges of clouds against blurred edges of pictures: Levinson and Thrun 2013; intensity against brightness:
+Source: edges of clouds against blurred edges of images: Levinson and Thrun 2013; intensity against brightness:
 Pandey, McBride, Savarese and Eustice 2012; Gaussian scale space, coarse to fine: Witkin, Terzopoulos and Kass 1987.
 """
 
@@ -16,34 +16,34 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float32Array, Float64Array
-from sceneloom.calibrate.measures.pictures import blur, box_means, evened
+from sceneloom.calibrate.measures.images import blur, box_means, evened
 from sceneloom.calibrate.refinement.cues import CHANNELS, LEVEL_MAP, Cues
 from sceneloom.calibrate.refinement.moving_pixels import moving_pixels
 from sceneloom.kernels.aligned_maps import sum_maps
 
 WIDTHS_PX = (6.0, 3.0, 1.0)
-"""How far pictures are blurred [px of the measured picture], from the first look to the last."""
+"""How far camera_images are blurred [px of the measured camera_image], from the first look to the last."""
 _STRIDES = {6.0: 3, 3.0: 2, 1.0: 1}
-"""So many pixels of a picture are one of the map: a wide blur leaves nothing between them."""
+"""So many pixels of an image are one of the map: a wide blur leaves nothing between them."""
 
 _WIDER = 4.0
 _BRIGHTNESS_SHARE = 0.5
 """Contrasts are known where their points are, edges between two points: brightness is blurred less than edges."""
 _CELL_WIDTHS = 2.0
-"""Points of a channel within so many widths see the same of a picture: they count as one."""
+"""Points of a channel within so many widths see the same of an image: they count as one."""
 
 
 def fill_maps(cues: Cues, width: float, maps: Float32Array) -> None:
-    """Blur a picture: edges by direction, then brightness.
+    """Blur an image: edges by direction, then brightness.
 
     Args:
-        width: of the blur [px of the picture].
+        width: of the blur [px of the image].
         maps: (K, H, W) float32, filled.
     """
-    picture, stride = cues.features.picture, _STRIDES[width]
-    for k, image in enumerate(picture.edges["fine"]):
+    camera_image, stride = cues.features.image, _STRIDES[width]
+    for k, image in enumerate(camera_image.edges["fine"]):
         maps[k] = _band(_reduced(image, stride), width / stride)
-    maps[LEVEL_MAP] = _band(_reduced(evened(picture.grey), stride), _BRIGHTNESS_SHARE * width / stride)
+    maps[LEVEL_MAP] = _band(_reduced(evened(camera_image.grey), stride), _BRIGHTNESS_SHARE * width / stride)
 
 
 def _reduced(image: Float32Array, stride: int) -> Float32Array:
@@ -89,8 +89,8 @@ class Level:
 
     @classmethod
     def of(cls, cues: Sequence[Cues], width: float) -> "Level":
-        """Blur all pictures, which must be of one size."""
-        height, across = _reduced(cues[0].features.picture.grey, _STRIDES[width]).shape
+        """Blur all images, which must be of one size."""
+        height, across = _reduced(cues[0].features.image.grey, _STRIDES[width]).shape
         kinds = LEVEL_MAP + 1
         maps = np.empty((len(cues) * kinds, height, across), np.float32)
         for k, one in enumerate(cues):
@@ -127,9 +127,9 @@ class Level:
         for k, one in enumerate(self.cues):
             own = slice(of[k], of[k + 1])
             if of[k] < of[k + 1]:
-                found, ways = moving_pixels(one, chosen[own] - begins[k], numbers, free)
+                found, trajectories = moving_pixels(one, chosen[own] - begins[k], numbers, free)
                 pixels[own] = (found + 0.5) / stride - 0.5
-                slopes[own] = ways / stride
+                slopes[own] = trajectories / stride
         return Linearised(self, pixels, slopes)
 
 
@@ -175,7 +175,7 @@ class Linearised:
         return Sums(values.reshape(shape), squares.reshape(shape), gradients.reshape(*shape, -1))
 
     def channel_weights(self, step: Float64Array) -> Float64Array:
-        """What each channel counts at a step, (C,): m/v of its values, times the share of points that tell news.
+        """What each channel counts at a step, (C,): m/v of its values, times the share of points that report news.
 
         A channel whose points do not fit better than others would gets 0.
         """
@@ -197,13 +197,13 @@ class Linearised:
         return form
 
     def _inside(self) -> AnyArray:
-        """Rows of the points in the pictures."""
+        """Rows of the points in the images."""
         size = np.array(self.level.maps.shape[:0:-1])
         with np.errstate(invalid="ignore"):
             return np.flatnonzero(((self.pixels >= 0.0) & (self.pixels < size - 1)).all(axis=1))
 
     def _counts(self) -> tuple[Float64Array, Float64Array]:
-        """How many points of each channel fall into the pictures, and into how many cells of a few widths."""
+        """How many points of each channel fall into the images, and into how many cells of a few widths."""
         cell = _CELL_WIDTHS * self.level.width / _STRIDES[self.level.width]
         inside = self._inside()
         groups = self.level.groups[inside]

@@ -27,7 +27,7 @@ DEFAULT = ("rotation", "translation", "time")
 LEAST_FRAMES = 4
 _FOLDS = 3
 _LEAST_CUES = 150
-"""A frame with fewer points around its picture is not used."""
+"""A frame with fewer points around its image is not used."""
 
 
 def refine(
@@ -41,7 +41,7 @@ def refine(
     Args:
         frames: of one camera and one lidar, all with the same stated calibration.
         parameters: names out of `GROUPS`; "rotation" is always among what is refined.
-        progress: told how many of the steps are done.
+        progress: reported how many of the steps are done.
 
     Raises:
         OptionError: a parameter is unknown.
@@ -51,13 +51,15 @@ def refine(
         return _unable(
             frames, f"{len(frames)} frames; expected {LEAST_FRAMES} or more, to refine and to judge by"
         )
-    told = _Told(progress, len(frames) + len(WIDTHS_PX) + 2 + _FOLDS)
-    cues = tuple(one for frame in frames if len((one := told.after(find_cues(frame))).weights) >= _LEAST_CUES)
+    reported = _Reported(progress, len(frames) + len(WIDTHS_PX) + 2 + _FOLDS)
+    cues = tuple(
+        one for frame in frames if len((one := reported.after(find_cues(frame))).weights) >= _LEAST_CUES
+    )
     problem = _why_not(frames, cues)
     if problem:
         return _unable(frames, problem)
-    levels = tuple(told.after(Level.of(cues, width)) for width in WIDTHS_PX)
-    return _refined(_Drive(cues, levels, views_of([one.frame for one in cues])), groups, told)
+    levels = tuple(reported.after(Level.of(cues, width)) for width in WIDTHS_PX)
+    return _refined(_Drive(cues, levels, views_of([one.frame for one in cues])), groups, reported)
 
 
 def _groups(parameters: Sequence[str]) -> tuple[str, ...]:
@@ -68,7 +70,7 @@ def _groups(parameters: Sequence[str]) -> tuple[str, ...]:
 
 
 @dataclass(slots=True)
-class _Told:
+class _Reported:
     """Counts what is done."""
 
     progress: Progress | None
@@ -76,7 +78,7 @@ class _Told:
     done: int = 0
 
     def after(self, result: Result) -> Result:
-        """Tell that something more is done."""
+        """Report that something more is done."""
         self.done = min(self.done + 1, self.whole)
         if self.progress is not None:
             self.progress(self.done, self.whole)
@@ -109,9 +111,9 @@ def _why_not(frames: Sequence[CalibrationFrame], cues: Sequence[Cues]) -> str:
         )
     cameras = {(one.frame.camera.width, one.frame.camera.height, one.frame.camera.fx) for one in cues}
     if len(cameras) > 1:
-        return "the lens differs from picture to picture; expected one that is the same in all"
-    if float(np.median([one.features.picture.plainness for one in cues])) > 0.97:
-        return "the pictures show next to nothing: black, covered or overexposed; expected edges to go by"
+        return "the camera model differs from image to image; expected one that is the same in all"
+    if float(np.median([one.features.image.plainness for one in cues])) > 0.97:
+        return "the images show next to nothing: black, covered or overexposed; expected edges to go by"
     return ""
 
 
@@ -119,7 +121,7 @@ def _unable(frames: Sequence[CalibrationFrame], reason: str) -> Refinement:
     if not frames:
         raise CalibrationError("no frames to refine a calibration by; expected some")
     return Refinement(
-        RefinementVerdict.CANNOT_TELL,
+        RefinementVerdict.UNDETERMINED,
         reason,
         frames[0].camera_from_lidar,
         frames[0].camera,
@@ -127,9 +129,9 @@ def _unable(frames: Sequence[CalibrationFrame], reason: str) -> Refinement:
     )
 
 
-def _refined(drive: _Drive, groups: tuple[str, ...], told: _Told) -> Refinement:
-    found, covariance, groups, held = _best(drive, groups, told)
-    gains = tuple(told.after(held_out_gain(drive.levels, fold, found.free)) for fold in drive.folds)
+def _refined(drive: _Drive, groups: tuple[str, ...], reported: _Reported) -> Refinement:
+    found, covariance, groups, held = _best(drive, groups, reported)
+    gains = tuple(reported.after(held_out_gain(drive.levels, fold, found.free)) for fold in drive.folds)
     sharpness = sharpness_of(found)
     verdict, reason = judged(found, covariance, gains, sharpness)
     stated = drive.cues[0].frame
@@ -156,9 +158,9 @@ def _refined(drive: _Drive, groups: tuple[str, ...], told: _Told) -> Refinement:
 
 
 def _best(
-    drive: _Drive, groups: tuple[str, ...], told: _Told
+    drive: _Drive, groups: tuple[str, ...], reported: _Reported
 ) -> tuple[Found, Float64Array, tuple[str, ...], tuple[str, ...]]:
-    """Search for all groups, and again without those that the drive does not tell."""
+    """Search for all groups, and again without those that the drive does not report."""
     held: list[str] = []
     count = int(drive.views[-1]) + 1
     if count < LEAST_VIEWS:
@@ -168,7 +170,7 @@ def _best(
         groups = ("rotation",)
     while True:
         free = np.array([int(parameter) for name in groups for parameter in GROUPS[name]], np.int64)
-        found = told.after(search(drive.levels, drive.all_frames, free))
+        found = reported.after(search(drive.levels, drive.all_frames, free))
         covariance = covariance_of(found, drive.views)
         sigmas = _sigmas(found.free, covariance, groups)
         loose = {

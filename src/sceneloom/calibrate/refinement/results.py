@@ -24,7 +24,7 @@ class RefinementVerdict(StrEnum):
 
     REFINED = "refined"
     KEPT = "kept"
-    CANNOT_TELL = "cannot tell"
+    UNDETERMINED = "cannot determine"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,11 +35,11 @@ class Refinement:
         verdict: whether the calibration is another one now.
         reason: why.
         camera_from_lidar: the refined one; the stated one unless the verdict is `refined`.
-        camera: the lens with refined focal lengths, or the stated one.
-        time_offset: seconds to be added to the camera's stamps.
-        change: what was found, whatever the verdict: turn and shift about the camera's axes, focal length, time.
+        camera: the camera model with refined focal lengths, or the stated one.
+        time_offset: seconds to be added to the camera's timestamps.
+        change: what was found, whatever the verdict: rotate and shift about the camera's axes, focal length, time.
         parameters: the groups that were refined.
-        held: groups that the drive does not tell, and how well it would.
+        held: groups that the drive does not report, and how well it would.
         free: (P,) int64, the numbers of the change that were searched.
         covariance: (P, P) of these, in rad, m, logarithm and s.
         gains: how much likelier the held-out frames of each fold are under what the others found.

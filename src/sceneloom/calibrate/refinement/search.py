@@ -10,14 +10,17 @@ from sceneloom.calibrate.measures.candidate import COUNT, UNITS
 from sceneloom.calibrate.refinement.hill import FARTHEST, Hill
 from sceneloom.calibrate.refinement.objective import Level, Linearised
 
-TURNS = np.arange(3)
+ROTATIONS = np.arange(3)
 _STARTS = 200
 _KEPT = (8, 3, 1)
 """So many candidates are followed up after each look."""
 _ROUNDS = 2
-_MOST_TURNED = (12_000, 16_000, 24_000)
+_MOST_ROTATED = (12_000, 16_000, 24_000)
 _MOST_MOVED = (40_000, 160_000)
-"""Points that count at each look, for the turns alone and for all numbers; few tell turns, and wide maps are smooth."""
+"""Points that count at each look, for the rotations alone and for all numbers; few report rotates.
+
+And wide maps are smooth.
+"""
 _MOST_STEPS = 10
 _FIRST_STEP, _LONGEST_STEP, _SMALLEST_STEP, _FARTHEST_CLIMB = 0.3, 1.0, 0.01, 2.0
 """Of a climb, in widths of the blur; the maps are smooth over about so much."""
@@ -53,7 +56,7 @@ def search(
 ) -> Found:
     """Find the best candidate near the stated calibration.
 
-    Turns are searched first, from many beginnings, for they move what is far away as well as what is near; then all
+    Rotates are searched first, from many beginnings, for they move what is far away as well as what is near; then all
     numbers together from there.
 
     Args:
@@ -62,8 +65,8 @@ def search(
         free: (P,) int64, which of the eight numbers are searched.
         thinned: one point of so many counts.
     """
-    most = [count // thinned for count in _MOST_TURNED]
-    best = _turned([level.part(frames, most=count) for level, count in zip(levels, most, strict=True)])
+    most = [count // thinned for count in _MOST_ROTATED]
+    best = _rotated([level.part(frames, most=count) for level, count in zip(levels, most, strict=True)])
     most = [count // thinned for count in _MOST_MOVED]
     parts = [level.part(frames, most=count) for level, count in zip(levels[1:], most, strict=True)]
     for level in parts:
@@ -71,30 +74,32 @@ def search(
     return _polished(parts[-1], free, best)
 
 
-def _turned(levels: Sequence[Level]) -> Float64Array:
-    """The best turn of the stated calibration."""
+def _rotated(levels: Sequence[Level]) -> Float64Array:
+    """The best rotate of the stated calibration."""
     found = _beginnings(levels[0])
     for number, level in enumerate(levels):
-        climbed = [_climb(level, TURNS, begun) for begun in found]
+        climbed = [_climb(level, ROTATIONS, begun) for begun in found]
         found = _best(level, climbed)[: _KEPT[number]]
     return found[0]
 
 
 def _beginnings(level: Level) -> list[Float64Array]:
-    """The stated calibration, and the best of some others turned from it."""
-    around = level.around(np.zeros(COUNT), TURNS)
-    drawn = np.random.default_rng(_SEED).normal(0.0, 0.5, (_STARTS, len(TURNS))) * FARTHEST[TURNS]
-    best = np.argsort([-_standing(around, step) for step in drawn])[: _KEPT[0] - 1]
-    return [np.zeros(COUNT), *(_spread(TURNS, drawn[k]) for k in best)]
+    """The stated calibration, and the best of some others rotated from it."""
+    around = level.around(np.zeros(COUNT), ROTATIONS)
+    drawn = np.random.default_rng(_SEED).normal(0.0, 0.5, (_STARTS, len(ROTATIONS))) * FARTHEST[ROTATIONS]
+    best = np.argsort([-_stationary(around, step) for step in drawn])[: _KEPT[0] - 1]
+    return [np.zeros(COUNT), *(_spread(ROTATIONS, drawn[k]) for k in best)]
 
 
 def _best(level: Level, found: Sequence[Float64Array]) -> list[Float64Array]:
     """Those found, the best first."""
-    standing = [_standing(level.around(numbers, TURNS), np.zeros(len(TURNS))) for numbers in found]
-    return [found[k] for k in np.argsort(standing)[::-1]]
+    stationary = [
+        _stationary(level.around(numbers, ROTATIONS), np.zeros(len(ROTATIONS))) for numbers in found
+    ]
+    return [found[k] for k in np.argsort(stationary)[::-1]]
 
 
-def _standing(linearised: Linearised, step: Float64Array) -> float:
+def _stationary(linearised: Linearised, step: Float64Array) -> float:
     """How far the channels together stand above 0, in standard deviations; weights play no part, so it compares."""
     sums = linearised.sums(step)
     scores = sums.values.sum(axis=0) / np.sqrt(np.maximum(sums.squares.sum(axis=0), 1e-9))
@@ -129,10 +134,10 @@ def _descended(hill: Hill) -> Float64Array:
     value, slope = hill.downwards(here)
     inverse = np.eye(len(here)) * (_FIRST_STEP / max(float(np.sqrt((slope**2).sum())), 1e-12))
     for _ in range(_MOST_STEPS):
-        way = -(inverse * slope).sum(axis=1)
-        way *= min(1.0, _LONGEST_STEP / max(float(np.sqrt((way**2).sum())), 1e-12))
+        trajectory = -(inverse * slope).sum(axis=1)
+        trajectory *= min(1.0, _LONGEST_STEP / max(float(np.sqrt((trajectory**2).sum())), 1e-12))
         for share in (1.0, 0.5, 0.25, 0.125):
-            ahead = here + share * way
+            ahead = here + share * trajectory
             value_ahead, slope_ahead = hill.downwards(ahead)
             if value_ahead < value:
                 break

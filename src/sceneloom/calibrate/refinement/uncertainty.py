@@ -1,6 +1,6 @@
 """How well the numbers of a refined calibration are known.
 
-The objective's slope at the solution is a sum over parts of the pictures. How differently these parts pull, through the
+The objective's slope at the solution is a sum over parts of the images. How differently these parts pull, through the
 objective's curvature, is the covariance: the sandwich of M-estimators. What one part of a view shows in one frame it
 shows in the next ones, too: frames of one view pull together.
 

@@ -96,10 +96,10 @@ def _clusters(points: Float64Array) -> list[Float64Array]:
     """Parts of a cloud with a gap around each; the ground, which joins all, is left out."""
     if len(points) < _LEAST_POINTS:
         return []
-    standing = points[~_ground(points)]
-    if len(standing) < _LEAST_POINTS:
+    stationary = points[~_ground(points)]
+    if len(stationary) < _LEAST_POINTS:
         return []
-    cells = np.floor(standing / _CELL).astype(np.int64)
+    cells = np.floor(stationary / _CELL).astype(np.int64)
     cells -= cells.min(axis=0)
     volume = np.zeros(cells.max(axis=0) + 3, np.bool_)
     volume[tuple((cells + 1).T)] = True
@@ -108,7 +108,7 @@ def _clusters(points: Float64Array) -> list[Float64Array]:
     labels, count = ndimage.label(joined, np.ones((3, 3, 3)))
     own = labels[tuple((cells + 1).T)]
     sizes = np.bincount(own, minlength=count + 1)
-    return [standing[own == label] for label in np.flatnonzero(sizes >= _LEAST_POINTS) if label]
+    return [stationary[own == label] for label in np.flatnonzero(sizes >= _LEAST_POINTS) if label]
 
 
 def _ground(points: Float64Array) -> BoolArray:
@@ -150,10 +150,12 @@ def _extent(points: Float64Array, normal: Float64Array) -> tuple[Float64Array, F
     flat = points @ axes.T
     rectangles = []
     for angle in np.radians(np.arange(0.0, 90.0, 1.0)):
-        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-        turned = flat @ turn.T
-        low, high = turned.min(axis=0), turned.max(axis=0)
-        rectangles.append((float(np.prod(high - low)), 0.5 * (low + high) @ turn, high - low, turn @ axes))
+        rotation = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        rotated = flat @ rotation.T
+        low, high = rotated.min(axis=0), rotated.max(axis=0)
+        rectangles.append(
+            (float(np.prod(high - low)), 0.5 * (low + high) @ rotation, high - low, rotation @ axes)
+        )
     best = min(rectangles, key=lambda one: one[0])
     middle = best[1] @ axes + normal * float(np.median(points @ normal))
     return middle, best[2], best[3]

@@ -1,6 +1,7 @@
-"""The inner corners of a checkerboard in a picture: saddles of the brightness that lie on a grid.
+"""The inner corners of a checkerboard in an image: saddles of the brightness that lie on a grid.
 
-Source: saddles by the determinant of the Hessian and their sub-pixel place by a quadratic surface: Lucchese and Mitra
+Source: saddles by the determinant of the Hessian and their sub-pixel location by a quadratic surface: Lucchese and
+    Mitra
 2002, "Using saddle points for subpixel feature detection in camera calibration targets"; growing a grid from a seed:
 Geiger, Moosmann, Car and Schuster 2012, "Automatic camera and range sensor calibration using a single shot".
 """
@@ -27,7 +28,7 @@ _NEIGHBOURS = 9
 def find_corners(grey: Float32Array, board: Board) -> Float64Array | None:
     """Find a board's inner corners, (rows columns, 2) float64 [px], row after row; None where it is not seen whole.
 
-    A board that is symmetric can be told in several orders: which corner comes first is not known.
+    A board that is symmetric can be reported in several orders: which corner comes first is not known.
     """
     saddles = _saddles(grey)
     if len(saddles) < board.rows * board.columns:
@@ -46,7 +47,7 @@ def find_corners(grey: Float32Array, board: Board) -> Float64Array | None:
 
 
 def _saddles(grey: Float32Array) -> Float64Array:
-    """Places of saddles, (N, 2) [px], the strongest first."""
+    """Locations of saddles, (N, 2) [px], the strongest first."""
     smooth = ndimage.gaussian_filter(np.asarray(grey, np.float64), _SMOOTHED_PX)
     across, down = np.gradient(smooth, axis=1), np.gradient(smooth, axis=0)
     uu, vv, uv = np.gradient(across, axis=1), np.gradient(down, axis=0), np.gradient(across, axis=0)
@@ -79,8 +80,8 @@ def _refined(smooth: Float64Array, columns: AnyArray, rows: AnyArray) -> Float64
     safe = np.where(bend < 0, bend, -1.0)
     shifts = np.stack([(b * e - 2.0 * c * d) / safe, (b * d - 2.0 * a * e) / safe], axis=1)
     good = (bend < 0) & (np.abs(shifts).max(axis=1) < 1.5)
-    places: Float64Array = (np.stack([columns, rows], axis=1) + shifts)[good]
-    return places
+    locations: Float64Array = (np.stack([columns, rows], axis=1) + shifts)[good]
+    return locations
 
 
 Grid = dict[tuple[int, int], int]
@@ -89,15 +90,17 @@ Grid = dict[tuple[int, int], int]
 def _grown(saddles: Float64Array, tree: cKDTree, seed: int) -> Grid:
     """Grow a grid of saddles from one of them: number of the saddle by (column, row)."""
     near = np.asarray(tree.query(saddles[seed], k=min(_NEIGHBOURS, len(saddles)))[1], np.int64)
-    ways = saddles[near[1:]] - saddles[seed]
+    trajectories = saddles[near[1:]] - saddles[seed]
     best: Grid = {}
-    lengths = np.linalg.norm(ways, axis=1)
-    for i in range(min(4, len(ways))):
-        for j in range(len(ways)):
-            sine = abs(ways[i, 0] * ways[j, 1] - ways[i, 1] * ways[j, 0]) / max(lengths[i] * lengths[j], 1e-9)
+    lengths = np.linalg.norm(trajectories, axis=1)
+    for i in range(min(4, len(trajectories))):
+        for j in range(len(trajectories)):
+            sine = abs(
+                trajectories[i, 0] * trajectories[j, 1] - trajectories[i, 1] * trajectories[j, 0]
+            ) / max(lengths[i] * lengths[j], 1e-9)
             if sine < 0.4 or not 0.3 < lengths[i] / lengths[j] < 3.3:
                 continue
-            grid = _spread(saddles, tree, seed, ways[i], ways[j])
+            grid = _spread(saddles, tree, seed, trajectories[i], trajectories[j])
             if len(grid) > len(best):
                 best = grid
     return best
@@ -110,13 +113,13 @@ def _spread(
     steps: dict[tuple[int, int], tuple[Float64Array, Float64Array]] = {(0, 0): (right, below)}
     taken, queue = {seed}, [(0, 0)]
     while queue:
-        place = queue.pop(0)
-        own = steps[place]
+        location = queue.pop(0)
+        own = steps[location]
         for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1)):
-            beside = (place[0] + sign * (axis == 0), place[1] + sign * (axis == 1))
+            beside = (location[0] + sign * (axis == 0), location[1] + sign * (axis == 1))
             if beside in grid:
                 continue
-            here = saddles[grid[place]]
+            here = saddles[grid[location]]
             distance, found = tree.query(here + sign * own[axis])
             if int(found) in taken or distance > _TOLERANCE * np.linalg.norm(own[axis]):
                 continue
@@ -130,18 +133,18 @@ def _spread(
 
 def _whole_board(grid: Grid, saddles: Float64Array, board: Board) -> Float64Array | None:
     """The corners of a board in a grid, in its own rows; None where the grid is not just that board."""
-    places = np.array(list(grid))
-    low, high = places.min(axis=0), places.max(axis=0)
+    locations = np.array(list(grid))
+    low, high = locations.min(axis=0), locations.max(axis=0)
     size = tuple((high - low + 1).tolist())
-    for wanted, turned in (((board.columns, board.rows), False), ((board.rows, board.columns), True)):
+    for wanted, rotated in (((board.columns, board.rows), False), ((board.rows, board.columns), True)):
         for start in _windows(size, wanted):
             order = [
-                (low[0] + start[0] + (v if turned else u), low[1] + start[1] + (u if turned else v))
+                (low[0] + start[0] + (v if rotated else u), low[1] + start[1] + (u if rotated else v))
                 for v in range(board.rows)
                 for u in range(board.columns)
             ]
-            if all(place in grid for place in order) and len(grid) <= 1.3 * len(order):
-                return _facing(np.array([saddles[grid[place]] for place in order]), board)
+            if all(location in grid for location in order) and len(grid) <= 1.3 * len(order):
+                return _facing(np.array([saddles[grid[location]] for location in order]), board)
     return None
 
 
@@ -153,7 +156,7 @@ def _windows(size: tuple[int, ...], wanted: tuple[int, int]) -> list[tuple[int, 
 
 
 def _facing(corners: Float64Array, board: Board) -> Float64Array:
-    """Order the corners so that the board is seen from its front: columns to the right of rows, as in the picture."""
+    """Order the corners so that the board is seen from its front: columns to the right of rows, as in the image."""
     square = corners.reshape(board.rows, board.columns, 2)
     right, below = square[0, -1] - square[0, 0], square[-1, 0] - square[0, 0]
     if right[0] * below[1] - right[1] * below[0] < 0:

@@ -1,8 +1,8 @@
 """`camera_from_lidar` from a checkerboard that both see: the start where no guess exists.
 
-Of each view the camera tells the board's pose and the lidar its plane and extent. Normals give the rotation, planes and
-middles the translation; then all points are fitted at once: those of the cloud onto the board's plane, and the board's
-extent, as far as the scan lines tell it, onto its border.
+Of each view the camera reports the board's pose and the lidar its plane and extent. Normals give the rotation, planes
+and middles the translation; then all points are fitted at once: those of the cloud onto the board's plane, and the
+board's extent, as far as the scan lines report it, onto its border.
 
 Source: planes: Zhang and Pless 2004, "Extrinsic calibration of a camera and laser range finder", and Unnikrishnan and
 Hebert 2005; planes and borders: Zhou, Li and Kaess 2018, "Automatic extrinsic calibration of a camera and a 3D lidar
@@ -23,10 +23,10 @@ from sceneloom.errors import PoseError
 from sceneloom.geometry.rigid import RigidTransform
 
 LEAST_VIEWS = 3
-_LEAST_TURN = np.radians(10.0)
+_LEAST_ROTATION = np.radians(10.0)
 _PLANE_SIGMA = 0.01
 _MIDDLE_SIGMA = 0.02
-"""How far a board's extent is off that scan lines tell [m]: about a third of the way between two lines."""
+"""How far a board's extent is off that scan lines report [m]: about a third of the trajectory between two lines."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,18 +46,18 @@ def start_from_target(views: Sequence[BoardView], board: Board) -> MountingEstim
     """Find `camera_from_lidar` from several views of a board.
 
     Raises:
-        PoseError: too few views, or all with the board turned alike.
+        PoseError: too few views, or all with the board rotated alike.
     """
     if len(views) < LEAST_VIEWS:
         raise PoseError(
-            f"{len(views)} views of the board; expected {LEAST_VIEWS} or more, turned differently"
+            f"{len(views)} views of the board; expected {LEAST_VIEWS} or more, rotated differently"
         )
     normals = np.array([_towards_camera(view.camera_from_board) for view in views])
     seen = np.array([view.cloud.normal for view in views])
     spread = np.linalg.svd(normals)[1]
-    if spread[1] < np.sin(_LEAST_TURN) * np.sqrt(len(views)) * 0.5:
+    if spread[1] < np.sin(_LEAST_ROTATION) * np.sqrt(len(views)) * 0.5:
         raise PoseError(
-            "the board is turned alike in all views; expected turns by 10 deg or more about two axes"
+            "the board is rotated alike in all views; expected rotates by 10 deg or more about two axes"
         )
     start = _closed(views, normals, seen)
 
@@ -91,7 +91,7 @@ def _closed(views: Sequence[BoardView], normals: Float64Array, seen: Float64Arra
 def _errors(view: BoardView, camera_from_lidar: RigidTransform, board: Board) -> Float64Array:
     """Distances from the board's plane, and how far the extent is from the border on both sides, by their sigmas.
 
-    Points of a plane that follow one another tell the same: of many each counts less.
+    Points of a plane that follow one another report the same: of many each counts less.
     """
     on_board = view.camera_from_board.inverse().apply(camera_from_lidar.apply(view.cloud.points))
     share = np.sqrt(min(1.0, 100.0 / len(on_board)))

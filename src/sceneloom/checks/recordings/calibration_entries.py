@@ -7,7 +7,7 @@ from typing import Any
 from sceneloom.checks.reading import as_read
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
-from sceneloom.formats.recording.lenses import LENS_READINGS
+from sceneloom.formats.recording.camera_models import CAMERA_MODEL_READINGS
 from sceneloom.scene.findings import Severity
 
 CAMERA_KEYS = frozenset(
@@ -53,38 +53,38 @@ def _entries(subject: Subject, name: str) -> Iterator[tuple[str, Mapping[str, An
 
 
 def _spelling(subject: Subject) -> Iterator[Hit]:
-    for place, entry in _entries(subject, "cameras"):
-        yield from _spelling_of_model(place, entry)
-        yield from _spelling_of_matrix(place, entry, "imuToCamera")
-    for place, entry in _entries(subject, "lidars"):
-        yield from _spelling_of_matrix(place, entry, "imuToLidar")
+    for location, entry in _entries(subject, "cameras"):
+        yield from _spelling_of_model(location, entry)
+        yield from _spelling_of_matrix(location, entry, "imuToCamera")
+    for location, entry in _entries(subject, "lidars"):
+        yield from _spelling_of_matrix(location, entry, "imuToLidar")
 
 
-def _spelling_of_model(place: str, entry: Mapping[str, Any]) -> Iterator[Hit]:
+def _spelling_of_model(location: str, entry: Mapping[str, Any]) -> Iterator[Hit]:
     key = "model" if "model" in entry else "distortionModel"
     name = entry.get(key)
     if not isinstance(name, str):
         return
-    usual = {_plain(known): known for known in LENS_READINGS}.get(_plain(name))
+    usual = {_plain(known): known for known in CAMERA_MODEL_READINGS}.get(_plain(name))
     if usual is None:
         return
     if name != usual:
-        yield Hit(f"{place}.{key}", f"{name!r}; expected {usual!r}")
+        yield Hit(f"{location}.{key}", f"{name!r}; expected {usual!r}")
     if key != "model":
-        yield Hit(f"{place}.{key}", "expected the key `model`")
+        yield Hit(f"{location}.{key}", "expected the key `model`")
     coefficients = entry.get("distortionCoefficients")
     given, wanted = _PADDED.get(usual, (-1, -1))
     if isinstance(coefficients, list) and len(coefficients) == given:
-        yield Hit(f"{place}.distortionCoefficients", f"{given} numbers; expected {wanted}, padded with 0")
+        yield Hit(f"{location}.distortionCoefficients", f"{given} numbers; expected {wanted}, padded with 0")
 
 
-def _spelling_of_matrix(place: str, entry: Mapping[str, Any], key: str) -> Iterator[Hit]:
+def _spelling_of_matrix(location: str, entry: Mapping[str, Any], key: str) -> Iterator[Hit]:
     other = f"{key}Matrix"
     if other in entry and key not in entry:
-        yield Hit(f"{place}.{other}", f"expected the key `{key}`")
+        yield Hit(f"{location}.{other}", f"expected the key `{key}`")
     matrix = entry.get(key, entry.get(other))
     if isinstance(matrix, list) and len(matrix) == 16:
-        yield Hit(f"{place}.{key}", "16 numbers, read column by column; expected 4 rows of 4")
+        yield Hit(f"{location}.{key}", "16 numbers, read column by column; expected 4 rows of 4")
 
 
 def _plain(name: str) -> str:
@@ -96,37 +96,37 @@ def _unknown_keys(subject: Subject) -> Iterator[Hit]:
         return
     content = subject.recording.calibration.content
     yield from _strange("calibration.json: ", content, ROOT_KEYS)
-    for place, entry in _entries(subject, "cameras"):
-        yield from _strange(f"{place}.", entry, CAMERA_KEYS)
-    for place, entry in _entries(subject, "lidars"):
-        yield from _strange(f"{place}.", entry, LIDAR_KEYS)
+    for location, entry in _entries(subject, "cameras"):
+        yield from _strange(f"{location}.", entry, CAMERA_KEYS)
+    for location, entry in _entries(subject, "lidars"):
+        yield from _strange(f"{location}.", entry, LIDAR_KEYS)
 
 
-def _strange(place: str, entry: Mapping[str, Any], known: frozenset[str]) -> Iterator[Hit]:
+def _strange(location: str, entry: Mapping[str, Any], known: frozenset[str]) -> Iterator[Hit]:
     for key in entry:
         if key not in known:
             plain = {_plain(name): name for name in known}
             near = get_close_matches(_plain(key), plain, n=1)
             meant = f"; is {plain[near[0]]!r} meant?" if near else ""
-            yield Hit(f"{place}{key}", f"nothing here reads it{meant}")
+            yield Hit(f"{location}{key}", f"nothing here reads it{meant}")
 
 
 def _shutter_times(subject: Subject) -> Iterator[Hit]:
     limits = {"shutterRollTimeSeconds": LONGEST_ROLL, "exposureTimeSeconds": LONGEST_EXPOSURE}
-    for place, entry in _entries(subject, "cameras"):
+    for location, entry in _entries(subject, "cameras"):
         for key, longest in limits.items():
             seconds = entry.get(key)
             if isinstance(seconds, int | float) and not 0 <= seconds <= longest:
                 hint = ": probably milliseconds" if seconds > longest else ""
-                yield Hit(f"{place}.{key}", f"{seconds:g} s; expected 0 to {longest:g}{hint}")
+                yield Hit(f"{location}.{key}", f"{seconds:g} s; expected 0 to {longest:g}{hint}")
 
 
 def _shifts(subject: Subject) -> Iterator[Hit]:
-    for place, entry in _entries(subject, "cameras"):
+    for location, entry in _entries(subject, "cameras"):
         seconds = entry.get("imuToCameraShiftSeconds")
         if isinstance(seconds, int | float) and not abs(seconds) <= LONGEST_SHIFT:
-            told = f"{seconds:g} s; expected at most {LONGEST_SHIFT:g} either way: probably milliseconds"
-            yield Hit(f"{place}.imuToCameraShiftSeconds", told)
+            reported = f"{seconds:g} s; expected at most {LONGEST_SHIFT:g} either way: probably milliseconds"
+            yield Hit(f"{location}.imuToCameraShiftSeconds", reported)
 
 
 RULES: tuple[Rule, ...] = (

@@ -48,9 +48,9 @@ def _pairs(subject: Subject) -> list[CameraPair]:
     found = []
     for (first, a), (second, b) in combinations(mounted, 2):
         pair = CameraPair(first, second, a @ b.inverse())
-        turned = np.degrees(
+        rotated = np.degrees(
             np.arccos(np.clip((np.trace(pair.first_from_second.rotation) - 1) / 2, -1.0, 1.0))
         )
-        if turned <= ALIKE_DEG:
+        if rotated <= ALIKE_DEG:
             found.append(pair)
     return found

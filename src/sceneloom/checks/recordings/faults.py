@@ -1,4 +1,4 @@
-"""Rules about what the reader of a recording had to leave out: one for each kind of fault that it tells apart."""
+"""Rules about what the reader of a recording had to leave out: one for each kind of fault that it distinguishes."""
 
 from collections.abc import Iterator
 
@@ -10,7 +10,7 @@ from sceneloom.scene.findings import Severity
 
 
 def _without_calibration(subject: Subject) -> Iterator[Hit]:
-    """Cameras that no calibration tells of; not those whose entry is there and at fault itself."""
+    """Cameras that no calibration reports; not those whose entry is there and at fault itself."""
     spoilt = [fault.path for fault in subject.faults if fault.code in _SPOILING]
     for fault in subject.faults:
         if fault.code != "cameras-without-calibration":
@@ -59,7 +59,7 @@ FAULT_RULES: tuple[Rule, ...] = (
     ),
     _error(
         "unusable-calibrations",
-        "Every entry of `calibration.json` has a lens and a rigid mounting with numbers of the right kind.",
+        "Every entry of `calibration.json` has a camera model and a rigid mounting with numbers of the right kind.",
         "Correct the entry; a matrix is 4x4 by rows, takes points of the IMU into the sensor, and does not mirror.",
     ),
     _error(
@@ -69,12 +69,12 @@ FAULT_RULES: tuple[Rule, ...] = (
     ),
     _error(
         "unusable-frame-parameters",
-        "Lenses and mountings that `frames` lines bring along can be used.",
+        "Camera models and mountings that `frames` lines bring along can be used.",
         "Correct `cameraParameters` or `imuToCamera`, or leave them out: those of the calibration hold then.",
     ),
     _error(
         "unusable-cameras",
-        "Every camera of a recording has a lens and pictures that can be used.",
+        "Every camera of a recording has a camera model and images that can be used.",
         "Correct what the message names; the camera is left out until then.",
     ),
     _error(
@@ -85,33 +85,33 @@ FAULT_RULES: tuple[Rule, ...] = (
     _error(
         "mounts-missing",
         "Every camera has an `imuToCamera`, in its entry of `calibration.json` or in its lines.",
-        "Write it; until then nothing can be brought into the pictures. `--lenient` keeps the camera without it.",
+        "Write it; until then nothing can be brought into the images. `--lenient` keeps the camera without it.",
     ),
     _error(
         "cameras-without-calibration",
-        "Every camera that `frames` lines name is in `calibration.json`, or has its lens in its lines.",
+        "Every camera that `frames` lines name is in `calibration.json`, or has its camera model in its lines.",
         "Write its entry (model, focal lengths, principal point, imuToCamera); the camera is left out until then.",
         _without_calibration,
     ),
     _error(
         "missing-videos",
-        "Every camera that `frames` lines name has a video, or a folder of pictures.",
+        "Every camera that `frames` lines name has a video, or a folder of images.",
         "Put the video where the message expects it, or take the camera out of the lines.",
     ),
     _error(
         "unreadable-videos",
-        "Videos and folders of pictures can be opened.",
+        "Videos and folders of images can be opened.",
         "Record or export the video again; one that was cut off can be repaired by remuxing it.",
     ),
     _error(
         "repeated-videos",
-        "Every camera has one video or one folder of pictures.",
+        "Every camera has one video or one folder of images.",
         "Keep the one that the lines belong to.",
     ),
     _error(
-        "unmatched-pictures",
-        "A video has as many pictures as its `frames` lines say.",
-        "Find out which pictures were lost; `--image-index` says which one a line means, the message "
+        "unmatched-images",
+        "A video has as many images as its `frames` lines state.",
+        "Find out which images were lost; `--image-index` says which one a line means, the message "
         "which way it took.",
     ),
     _error(

@@ -1,13 +1,13 @@
-"""Rules about `frames` lines: their numbers, which say which picture is meant, their cameras, and their times."""
+"""Rules about `frames` lines: their numbers, which state which image is meant, their cameras, and their times."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.checks.reading import notices_of_code
+from sceneloom.checks.reading import warnings_of_code
 from sceneloom.checks.recordings.camera_pairs import stereo_pairs
-from sceneloom.checks.recordings.mended_frames import counted_anew, with_all_cameras
+from sceneloom.checks.recordings.repaired_frames import counted_anew, with_all_cameras
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.recording.column_arrays import time_order, view
@@ -15,9 +15,9 @@ from sceneloom.formats.recording.columns import FrameColumns
 from sceneloom.scene.findings import Severity
 
 IN_STEP = 0.002
-"""Pictures of a stereo pair are taken within this time [s]."""
+"""Images of a stereo pair are taken within this time [s]."""
 _NO_STEP = 0.1
-"""Taken for the time from line to line [s] where the lines tell none."""
+"""Taken for the time from line to line [s] where the lines notify none."""
 
 
 def _frames(subject: Subject) -> FrameColumns | None:
@@ -51,8 +51,8 @@ def _order(subject: Subject) -> Iterator[Hit]:
         return
     numbers, lines = _by_time(frames)
     for row in np.flatnonzero(np.diff(numbers) <= 0).tolist():
-        told = f"number: {numbers[row + 1]} after {numbers[row]}; expected {numbers[row] + 1}"
-        yield Hit(_at(lines[row + 1]), told)
+        reported = f"number: {numbers[row + 1]} after {numbers[row]}; expected {numbers[row] + 1}"
+        yield Hit(_at(lines[row + 1]), reported)
 
 
 def _gaps(subject: Subject) -> Iterator[Hit]:
@@ -82,8 +82,8 @@ def _without_cameras(subject: Subject) -> Iterator[Hit]:
         has_it[np.asarray(camera.rows, np.int64)] = True
         lacking = np.flatnonzero(~has_it)
         if len(lacking):
-            told = f"frames: cameraInd {index} is missing in {len(lacking)} of {len(frames.lines)} lines"
-            yield Hit(_at(frames.lines[int(lacking[0])]), told, len(lacking))
+            reported = f"frames: cameraInd {index} is missing in {len(lacking)} of {len(frames.lines)} lines"
+            yield Hit(_at(frames.lines[int(lacking[0])]), reported, len(lacking))
 
 
 def _entry_times(subject: Subject) -> Iterator[Hit]:
@@ -99,11 +99,11 @@ def _entry_times(subject: Subject) -> Iterator[Hit]:
         wrong = np.flatnonzero(np.abs(off) > 0.5 * period)
         if len(wrong):
             worst = int(wrong[np.abs(off[wrong]).argmax()])
-            told = (
+            reported = (
                 f"frames[].time of camera {index} is up to {off[worst]:+.3f} s off its line's time in {len(wrong)} of "
                 f"{len(rows)} lines; expected less than half a period of {period:.3f} s"
             )
-            yield Hit(_at(frames.lines[rows[worst]]), told, len(wrong))
+            yield Hit(_at(frames.lines[rows[worst]]), reported, len(wrong))
 
 
 def _out_of_step(subject: Subject) -> Iterator[Hit]:
@@ -114,16 +114,16 @@ def _out_of_step(subject: Subject) -> Iterator[Hit]:
         rows, apart = _apart(frames, pair.first, pair.second)
         wrong = np.flatnonzero(np.abs(apart) > IN_STEP)
         if len(wrong):
-            told = (
-                f"pictures of cameras {pair.first} and {pair.second}, which look the same way, are "
+            reported = (
+                f"images of cameras {pair.first} and {pair.second}, which look the same way, are "
                 f"{np.median(np.abs(apart[wrong])) * 1e3:.1f} ms apart in {len(wrong)} of {len(rows)} lines; "
                 f"expected at most {IN_STEP * 1e3:g} ms"
             )
-            yield Hit(_at(frames.lines[rows[wrong[0]]]), told, len(wrong))
+            yield Hit(_at(frames.lines[rows[wrong[0]]]), reported, len(wrong))
 
 
 def _apart(frames: FrameColumns, first: int, second: int) -> tuple[Int64Array, Float64Array]:
-    """Rows of lines that have both cameras, and how much later the second camera's picture is [s]."""
+    """Rows of lines that have both cameras, and how much later the second camera's image is [s]."""
     none = np.zeros(0, np.int64)
     if first not in frames.cameras or second not in frames.cameras:
         return none, np.zeros(0)
@@ -139,7 +139,7 @@ RULES: tuple[Rule, ...] = (
         "frame-numbers-begin",
         Severity.HINT,
         "`number` of the first `frames` line is 0.",
-        "Count from 0: what counts from elsewhere takes other pictures of the video in some programs.",
+        "Count from 0: what counts from elsewhere takes other images of the video in some programs.",
         find=_begin,
         fix=counted_anew,
     ),
@@ -147,7 +147,7 @@ RULES: tuple[Rule, ...] = (
         "frame-numbers-increasing",
         Severity.WARNING,
         "`number` grows from `frames` line to `frames` line, in the order of their times.",
-        "See which picture each line means: it is told by its number; `--fix` numbers them by time, and the video with "
+        "See which image each line means: it is known by its number; `--fix` numbers them by time, and the video with "
         "them.",
         find=_order,
         fix=counted_anew,
@@ -156,7 +156,7 @@ RULES: tuple[Rule, ...] = (
         "frame-numbers-gaps",
         Severity.WARNING,
         "`number` grows by one from `frames` line to `frames` line.",
-        "See whether frames were dropped; `--fix` numbers the lines anew and takes pictures without a line out.",
+        "See whether frames were dropped; `--fix` numbers the lines anew and takes images without a line out.",
         find=_gaps,
         fix=counted_anew,
     ),
@@ -164,7 +164,7 @@ RULES: tuple[Rule, ...] = (
         "frames-without-camera",
         Severity.WARNING,
         "Every `frames` line names every camera.",
-        "Add the camera, with `missingBitmap` where it has no picture: the vendor's software refuses other lines.",
+        "Add the camera, with `missingBitmap` where it has no image: the vendor's software refuses other lines.",
         find=_without_cameras,
         fix=with_all_cameras,
     ),
@@ -172,20 +172,20 @@ RULES: tuple[Rule, ...] = (
         "frames-missing-bitmap",
         Severity.HINT,
         "No entry of a `frames` line says `missingBitmap`.",
-        "See whether the camera dropped pictures.",
-        find=notices_of_code("missing-bitmaps"),
+        "See whether the camera dropped images.",
+        find=warnings_of_code("missing-bitmaps"),
     ),
     Rule(
         "frame-entry-times",
         Severity.WARNING,
         "`frames[].time` lies within half a period of its line's time.",
-        "Write the time at which the picture was taken, on the clock of the other lines.",
+        "Write the time at which the image was taken, on the clock of the other lines.",
         find=_entry_times,
     ),
     Rule(
         "stereo-in-step",
         Severity.WARNING,
-        f"Cameras that look the same way take their pictures within {IN_STEP * 1e3:g} ms.",
+        f"Cameras that look the same way take their images within {IN_STEP * 1e3:g} ms.",
         "Trigger both together, or give them lines of their own: a pair is taken for one moment.",
         find=_out_of_step,
     ),

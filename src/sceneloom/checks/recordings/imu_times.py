@@ -1,11 +1,11 @@
-"""Rules about when an IMU measured: around the pictures, at times of its own, and on one clock."""
+"""Rules about when an IMU measured: around the images, at times of its own, and on one clock."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.checks.recordings.streams import Kind, Stream, place, streams_of_kind
+from sceneloom.checks.recordings.streams import Kind, Stream, location, streams_of_kind
 from sceneloom.checks.recordings.times import APART_SECONDS
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
@@ -13,10 +13,10 @@ from sceneloom.scene.findings import Severity
 
 FAR_SECONDS = 0.1
 FAR_PERIODS = 4.0
-"""A picture that is farther than both from the nearest sample of the IMU is far."""
+"""An image that is farther than both from the nearest sample of the IMU is far."""
 
 SHARE_AT_SAMPLES = 0.5
-"""More pictures than this share with the very times of samples were stamped by the IMU's clock ticks."""
+"""More images than this share with the very times of samples were timestamped by the IMU's clock ticks."""
 
 SHIFT_PERIODS = 1.5
 _SAME_SHIFT_PERIODS = 0.5
@@ -49,9 +49,9 @@ def _far_from_imu(subject: Subject) -> Iterator[Hit]:
             row, worst = int(far[0]), float(distances.max())
             problem = (
                 f"{camera.at(row)} is {distances[row]:.3f} s from the nearest sample of the {imu.name}; expected at "
-                f"most {limit:.3f} s, found up to {worst:.3f} s in {len(far)} of {len(camera)} pictures"
+                f"most {limit:.3f} s, found up to {worst:.3f} s in {len(far)} of {len(camera)} images"
             )
-            yield Hit(place(camera, row), problem)
+            yield Hit(location(camera, row), problem)
 
 
 def _at_samples(subject: Subject) -> Iterator[Hit]:
@@ -62,10 +62,10 @@ def _at_samples(subject: Subject) -> Iterator[Hit]:
             if share > SHARE_AT_SAMPLES:
                 row = int(np.flatnonzero(same)[0])
                 problem = (
-                    f"{share:.0%} of the pictures have the very time of a sample of the {imu.name}, "
+                    f"{share:.0%} of the images have the very time of a sample of the {imu.name}, "
                     f"the first is {camera.at(row)}"
                 )
-                yield Hit(place(camera, row), problem)
+                yield Hit(location(camera, row), problem)
                 break
 
 
@@ -103,22 +103,22 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "frames-far-from-imu",
         Severity.WARNING,
-        "Every picture has a sample of the gyroscope within 0.1 s and 4 of its intervals, whichever is longer.",
+        "Every image has a sample of the gyroscope within 0.1 s and 4 of its intervals, whichever is longer.",
         "See whether both are on one clock, and whether the IMU was started late or stopped early.",
         find=_far_from_imu,
     ),
     Rule(
         "frames-at-imu-times",
         Severity.HINT,
-        "At most half of the pictures have the very time of a sample of the IMU.",
-        "Stamp pictures when they are exposed, not with the next sample's time; the vendor's diagnosis warns of it.",
+        "At most half of the images have the very time of a sample of the IMU.",
+        "Timestamp images when they are exposed, not with the next sample's time; the vendor's diagnosis warns of it.",
         find=_at_samples,
     ),
     Rule(
         "imu-clocks",
         Severity.WARNING,
         "Accelerometer and gyroscope of one rate and length begin and end within 1.5 intervals of each other.",
-        "See whether one of them is stamped late, and take the shift off its times.",
+        "See whether one of them is timestamped late, and take the shift off its times.",
         find=_shifted,
     ),
 )

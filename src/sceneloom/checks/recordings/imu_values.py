@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.checks.recordings.streams import Kind, Stream, place, streams_of_kind
+from sceneloom.checks.recordings.streams import Kind, Stream, location, streams_of_kind
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.scene.findings import Severity
@@ -16,12 +16,12 @@ LEAST_MEAN_PULL, GREATEST_MEAN_PULL = 8.0, 20.0
 HARDEST_PULL = 200.0
 """No vehicle is pulled harder, only one that is hit [m/s²]."""
 
-FASTEST_TURN = 20.0
-"""Nothing that carries sensors turns faster [rad/s]."""
+FASTEST_ROTATION = 20.0
+"""Nothing that carries sensors rotates faster [rad/s]."""
 
-LONGEST_FAST_TURN = 0.2
-FAST_TURN_SHARE = 0.001
-"""Turning faster for longer than this [s] and than this part of the time is no shock, but another unit."""
+LONGEST_FAST_ROTATION = 0.2
+FAST_ROTATION_SHARE = 0.001
+"""Rotating faster for longer than this [s] and than this part of the time is no shock, but another unit."""
 
 LOUDEST = 2.5
 """The mean of what is left of the accelerations above a quarter of the rate [m/s²]."""
@@ -72,7 +72,7 @@ def _hard_pulls(subject: Subject) -> Iterator[Hit]:
 
 
 def _beyond(stream: Stream, limit: float, unit: str) -> Iterator[Hit]:
-    """Tell the samples that are longer than a limit, in the place of the first."""
+    """Report the samples that are longer than a limit, in the position of the first."""
     lengths = magnitudes(stream)
     rows = np.flatnonzero(~(lengths <= limit))
     if len(rows):
@@ -80,7 +80,7 @@ def _beyond(stream: Stream, limit: float, unit: str) -> Iterator[Hit]:
         problem = f"{stream.at(row)} is {lengths[row]:.4g} {unit} long; expected at most {limit:g}"
         if len(rows) > 1:
             problem += f"; the longest of {len(rows)} is {lengths.max():.4g}"
-        yield Hit(place(stream, row), problem, len(rows))
+        yield Hit(location(stream, row), problem, len(rows))
 
 
 def _noise(subject: Subject) -> Iterator[Hit]:
@@ -105,29 +105,29 @@ def _mean_noise(values: Float64Array) -> Float64Array:
     return means
 
 
-def turns_too_long(stream: Stream) -> bool:
-    """Whether a gyroscope is faster than anything turns for so long that it is no shock."""
-    fast = int(np.count_nonzero(magnitudes(stream) > FASTEST_TURN))
+def rotations_too_long(stream: Stream) -> bool:
+    """Whether a gyroscope is faster than anything rotates for so long that it is no shock."""
+    fast = int(np.count_nonzero(magnitudes(stream) > FASTEST_ROTATION))
     seconds = fast * (stream.period or 0.0)
-    return seconds > LONGEST_FAST_TURN and fast > FAST_TURN_SHARE * len(stream)
+    return seconds > LONGEST_FAST_ROTATION and fast > FAST_ROTATION_SHARE * len(stream)
 
 
-def _wrong_unit_of_turns(subject: Subject) -> Iterator[Hit]:
+def _wrong_unit_of_rotations(subject: Subject) -> Iterator[Hit]:
     for stream in streams_of_kind(subject, Kind.GYROSCOPE):
-        if turns_too_long(stream):
+        if rotations_too_long(stream):
             lengths = magnitudes(stream)
-            fast = int(np.count_nonzero(lengths > FASTEST_TURN))
+            fast = int(np.count_nonzero(lengths > FASTEST_ROTATION))
             problem = (
-                f"{fast} samples are faster than {FASTEST_TURN:g} rad/s, up to {lengths.max():.4g}: "
+                f"{fast} samples are faster than {FASTEST_ROTATION:g} rad/s, up to {lengths.max():.4g}: "
                 "are these degrees per second? The format wants rad/s"
             )
             yield Hit(stream.whole, problem)
 
 
-def _fast_turns(subject: Subject) -> Iterator[Hit]:
+def _fast_rotations(subject: Subject) -> Iterator[Hit]:
     for stream in streams_of_kind(subject, Kind.GYROSCOPE):
-        if not turns_too_long(stream):
-            yield from _beyond(stream, FASTEST_TURN, "rad/s")
+        if not rotations_too_long(stream):
+            yield from _beyond(stream, FASTEST_ROTATION, "rad/s")
 
 
 RULES: tuple[Rule, ...] = (
@@ -155,15 +155,15 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "gyroscope-unit",
         Severity.ERROR,
-        "Turn rates are rad/s: faster than 20 for no longer than a shock takes, 0.2 s or 0.1 % of the time.",
+        "Rotate rates are rad/s: faster than 20 for no longer than a shock takes, 0.2 s or 0.1 % of the time.",
         "Write rad/s; degrees per second are 57.3 times as large.",
-        find=_wrong_unit_of_turns,
+        find=_wrong_unit_of_rotations,
     ),
     Rule(
         "gyroscope-range",
         Severity.WARNING,
-        "No turn rate is faster than 20 rad/s.",
+        "No yaw rate is faster than 20 rad/s.",
         "See whether the sensor was hit, or its samples are torn.",
-        find=_fast_turns,
+        find=_fast_rotations,
     ),
 )

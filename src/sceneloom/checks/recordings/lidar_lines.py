@@ -26,8 +26,10 @@ def _doubled(subject: Subject) -> Iterator[Hit]:
     for lidar in lidars.values():
         for name, line in zip(lidar.files, lidar.lines, strict=True):
             if counts[name] > 1 and name in seen:
-                told = f"lidar.dataFile: {name!r} is that of line {seen[name]}, too; expected one of its own"
-                yield Hit(f"data.jsonl: line {line}", told)
+                reported = (
+                    f"lidar.dataFile: {name!r} is that of line {seen[name]}, too; expected one of its own"
+                )
+                yield Hit(f"data.jsonl: line {line}", reported)
             seen.setdefault(name, line)
 
 
@@ -45,7 +47,7 @@ def _ranges(subject: Subject) -> dict[str, _Ranges]:
 
 
 def _look(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
-    """Take the middle distance of some sweeps; what they tell is said at the end."""
+    """Take the middle distance of some sweeps; what they report is stated at the end."""
     yield from ()
     sweep, lidar = frame.frame, frame.sensor
     if subject.recording is None or not isinstance(lidar, LidarSensor) or not isinstance(sweep, LidarFrame):
@@ -69,8 +71,8 @@ def _absurd(subject: Subject) -> Iterator[Hit]:
         meant = (
             "probably millimetres or centimetres" if middle > FARTHEST else "probably kilometres, or noise"
         )
-        told = f"half of the points are farther than {middle:.3g} m; expected {NEAREST:g} to {FARTHEST:g}: {meant}"
-        yield Hit(f"{ranges.path}.frames[].points.positions", told, len(ranges.found))
+        reported = f"half of the points are farther than {middle:.3g} m; expected {NEAREST:g} to {FARTHEST:g}: {meant}"
+        yield Hit(f"{ranges.path}.frames[].points.positions", reported, len(ranges.found))
 
 
 RULES: tuple[Rule, ...] = (

@@ -1,4 +1,4 @@
-"""Faults of single lines; one that a great part of a log has is told once, with its count and first places."""
+"""Faults of single lines; one that a great part of a log has is reported once, with its count and first locations."""
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -10,18 +10,18 @@ from sceneloom.formats.faults import PlacedFault
 GREAT_PART = 0.25
 """Where so many of all lines are at fault, that lies not in them but in what wrote them."""
 FEWEST = 4
-"""Fewer lines with a fault of one kind are told singly even then."""
+"""Fewer lines with a fault of one kind are listed singly even then."""
 
 CODES = frozenset({"broken-lines", "unfit-lines"})
 """The codes of what is wrong with single lines."""
 
-_PLACES = 3
+_LOCATIONS = 3
 _LINE = re.compile(r"(?P<file>.*): line (?P<number>\d+)")
 _BYTE = re.compile(r" \(byte \d+\)|in position \d+| 0x[0-9a-f]{2}")
 
 
 def lines_at_fault(code: str) -> Find:
-    """Tell the faults of a code that lines have: singly, or where a great part of all lines is so, by their kinds."""
+    """Report the faults of a code that lines have: singly, or where a great part of all lines is so, by their kinds."""
 
     def find(subject: Subject) -> Iterator[Hit]:
         lines = 0 if subject.recording is None else len(subject.recording.columns.log.codes)
@@ -60,6 +60,6 @@ def _as_one(alike: Sequence[PlacedFault], count: int, lines: int) -> Hit:
     if not found:
         return Hit(alike[0].where, alike[0].problem, count)
     numbers = [match["number"] for match in found]
-    shown = ", ".join(numbers[:_PLACES])
-    place = f"{found[0]['file']}: lines {shown}, … {numbers[-1]}"
-    return Hit(place, f"{alike[0].problem}; such are {count} of {lines} lines", count)
+    shown = ", ".join(numbers[:_LOCATIONS])
+    location = f"{found[0]['file']}: lines {shown}, … {numbers[-1]}"
+    return Hit(location, f"{alike[0].problem}; such are {count} of {lines} lines", count)

@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.checks.reading import notices_of_code
+from sceneloom.checks.reading import warnings_of_code
 from sceneloom.checks.recordings.camera_pairs import stereo_pairs
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
@@ -28,52 +28,56 @@ _MILLIMETRES = 50.0
 """What is farther [m] than this is in millimetres or centimetres."""
 WIDEST_BASELINE = 1.0
 _NARROWEST_BASELINE = 0.005
-"""Two cameras that look the same way are so far apart [m]."""
-_SAME_PLACE, _SAME_TURN = 1e-4, 1e-6
+"""Two cameras that look the same trajectory are so far apart [m]."""
+_SAME_LOCATION, _SAME_ROTATION = 1e-4, 1e-6
 """Mountings whose translations [m] and rotation matrices differ by less were copied, not calibrated."""
 _UPRIGHT_DEG, _ROLLED_DEG = 20.0, 45.0
 """A camera stands upright below the first angle off it, and is on its way to its side beyond the second."""
 _STEEP_DEG = 65.0
 _SAMPLES = 20_000
-"""So many samples of the accelerometer, spread over all, tell where up is."""
+"""So many samples of the accelerometer, spread over all, report where up is."""
 _MATRICES = ("imuToCamera", "imuToCameraMatrix", "imuToLidar", "imuToLidarMatrix")
 
 
 def _mounts(subject: Subject) -> Iterator[tuple[str, str, RigidTransform]]:
-    """Place, name and `sensor_from_imu` of every sensor of the calibration."""
+    """Location, name and `sensor_from_imu` of every sensor of the calibration."""
     if subject.recording is None:
         return
     calibration = subject.recording.calibration
     for index, camera in sorted(calibration.cameras.items()):
         if camera.camera_from_imu is not None:
-            yield _place(subject, camera.place, "imuToCamera"), f"camera {index}", camera.camera_from_imu
+            yield (
+                _location(subject, camera.location, "imuToCamera"),
+                f"camera {index}",
+                camera.camera_from_imu,
+            )
     for index, lidar in sorted(calibration.lidars.items()):
         if lidar.lidar_from_imu is not None:
-            yield _place(subject, lidar.place, "imuToLidar"), f"lidar {index}", lidar.lidar_from_imu
+            yield _location(subject, lidar.location, "imuToLidar"), f"lidar {index}", lidar.lidar_from_imu
 
 
-def _place(subject: Subject, place: str, key: str) -> str:
+def _location(subject: Subject, location: str, key: str) -> str:
     folder = "" if subject.recording is None else str(subject.recording.folder)
-    return f"{place.removeprefix(folder).lstrip('/')}.{key}"
+    return f"{location.removeprefix(folder).lstrip('/')}.{key}"
 
 
 def _far(subject: Subject) -> Iterator[Hit]:
-    for place, name, mount in _mounts(subject):
+    for location, name, mount in _mounts(subject):
         x, y, z = mount.inverse().translation
         distance = float(np.linalg.norm(mount.translation))
         if distance > FARTHEST:
             hint = ": probably millimetres" if distance > _MILLIMETRES else ""
-            told = f"{name} is {distance:.1f} m from the IMU ({x:.2f}, {y:.2f}, {z:.2f})"
-            yield Hit(place, f"{told}; expected {FARTHEST:g} m at most{hint}")
+            reported = f"{name} is {distance:.1f} m from the IMU ({x:.2f}, {y:.2f}, {z:.2f})"
+            yield Hit(location, f"{reported}; expected {FARTHEST:g} m at most{hint}")
 
 
 def _same(subject: Subject) -> Iterator[Hit]:
-    cameras = [(place, name, m) for place, name, m in _mounts(subject) if name.startswith("camera")]
-    for (_, first, a), (place, second, b) in combinations(cameras, 2):
+    cameras = [(location, name, m) for location, name, m in _mounts(subject) if name.startswith("camera")]
+    for (_, first, a), (location, second, b) in combinations(cameras, 2):
         moved = float(np.abs(a.translation - b.translation).max())
-        turned = float(np.abs(a.rotation - b.rotation).max())
-        if moved < _SAME_PLACE and turned < _SAME_TURN:
-            yield Hit(place, f"the same as of {first}; expected one of its own for {second}")
+        rotated = float(np.abs(a.rotation - b.rotation).max())
+        if moved < _SAME_LOCATION and rotated < _SAME_ROTATION:
+            yield Hit(location, f"the same as of {first}; expected one of its own for {second}")
 
 
 def _inverted(subject: Subject) -> Iterator[Hit]:
@@ -81,34 +85,34 @@ def _inverted(subject: Subject) -> Iterator[Hit]:
     up = _up_imu(subject)
     if up is None:
         return
-    for place, name, mount in _mounts(subject):
+    for location, name, mount in _mounts(subject):
         if not name.startswith("camera"):
             continue
         given, inverse = _posture(mount.rotation, up), _posture(mount.rotation.T, up)
         if given.rolled > _ROLLED_DEG and inverse.rolled < _UPRIGHT_DEG and inverse.steep < _ROLLED_DEG:
-            told = (
+            reported = (
                 f"{name} lies {given.rolled:.0f}° off upright, by the accelerometer, and its inverse stands upright: "
                 "probably inverted or transposed; expected the matrix that takes points of the IMU into the camera"
             )
-            yield Hit(place, told)
+            yield Hit(location, reported)
 
 
 def _steep(subject: Subject) -> Iterator[Hit]:
     up = _up_imu(subject)
     if up is None:
         return
-    for place, name, mount in _mounts(subject):
+    for location, name, mount in _mounts(subject):
         given = _posture(mount.rotation, up)
         if name.startswith("camera") and given.steep > _STEEP_DEG:
-            told = (
+            reported = (
                 f"{name} looks {given.steep:.0f}° {'up' if given.looks_up else 'down'}, by the accelerometer"
             )
-            yield Hit(place, told)
+            yield Hit(location, reported)
 
 
 @dataclass(frozen=True, slots=True)
 class _Posture:
-    """How a camera stands: angle of the picture's lower side off down, and of its view off level [deg]."""
+    """How a camera stands: angle of the image's lower side off down, and of its view off level [deg]."""
 
     rolled: float
     steep: float
@@ -140,33 +144,34 @@ def _up_imu(subject: Subject) -> Float64Array | None:
 
 def _baselines(subject: Subject) -> Iterator[Hit]:
     for pair in stereo_pairs(subject):
-        place = f"calibration.json: cameras[{pair.second}].imuToCamera"
+        location = f"calibration.json: cameras[{pair.second}].imuToCamera"
         length, names = float(np.linalg.norm(pair.baseline)), f"cameras {pair.first} and {pair.second}"
         if length < _NARROWEST_BASELINE:
-            if length >= _SAME_PLACE:
-                told = f"{names} look the same way from {length * 1e3:.1f} mm apart"
+            if length >= _SAME_LOCATION:
+                reported = f"{names} look the same way from {length * 1e3:.1f} mm apart"
                 yield Hit(
-                    place, f"{told}; expected {_NARROWEST_BASELINE * 1e3:g} mm to {WIDEST_BASELINE:g} m"
+                    location,
+                    f"{reported}; expected {_NARROWEST_BASELINE * 1e3:g} mm to {WIDEST_BASELINE:g} m",
                 )
         elif length > WIDEST_BASELINE:
             hint = ": probably millimetres" if length > FARTHEST else ""
-            told = f"{names} look the same way from {length:.2f} m apart; expected {WIDEST_BASELINE:g} m at most{hint}"
-            yield Hit(place, told)
+            reported = f"{names} look the same way from {length:.2f} m apart; expected {WIDEST_BASELINE:g} m at most{hint}"
+            yield Hit(location, reported)
 
 
 def _left_and_right(subject: Subject) -> Iterator[Hit]:
     for pair in stereo_pairs(subject):
         x, y, z = pair.baseline
         if -x >= _NARROWEST_BASELINE and -x > max(abs(y), abs(z)):
-            told = (
+            reported = (
                 f"camera {pair.second} is {-x:.3f} m to the left of camera {pair.first}; usual is the right: "
                 "see whether videos or entries are exchanged, or both matrices inverted"
             )
-            yield Hit(f"calibration.json: cameras[{pair.second}].imuToCamera", told)
+            yield Hit(f"calibration.json: cameras[{pair.second}].imuToCamera", reported)
 
 
 def _with_rotations(scene: Scene) -> Scene:
-    """Let entries of the calibration say the rotations that were taken in place of theirs."""
+    """Let entries of the calibration state the rotations that were taken instead of theirs."""
     sensors = tuple(map(_with_rotation, scene.sensors))
     changed = any(new is not old for new, old in zip(sensors, scene.sensors, strict=True))
     return replace(scene, sensors=sensors) if changed else scene
@@ -180,8 +185,8 @@ def _with_rotation(sensor: Sensor) -> Sensor:
     if not stale or not isinstance(entry, Mapping):
         return sensor
     matrix = sensor.mount.inverse().matrix.tolist()
-    mended = MappingProxyType({**entry, **dict.fromkeys(stale, matrix)})
-    return replace(sensor, extras=MappingProxyType({**sensor.extras, "calibration": mended}))
+    repaired = MappingProxyType({**entry, **dict.fromkeys(stale, matrix)})
+    return replace(sensor, extras=MappingProxyType({**sensor.extras, "calibration": repaired}))
 
 
 def _is_off(numbers: object) -> bool:
@@ -200,7 +205,7 @@ RULES: tuple[Rule, ...] = (
         Severity.WARNING,
         "Rotations of mountings are orthonormal within 0.001; beyond 0.01 they are refused.",
         "Write rotations with more digits; `--fix` writes the nearest rotation.",
-        find=notices_of_code("rotation-normalised"),
+        find=warnings_of_code("rotation-normalised"),
         fix=_with_rotations,
     ),
     Rule(

@@ -1,4 +1,4 @@
-"""Rules about the steps from pose to pose: no vehicle moves or turns so fast."""
+"""Rules about the steps from pose to pose: no vehicle moves or rotates so fast."""
 
 from collections.abc import Iterator
 
@@ -7,15 +7,15 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Int64Array
 from sceneloom.checks.poses import (
     FASTEST,
-    FASTEST_TURN_DEG,
+    FASTEST_ROTATION_DEG,
+    ROTATION_FACTOR,
+    ROTATION_MARGIN_DEG,
     STEP_FACTOR,
     STEP_MARGIN,
-    TURN_FACTOR,
-    TURN_MARGIN_DEG,
     beyond_neighbours,
 )
-from sceneloom.checks.recordings.streams import Kind, Stream, place, streams_of_kind
-from sceneloom.checks.recordings.turning import finite_rows
+from sceneloom.checks.recordings.rotating import finite_rows
+from sceneloom.checks.recordings.streams import Kind, Stream, location, streams_of_kind
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.poses import GREATEST_NORM_ERROR
@@ -49,10 +49,10 @@ def _jumps(subject: Subject) -> Iterator[Hit]:
                 f"{stream.at(row)} is {steps[k]:.2f} m from the pose {times[k]:.3f} s before, "
                 f"{steps[k] / times[k]:.1f} m/s, unlike the steps beside it"
             )
-            yield Hit(place(stream, row), problem)
+            yield Hit(location(stream, row), problem)
 
 
-def _turns(subject: Subject) -> Iterator[Hit]:
+def _rotations(subject: Subject) -> Iterator[Hit]:
     for stream in streams_of_kind(subject, Kind.POSES):
         quaternions_xyzw = stream.values[:, 3:]
         norms = np.sqrt((quaternions_xyzw * quaternions_xyzw).sum(axis=1))
@@ -61,15 +61,17 @@ def _turns(subject: Subject) -> Iterator[Hit]:
         if len(rows) < 2:
             continue
         times = np.diff(stream.seconds[rows])
-        turns = np.degrees(angle_between(quaternions_xyzw[rows[:-1]], quaternions_xyzw[rows[1:]]))
-        wrong = beyond_neighbours(turns, times, FASTEST_TURN_DEG, TURN_FACTOR, TURN_MARGIN_DEG)
+        rotations = np.degrees(angle_between(quaternions_xyzw[rows[:-1]], quaternions_xyzw[rows[1:]]))
+        wrong = beyond_neighbours(
+            rotations, times, FASTEST_ROTATION_DEG, ROTATION_FACTOR, ROTATION_MARGIN_DEG
+        )
         for k in _first_of_each(wrong):
             row = int(rows[k + 1])
             problem = (
-                f"{stream.at(row)} is turned by {turns[k]:.1f} degrees against the pose {times[k]:.3f} s before, "
+                f"{stream.at(row)} is rotated by {rotations[k]:.1f} degrees against the pose {times[k]:.3f} s before, "
                 "unlike the steps beside it"
             )
-            yield Hit(place(stream, row), problem)
+            yield Hit(location(stream, row), problem)
 
 
 RULES: tuple[Rule, ...] = (
@@ -81,11 +83,11 @@ RULES: tuple[Rule, ...] = (
         find=_jumps,
     ),
     Rule(
-        "pose-turns",
+        "pose-rotations",
         Severity.WARNING,
-        "Poses of a recording turn by up to 720 degrees a second, and no step is 3 times as fast as those beside it "
+        "Poses of a recording rotate by up to 720 degrees a second, and no step is 3 times as fast as those beside it "
         "and 15 degrees more.",
         "See whether the signs or the order of the quaternion's numbers change.",
-        find=_turns,
+        find=_rotations,
     ),
 )

@@ -1,4 +1,4 @@
-"""Rules about poses that do not agree with the IMU: gravity, turning, clocks."""
+"""Rules about poses that do not agree with the IMU: gravity, rotating, clocks."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array
-from sceneloom.checks.recordings.turning import CleanSamples, PoseIntervals, finite_rows, orientation_noise
+from sceneloom.checks.recordings.rotating import CleanSamples, PoseIntervals, finite_rows, orientation_noise
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.geometry.rotations import normalise_quaternion
@@ -15,13 +15,13 @@ from sceneloom.scene.motion import ImuSensor
 from sceneloom.scene.poses import Trajectory
 
 _LEAST_CORRELATION = 0.8
-"""Turn rates of orientations and of the gyroscope that correlate less do not agree."""
+"""Rotate rates of orientations and of the gyroscope that correlate less do not agree."""
 _GREATEST_TILT_DEG = 25.0
 """So far off up the mean of the accelerometer may be: a vehicle that brakes all the time leaves 20°."""
 _LEAST_COHERENCE = 0.6
-"""The accelerometer's mean in the world has to be this part of its mean length: gravity does not turn with a device,
-and hard turns all the time leave 0.8."""
-_LEAST_TURNING, _TURNING_PER_NOISE = 0.03, 2.0
+"""The accelerometer's mean in the world has to be this part of its mean length: gravity does not rotate with a device,
+and hard rotates all the time leave 0.8."""
+_LEAST_ROTATING, _ROTATING_PER_NOISE = 0.03, 2.0
 """The gyroscope's means have to vary so much (rms) [rad/s], and so many times their noise, to be compared."""
 _FEWEST_INTERVALS = 10
 _GREATEST_SHIFT, _SHIFT_STEP, _SHIFTS_SHARE = 1.0, 0.02, 0.2
@@ -40,10 +40,10 @@ class _Comparison:
     Attributes:
         name: of the trajectory.
         up: (3,) mean of the accelerometer in the world, as part of its mean length; None where not known.
-        shifts: (S,) float64 [s], by which the gyroscope's times were taken to be later; empty where it hardly turned.
-        correlations: (S,) of the turn rates of all axes together.
+        shifts: (S,) float64 [s], by which the gyroscope's times were taken to be later; empty where it hardly rotated.
+        correlations: (S,) of the yaw rates of all axes together.
         tolerance: samples and poses are so far apart [s] that shorter shifts are not known.
-        measured, told: root mean square of the turn rates of the gyroscope and of the orientations [rad/s].
+        measured, reported: root mean square of the yaw rates of the gyroscope and of the orientations [rad/s].
     """
 
     name: str
@@ -52,16 +52,16 @@ class _Comparison:
     correlations: Float64Array
     tolerance: float
     measured: float
-    told: float
+    reported: float
 
     @property
     def correlation(self) -> float:
-        """Without a shift; 1 where the turning is not known."""
+        """Without a shift; 1 where the rotating is not known."""
         return float(self.correlations[len(self.shifts) // 2]) if len(self.shifts) else 1.0
 
     @property
     def best_correlation(self) -> float:
-        """The greatest over all shifts; 1 where the turning is not known."""
+        """The greatest over all shifts; 1 where the rotating is not known."""
         return float(self.correlations.max()) if len(self.shifts) else 1.0
 
 
@@ -71,28 +71,32 @@ def _comparisons(subject: Subject) -> Sequence[_Comparison]:
 
 def _compare_all(subject: Subject) -> list[_Comparison]:
     imu = next((sensor for sensor in subject.scene.sensors if isinstance(sensor, ImuSensor)), None)
-    ways = [way for way in subject.scene.trajectories.values() if way.quaternions_xyzw is not None]
-    found = [] if imu is None else [_compared(way, imu) for way in ways]
+    trajectories = [
+        trajectory
+        for trajectory in subject.scene.trajectories.values()
+        if trajectory.quaternions_xyzw is not None
+    ]
+    found = [] if imu is None else [_compared(trajectory, imu) for trajectory in trajectories]
     return [comparison for comparison in found if comparison is not None]
 
 
-def _compared(way: Trajectory, imu: ImuSensor) -> _Comparison | None:
-    intervals = PoseIntervals.of(way)
+def _compared(trajectory: Trajectory, imu: ImuSensor) -> _Comparison | None:
+    intervals = PoseIntervals.of(trajectory)
     if len(intervals) < _FEWEST_INTERVALS:
         return None
-    origin_ns = int(way.timestamps_ns[0])
-    quaternions = normalise_quaternion(way.poses.quaternions_xyzw)
+    origin_ns = int(trajectory.timestamps_ns[0])
+    quaternions = normalise_quaternion(trajectory.poses.quaternions_xyzw)
     up = _up(intervals, quaternions, CleanSamples.of(imu.streams.get("accelerometer"), origin_ns))
     rates = CleanSamples.of(imu.streams.get("gyroscope"), origin_ns)
-    turning = None if rates is None else _turning(intervals, quaternions, rates)
-    if rates is None or turning is None:
+    rotating = None if rates is None else _rotating(intervals, quaternions, rates)
+    if rates is None or rotating is None:
         none = np.zeros(0)
-        return None if up is None else _Comparison(way.name, up, none, none, 0.0, 0.0, 0.0)
+        return None if up is None else _Comparison(trajectory.name, up, none, none, 0.0, 0.0, 0.0)
     tolerance = max(
-        float(np.median(np.diff(rates.seconds))), float(np.median(np.diff(way.timestamps_ns))) / 1e9
+        float(np.median(np.diff(rates.seconds))), float(np.median(np.diff(trajectory.timestamps_ns))) / 1e9
     )
-    shifts, correlations, measured, told = turning
-    return _Comparison(way.name, up, shifts, correlations, tolerance, measured, told)
+    shifts, correlations, measured, reported = rotating
+    return _Comparison(trajectory.name, up, shifts, correlations, tolerance, measured, reported)
 
 
 def _up(
@@ -109,12 +113,12 @@ def _up(
     return np.asarray(world.mean(axis=0) / np.linalg.norm(measured[known], axis=1).mean())
 
 
-def _turning(
+def _rotating(
     intervals: PoseIntervals, quaternions_xyzw: Float64Array, rates: CleanSamples
 ) -> tuple[Float64Array, Float64Array, float, float] | None:
-    """Shifts, correlations, measured and told turn rates; None where the device hardly turned."""
+    """Shifts, correlations, measured and reported yaw rates; None where the device hardly rotated."""
     first = rates.means(intervals.starts, intervals.stops)
-    if _rms(first[finite_rows(first)]) < 0.5 * _LEAST_TURNING:  # before rates are measured for every shift
+    if _rms(first[finite_rows(first)]) < 0.5 * _LEAST_ROTATING:  # before rates are measured for every shift
         return None
     overlap = min(rates.seconds[-1], intervals.stops[-1]) - max(rates.seconds[0], intervals.starts[0])
     count = int(min(_GREATEST_SHIFT, max(0.0, _SHIFTS_SHARE * overlap)) / _SHIFT_STEP)
@@ -125,16 +129,16 @@ def _turning(
         return None
     length = float(np.median(intervals.lengths))
     noise = max(rates.noise(length), np.sqrt(2.0) * orientation_noise(quaternions_xyzw) / length)
-    if _rms(measured[count][known]) < max(_LEAST_TURNING, _TURNING_PER_NOISE * noise):
+    if _rms(measured[count][known]) < max(_LEAST_ROTATING, _ROTATING_PER_NOISE * noise):
         return None
-    told = intervals.rates(quaternions_xyzw)[known]
-    kept = _without_jumps(told)
-    told, measured = _centred(told[kept]), measured[:, known[kept]]
+    reported = intervals.rates(quaternions_xyzw)[known]
+    kept = _without_jumps(reported)
+    reported, measured = _centred(reported[kept]), measured[:, known[kept]]
     measured = measured - measured.mean(axis=1, keepdims=True)
-    products = np.einsum("smk,mk->s", measured, told)
-    lengths = np.sqrt((measured * measured).sum(axis=(1, 2)) * (told * told).sum())
+    products = np.einsum("smk,mk->s", measured, reported)
+    lengths = np.sqrt((measured * measured).sum(axis=(1, 2)) * (reported * reported).sum())
     correlations = np.divide(products, lengths, out=np.zeros(len(products)), where=lengths > 0)
-    return shifts, correlations, _rms(measured[count]), _rms(told)
+    return shifts, correlations, _rms(measured[count]), _rms(reported)
 
 
 def _centred(rates: Float64Array) -> Float64Array:
@@ -162,7 +166,7 @@ def _gravity(subject: Subject) -> Iterator[Hit]:
         tilt_deg = float(np.degrees(np.arccos(np.clip(z, -1.0, 1.0))))
         if tilt_deg > _GREATEST_TILT_DEG or coherence < _LEAST_COHERENCE:
             problem = (
-                f"the accelerometer's mean, turned into the world, points to {x:.2f}, {y:.2f}, {z:.2f}, "
+                f"the accelerometer's mean, converted to the world, points to {x:.2f}, {y:.2f}, {z:.2f}, "
                 f"{tilt_deg:.0f}° off up, and is {coherence:.0%} as long as in the device; expected 0, 0, 1 "
                 f"within {_GREATEST_TILT_DEG:.0f}°, and {_LEAST_COHERENCE:.0%} or more"
             )
@@ -173,22 +177,22 @@ def _gyroscope(subject: Subject) -> Iterator[Hit]:
     for found in _comparisons(subject):
         if found.best_correlation < _LEAST_CORRELATION:
             problem = (
-                f"turn rates of the orientations and of the gyroscope correlate by {found.correlation:.2f}; "
+                f"yaw rates of the orientations and of the gyroscope correlate by {found.correlation:.2f}; "
                 f"expected at least {_LEAST_CORRELATION}"
             )
-            still = "" if found.told else ": the orientations do not turn"
+            still = "" if found.reported else ": the orientations do not rotate"
             yield Hit(f"trajectories[{found.name}]", f"{problem}{still}")
 
 
 def _scale(subject: Subject) -> Iterator[Hit]:
     for found in _comparisons(subject):
-        if not found.told or found.best_correlation <= _SURE:
+        if not found.reported or found.best_correlation <= _SURE:
             continue
-        scale = found.measured / found.told
+        scale = found.measured / found.reported
         if not _SCALES[0] <= scale <= _SCALES[1]:
             hint = ": probably degrees per second" if abs(np.radians(scale) - 1) < _NEAR_DEGREES else ""
             problem = (
-                f"the gyroscope turns {scale:.3g} times as fast as the orientations of {found.name!r}{hint}"
+                f"the gyroscope rotates {scale:.3g} times as fast as the orientations of {found.name!r}{hint}"
             )
             yield Hit("sensors[imu].streams.gyroscope", problem)
 
@@ -204,7 +208,7 @@ def _clocks(subject: Subject) -> Iterator[Hit]:
             later = "later" if shift > 0 else "earlier"
             at_least = "at least " if best in {0, len(found.shifts) - 1} else ""
             problem = (
-                f"turn rates agree best ({reached:.3f} in place of {now:.3f}) if the IMU's times are "
+                f"yaw rates agree best ({reached:.3f} instead of {now:.3f}) if the IMU's times are "
                 f"{at_least}{abs(shift):.2f} s {later} than those of the poses"
             )
             yield Hit(f"trajectories[{found.name}]", problem)
@@ -222,21 +226,21 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "poses-against-gyroscope",
         Severity.WARNING,
-        f"Orientations turn as the gyroscope measures: their rates correlate by {_LEAST_CORRELATION} or more.",
+        f"Orientations rotate as the gyroscope measures: their rates correlate by {_LEAST_CORRELATION} or more.",
         "Write poses as device to world, quaternions as x, y, z, w, of the IMU's own axes, in a right-handed world.",
         find=_gyroscope,
     ),
     Rule(
         "gyroscope-scale",
         Severity.WARNING,
-        f"The gyroscope turns {_SCALES[0]} to {_SCALES[1]} times as fast as the orientations.",
+        f"The gyroscope rotates {_SCALES[0]} to {_SCALES[1]} times as fast as the orientations.",
         "Write radians per second.",
         find=_scale,
     ),
     Rule(
         "poses-clock",
         Severity.WARNING,
-        f"Orientations turn at the time at which the gyroscope does, within {_LEAST_SHIFT} s.",
+        f"Orientations rotate at the time at which the gyroscope does, within {_LEAST_SHIFT} s.",
         "Find the offset with `sceneloom sync`, and bring both to one clock.",
         find=_clocks,
     ),

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from sceneloom.checks.reading import as_read, notices_of_code
+from sceneloom.checks.reading import as_read, warnings_of_code
 from sceneloom.checks.recordings.streams import Kind, streams_of, streams_of_kind
 from sceneloom.checks.rule import Hit, Rule
 from sceneloom.checks.subject import Subject
@@ -22,7 +22,7 @@ def _without_imu(subject: Subject) -> Iterator[Hit]:
 
 
 def _without_calibration(subject: Subject) -> Iterator[Hit]:
-    """A recording without the file; where that leaves cameras out, these are told instead."""
+    """A recording without the file; where that leaves cameras out, these are reported instead."""
     if subject.recording is None or subject.recording.alone or subject.recording.calibration.path.exists():
         return
     if not any(fault.code == "cameras-without-calibration" for fault in subject.faults):
@@ -49,7 +49,7 @@ RULES: tuple[Rule, ...] = (
         Severity.WARNING,
         "Files of JSON begin without a byte order mark, and `data.jsonl` ends without blank lines.",
         "Write them without: other programs stop at them; `--fix` does.",
-        find=notices_of_code("byte-order-mark", "blank-lines-at-end"),
+        find=warnings_of_code("byte-order-mark", "blank-lines-at-end"),
         fix=as_read,
     ),
     Rule(
@@ -57,6 +57,6 @@ RULES: tuple[Rule, ...] = (
         Severity.WARNING,
         "Either all poses of a trajectory have an orientation, or none.",
         "See why some lack it; they are left out of the trajectory, and their lines are kept.",
-        find=notices_of_code("poses-without-orientation"),
+        find=warnings_of_code("poses-without-orientation"),
     ),
 )

@@ -7,7 +7,7 @@ from types import MappingProxyType
 import numpy as np
 
 from sceneloom.checks.recordings.imu_values import magnitudes
-from sceneloom.checks.recordings.streams import Kind, Stream, place, streams_of_kind
+from sceneloom.checks.recordings.streams import Kind, Stream, location, streams_of_kind
 from sceneloom.checks.rule import Find, Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.scene.findings import Severity
@@ -20,7 +20,7 @@ class _Range:
     Attributes:
         lowest, highest: of every sample.
         unit: of the format.
-        others: for the usual sample, ranges that tell of another unit.
+        others: for the usual sample, ranges that report another unit.
     """
 
     lowest: float
@@ -90,7 +90,7 @@ def _out_of_range(kind: Kind) -> Find:
                     f"{limits.lowest:g} to {limits.highest:g} {limits.unit}"
                 )
                 guess = _other_unit(float(np.median(values)), limits.others)
-                yield Hit(place(stream, row), f"{problem}{guess}", len(wrong))
+                yield Hit(location(stream, row), f"{problem}{guess}", len(wrong))
 
     return find
 
@@ -120,11 +120,11 @@ def _hanging(subject: Subject) -> Iterator[Hit]:
                 f"{stream.at(row)} has the very values of the sample before, as have {share:.1%} of all; "
                 f"expected at most {_REPEATING[stream.kind]:.0%}"
             )
-            yield Hit(place(stream, row), problem)
+            yield Hit(location(stream, row), problem)
 
 
 def _repeated(stream: Stream) -> np.ndarray:
-    """Which samples the next one repeats; of fixes the place counts."""
+    """Which samples the next one repeats; of fixes the location counts."""
     values = stream.values[:, :3]
     return np.flatnonzero((values[1:] == values[:-1]).all(axis=1))
 

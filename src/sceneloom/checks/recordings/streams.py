@@ -14,7 +14,7 @@ from sceneloom.formats.recording.columns import Columns, LineLog, RecordingColum
 from sceneloom.formats.recording.number_sensors import RECEIVER, imu_streams, receivers
 
 FEWEST_FOR_A_RATE = 4
-"""Fewer samples do not tell what is usual."""
+"""Fewer samples do not report what is usual."""
 
 _SAME_TIME = 0.5e-9
 """Times closer than this [s] are one time: the scene counts nanoseconds."""
@@ -48,10 +48,10 @@ class Stream:
     """A stream in the order of its times.
 
     Attributes:
-        name: as messages say it: "accelerometer", "gps", "groundTruth", "camera0", "lidar".
+        name: as messages state it: "accelerometer", "gps", "groundTruth", "camera0", "lidar".
         kind: what it is of.
         file_seconds: (N,) float64 [s], in the order of the file.
-        file_values: (N, K) float64 in the order of the file; None for pictures and sweeps.
+        file_values: (N, K) float64 in the order of the file; None for images and sweeps.
         code: of the stream in `log`.
         log: which line each sample was read from.
         known_lines: (N,) int64, line of each in the order of the file, where that is known beforehand.
@@ -72,7 +72,7 @@ class Stream:
 
     @cached_property
     def file_lines(self) -> Int64Array | None:
-        """(N,) int64, line of each in the order of the file; None where it cannot be told."""
+        """(N,) int64, line of each in the order of the file; None where it cannot be reported."""
         if self.known_lines is not None or self.log is None:
             return self.known_lines
         lines = lines_of(self.log, self.code)
@@ -90,7 +90,7 @@ class Stream:
 
     @property
     def values(self) -> Float64Array:
-        """(N, K) float64, in the order of `seconds`; (N, 0) for pictures and sweeps."""
+        """(N, K) float64, in the order of `seconds`; (N, 0) for images and sweeps."""
         if self.file_values is None:
             return np.zeros((len(self), 0))
         return self.file_values if is_sorted(self.file_seconds) else self.file_values[self.order]
@@ -104,7 +104,7 @@ class Stream:
 
     @cached_property
     def period(self) -> float | None:
-        """The usual interval [s]; None where the times tell none."""
+        """The usual interval [s]; None where the times report none."""
         if len(self) < FEWEST_FOR_A_RATE:
             return None
         median = float(np.median(self.intervals))
@@ -112,7 +112,7 @@ class Stream:
 
     @property
     def whole(self) -> str:
-        """Where findings about all of it are told."""
+        """Where findings about all of it are reported."""
         return f"{self.file}: {self.name}"
 
     def at(self, row: int) -> str:
@@ -130,13 +130,13 @@ def streams_of_kind(subject: Subject, *kinds: Kind) -> Iterator[Stream]:
     return (stream for stream in streams_of(subject) if stream.kind in kinds)
 
 
-def place(stream: Stream, row: int) -> str:
+def location(stream: Stream, row: int) -> str:
     """Where a sample stands: its line, if that is known; `row` counts in the order of `seconds`."""
-    return place_in_file(stream, int(stream.order[row]))
+    return location_in_file(stream, int(stream.order[row]))
 
 
-def place_in_file(stream: Stream, row: int) -> str:
-    """As `place`; `row` counts in the order of the file."""
+def location_in_file(stream: Stream, row: int) -> str:
+    """As `location`; `row` counts in the order of the file."""
     lines = stream.file_lines
     return stream.whole if lines is None else f"{stream.file}: line {lines[row]}"
 
@@ -177,8 +177,8 @@ def _fixes(columns: RecordingColumns) -> Iterator[Stream]:
 
 def _poses(columns: RecordingColumns) -> Iterator[Stream]:
     for (root, name), poses in columns.poses.items():
-        told = name if name == root or not root else f"{root} {name}"
-        yield _of_columns(told, Kind.POSES, poses.samples, columns.log)
+        reported = name if name == root or not root else f"{root} {name}"
+        yield _of_columns(reported, Kind.POSES, poses.samples, columns.log)
 
 
 def _of_columns(name: str, kind: Kind, columns: Columns, log: LineLog) -> Stream:

@@ -7,8 +7,8 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array
 from sceneloom.checks.reading import as_read
-from sceneloom.checks.recordings.mended_streams import without_repetitions
-from sceneloom.checks.recordings.streams import Kind, Stream, place, place_in_file, streams_of
+from sceneloom.checks.recordings.repaired_streams import without_repetitions
+from sceneloom.checks.recordings.streams import Kind, Stream, location, location_in_file, streams_of
 from sceneloom.checks.rule import Find, Hit, Rule
 from sceneloom.checks.subject import Subject
 from sceneloom.formats.recording.column_arrays import line_seconds
@@ -19,7 +19,7 @@ GAP_PERIODS = 10.0
 """An interval that exceeds the usual one by more than both is a gap."""
 
 FRAME_GAP_PERIODS = 0.75
-"""Of pictures and sweeps a single one that is missing is told: an interval of 1.75 usual ones."""
+"""Of images and sweeps a single one that is missing is reported: an interval of 1.75 usual ones."""
 
 _FEW_FRAMES = 40
 """Of fewer, one or two that are missing make more than `JITTER_SHARE`."""
@@ -43,7 +43,7 @@ RATES_HZ: Mapping[Kind, tuple[float, float]] = MappingProxyType(
         Kind.POSES: (1.0, 10_000.0),
     }
 )
-"""The rates between which the vendor's diagnosis lets streams pass, sweeps as pictures."""
+"""The rates between which the vendor's diagnosis lets streams pass, sweeps as images."""
 
 _RATE_TOLERANCE = 0.01
 _FRAMES = frozenset({Kind.CAMERA, Kind.LIDAR})
@@ -55,19 +55,19 @@ _WRONG_UNITS = ((1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds
 
 def _out_of_order(subject: Subject) -> Iterator[Hit]:
     """Streams that go back in time; where each by itself is in order, lines that do."""
-    is_told = False
+    is_reported = False
     for stream in streams_of(subject):
         steps = np.diff(stream.file_seconds)
         back = np.flatnonzero(steps < 0)
         if len(back):
-            is_told = True
+            is_reported = True
             row = int(back[0]) + 1
             problem = (
                 f"{stream.name} at {stream.file_seconds[row]:.6f} s comes after the one at "
                 f"{stream.file_seconds[row - 1]:.6f} s; such steps go back by up to {-steps.min():.6f} s"
             )
-            yield Hit(place_in_file(stream, row), problem, len(back))
-    if subject.recording is not None and not is_told:
+            yield Hit(location_in_file(stream, row), problem, len(back))
+    if subject.recording is not None and not is_reported:
         yield from _lines_out_of_order(subject.recording.data_name, line_seconds(subject.recording.columns))
 
 
@@ -91,7 +91,7 @@ def _of_one_time(subject: Subject) -> Iterator[Hit]:
         if len(same):
             row = int(same[0]) + 1
             problem = f"{stream.at(row)} has the time of the one before; expected a time of its own"
-            yield Hit(place(stream, row), problem, len(same))
+            yield Hit(location(stream, row), problem, len(same))
 
 
 def _gap_threshold(stream: Stream, period: float) -> float:
@@ -120,13 +120,16 @@ def _gaps(*, irregular: bool) -> Find:
                     f"{stream.at(row)}: {length:.6f} s to the next, {period:.6f} s usually; "
                     f"{missing} {'seems' if missing == 1 else 'seem'} missing"
                 )
-                yield Hit(place(stream, row), problem)
+                yield Hit(location(stream, row), problem)
 
     return find
 
 
 def _single_losses(subject: Subject) -> Iterator[Hit]:
-    """Samples that are missing one by one; where they are many, the stream is uneven, and of pictures all are told."""
+    """Samples that are missing one by one; where they are many, the stream is uneven.
+
+    And of images all are reported.
+    """
     for stream in streams_of(subject):
         period = stream.period
         if (
@@ -144,9 +147,10 @@ def _single_losses(subject: Subject) -> Iterator[Hit]:
             count = int(np.rint(stream.intervals[lacking] / period - 1).sum())
             problem = (
                 f"{stream.at(row)}: {stream.intervals[row]:.6f} s to the next, {period:.6f} s usually; in all, "
-                f"{count} {'seems' if count == 1 else 'seem'} missing at {len(lacking)} place{'s' * (len(lacking) > 1)}"
+                f"{count} {'seems' if count == 1 else 'seem'} missing at {len(lacking)} "
+                f"location{'s' * (len(lacking) > 1)}"
             )
-            yield Hit(place(stream, row), problem)
+            yield Hit(location(stream, row), problem)
 
 
 def _uneven(*, irregular: bool) -> Find:
@@ -169,7 +173,7 @@ def _uneven(*, irregular: bool) -> Find:
 
 
 def _off(stream: Stream, period: float) -> BoolArray:
-    """Which intervals are uneven; not those that are a gap or none at all, which others tell."""
+    """Which intervals are uneven; not those that are a gap or none at all, which others report."""
     away = np.abs(stream.intervals - period)
     is_gap = stream.intervals - period > _gap_threshold(stream, period)
     off: BoolArray = (away > JITTER_PERIODS * period) & (stream.intervals > 0) & ~is_gap
@@ -236,7 +240,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "stream-times-unique",
         Severity.WARNING,
-        "No two samples, pictures or poses of a stream have one time.",
+        "No two samples, images or poses of a stream have one time.",
         "Leave one of them out, or write times with all their digits; `--fix` leaves out what stands there twice.",
         find=_of_one_time,
         fix=without_repetitions,
@@ -244,7 +248,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "stream-gaps",
         Severity.WARNING,
-        "No interval of a recording's stream exceeds the usual one by more than 0.25 s and 10 intervals; of pictures "
+        "No interval of a recording's stream exceeds the usual one by more than 0.25 s and 10 intervals; of images "
         "and sweeps, by 0.75 intervals where at most 5 % do.",
         "See whether samples were lost: a full disk, a full buffer, a loose cable.",
         find=_gaps(irregular=False),
@@ -260,21 +264,21 @@ RULES: tuple[Rule, ...] = (
         "stream-outages",
         Severity.HINT,
         "No interval between fixes or poses exceeds the usual one by more than 0.25 s and 10 intervals.",
-        "Reckon with it where these are relied on: there was no reception, or tracking was lost.",
+        "Compute with it where these are relied on: there was no reception, or tracking was lost.",
         find=_gaps(irregular=True),
     ),
     Rule(
         "stream-jitter",
         Severity.WARNING,
         "At most 5 % of a stream's intervals are off the usual one by more than a fifth.",
-        "Stamp samples when they are measured, not when they arrive.",
+        "Timestamp samples when they are measured, not when they arrive.",
         find=_uneven(irregular=False),
     ),
     Rule(
         "stream-uneven",
         Severity.HINT,
         "At most 5 % of the intervals between fixes or poses are off the usual one by more than a fifth.",
-        "Stamp fixes and poses with the time that they are for, not with that of their arrival.",
+        "Timestamp fixes and poses with the time that they are for, not with that of their arrival.",
         find=_uneven(irregular=True),
     ),
     Rule(

@@ -1,4 +1,4 @@
-"""The verbs of `sceneloom batch`: those of the command line that take one drive, with the drives in its place."""
+"""The verbs of `sceneloom batch`: those of the command line that take one drive, with the drives in its location."""
 
 import inspect
 from collections.abc import Iterator, Mapping
@@ -18,7 +18,7 @@ from sceneloom.cli.printing import print_json
 if TYPE_CHECKING:
     from sceneloom.batch.jobs import Further, Input, Outcome
     from sceneloom.batch.pool import Executor
-    from sceneloom.batch.running import RunSummary, Told
+    from sceneloom.batch.running import Reported, RunSummary
 
 _OWN = (
     "inputs",
@@ -57,7 +57,7 @@ class Verbs(click.Group):
         """List the verbs without importing them."""
         rows = [(name, f"`sceneloom {name}` over many drives.") for name in BATCHED]
         with formatter.section("Commands"):
-            formatter.write_dl([*rows, ("status", "Say how a run stands.")])
+            formatter.write_dl([*rows, ("status", "Report how a run stands.")])
 
 
 @click.group(cls=Verbs)
@@ -87,12 +87,13 @@ def _over_many(name: str) -> click.Command:
     for option in reversed(_OPTIONS):
         callback = option(callback)
     ours: list[click.Parameter] = list(reversed(callback.__click_params__))  # type: ignore[attr-defined]
-    told = f"{inspect.cleandoc(verb.help or '')}\n\nOver many drives: {_HELP}"
-    return click.Command(name, params=[*ours, *theirs], callback=callback, help=told)
+    reported = f"{inspect.cleandoc(verb.help or '')}\n\nOver many drives: {_HELP}"
+    return click.Command(name, params=[*ours, *theirs], callback=callback, help=reported)
 
 
 _HELP = (
-    "outputs are named by their drives and lie in OUT, a folder or a place in a store, such as s3://bucket/run1/. What "
+    "outputs are named by their drives and lie in OUT, a folder or a location in a store, such as s3://bucket/run1/. "
+    "What "
     "else is written has the drives' names, too: for a folder DIR that an option names DIR/DRIVE, for a file NAME "
     "DRIVE.NAME beside it. In names of files that are read, such as --truth 'truths/{name}.tum', {name} is what the "
     "drive is called, {drive} its path, {folder} where it lies. The record of the run is OUT/.sceneloom-run, or "
@@ -101,9 +102,9 @@ _HELP = (
 
 
 def target(text: str) -> "Path | str":
-    """Take an argument as a folder, or as the place in a store, which workers write to."""
-    place = options.place(text)
-    return place if isinstance(place, str) else options.target(str(place))
+    """Take an argument as a folder, or as the location in a store, which workers write to."""
+    location = options.location(text)
+    return location if isinstance(location, str) else options.target(str(location))
 
 
 def _placed(parameter: click.Parameter) -> click.Parameter:
@@ -122,7 +123,8 @@ def _further(name: str, values: dict[str, Any]) -> "tuple[Further, ...]":
     for option in wanted:
         values[option] = str(values[option])
     return tuple(
-        Further(option=option, place=values[option], is_folder=option in batched.folders) for option in wanted
+        Further(option=option, location=values[option], is_folder=option in batched.folders)
+        for option in wanted
     )
 
 
@@ -176,7 +178,7 @@ _OPTIONS = (
     ),
     *(
         click.option("--json", "as_json", is_flag=True, help="Print the result as JSON."),
-        click.option("-q", "--quiet", is_flag=True, help="No progress, no notices."),
+        click.option("-q", "--quiet", is_flag=True, help="No progress, no warnings."),
         click.option("-v", "--verbose", is_flag=True, help="Every failure, not only the first ones."),
     ),
 )
@@ -191,12 +193,12 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
 
     workers = own["workers"] or processors()
     taken, whole = beside(name), partial(_is_one_task, values)
-    said = {option: values[option] for option in taken if values[option] not in (None, ())}
+    stated = {option: values[option] for option in taken if values[option] not in (None, ())}
     found = find_listed(
         name, own["inputs"], own["lists"], files=taken, reading=values, stays=whole,
         quiet=own["quiet"],
     )  # fmt: skip
-    inputs, files = give_files(found, said, taken)
+    inputs, files = give_files(found, stated, taken)
     further = _further(name, values)
     executor = _cluster(own, workers)
     job = Job(
@@ -210,7 +212,7 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
         modules=BATCHED[name].modules,
         further=further,
     )
-    with _progress(name, len(job.inputs), quiet=own["quiet"]) as told:
+    with _progress(name, len(job.inputs), quiet=own["quiet"]) as reported:
         summary = run(
             job,
             own["output"],
@@ -218,7 +220,7 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
             workers=workers,
             executor=executor,
             resume=own["resume"],
-            told=_all_told(told, own["metrics"]),
+            reported=_all_reported(reported, own["metrics"]),
         )
     if own["as_json"]:
         print_json(summary)
@@ -227,11 +229,11 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
     return FAILED_CODE if summary.failed else 0
 
 
-def _suffix(name: str, said: str | None, *, folders: bool) -> str:
+def _suffix(name: str, stated: str | None, *, folders: bool) -> str:
     """What names of outputs end in; those of folders, with a file for each drive, in nothing."""
-    if said is None:
+    if stated is None:
         return "" if folders else BATCHED[name].suffix
-    return said
+    return stated
 
 
 def _is_one_task(values: Mapping[str, Any], drive: "Input") -> bool:
@@ -242,13 +244,13 @@ def _is_one_task(values: Mapping[str, Any], drive: "Input") -> bool:
         return False
     from sceneloom.formats.kitti.tracking_folder import is_tracking_folder
 
-    return Path(drive.place).is_dir() and is_tracking_folder(Path(drive.place))
+    return Path(drive.location).is_dir() and is_tracking_folder(Path(drive.location))
 
 
-def _all_told(told: "Told | None", metrics: Path | None) -> "Told | None":
-    """Tell the file of metrics, too, if there is one."""
+def _all_reported(reported: "Reported | None", metrics: Path | None) -> "Reported | None":
+    """Report the file of metrics, too, if there is one."""
     if metrics is None:
-        return told
+        return reported
     from sceneloom.batch.watching import MetricsFile
     from sceneloom.formats.output import check_output
 
@@ -256,9 +258,9 @@ def _all_told(told: "Told | None", metrics: Path | None) -> "Told | None":
     file = MetricsFile(metrics)
 
     def both(summary: "RunSummary", outcome: "Outcome") -> None:
-        file.told(summary, outcome)
-        if told is not None:
-            told(summary, outcome)
+        file.reported(summary, outcome)
+        if reported is not None:
+            reported(summary, outcome)
 
     return both
 
@@ -276,8 +278,8 @@ def _cluster(own: dict[str, Any], workers: int) -> "Executor | None":
 
 
 @contextmanager
-def _progress(name: str, total: int, *, quiet: bool) -> Iterator["Told | None"]:
-    """A bar with the rate and what is left, on a terminal; failures are told above it at once."""
+def _progress(name: str, total: int, *, quiet: bool) -> Iterator["Reported | None"]:
+    """A bar with the rate and what is left, on a terminal; failures are reported above it at once."""
     import sys
 
     if quiet or not sys.stderr.isatty():
@@ -293,7 +295,7 @@ def _progress(name: str, total: int, *, quiet: bool) -> Iterator["Told | None"]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         row = bar.add_task(name, total=total, rate="", failed="")
 
-        def told(summary: "RunSummary", outcome: "Outcome") -> None:
+        def reported(summary: "RunSummary", outcome: "Outcome") -> None:
             ended = summary.done + summary.failed - summary.skipped
             rate = f"{60.0 * ended / summary.seconds:.1f}/min" if summary.seconds else ""
             failed = f"{summary.failed} failed" if summary.failed else ""
@@ -301,4 +303,4 @@ def _progress(name: str, total: int, *, quiet: bool) -> Iterator["Told | None"]:
             if outcome.error:
                 bar.console.print(f"{outcome.error.strip().splitlines()[-1]}", markup=False, highlight=False)
 
-        yield told
+        yield reported

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def find_listed(
     verb: str,
-    places: Sequence[str],
+    locations: Sequence[str],
     lists: Sequence[Path],
     *,
     files: "Mapping[str, FileOption] | None" = None,
@@ -24,32 +24,32 @@ def find_listed(
     stays: "Callable[[Input], bool]" = lambda _: False,
     quiet: bool = False,
 ) -> "tuple[Input, ...]":
-    """Find the drives of a command, and say what of lists is for other verbs.
+    """Find the drives of a command, and state what of lists is for other verbs.
 
     Args:
         verb: what the command does.
-        places, lists, files: as of `find_inputs`.
+        locations, lists, files: as of `find_inputs`.
         reading: options of the command, where each drive of a data set shall count for itself unless they name one.
         stays: which data sets do not count so, since the verb does all their drives at once.
-        quiet: say nothing.
+        quiet: state nothing.
     """
     from sceneloom.batch.files import flag_of
     from sceneloom.batch.inputs import each_drive, find_inputs
 
     others = {option for batched in BATCHED.values() for option in batched.beside}
-    found = find_inputs(places, lists, files=files or {}, others=others)
+    found = find_inputs(locations, lists, files=files or {}, others=others)
     unread = sorted({option for drive in found for option in drive.unread})
     if unread and not quiet:
         flags = ", ".join(map(flag_of, unread))
-        click.echo(f"not read by {verb}: what the lists say for {flags}", err=True)
+        click.echo(f"not read by {verb}: what the lists state for {flags}", err=True)
     if reading is None:
         return found
-    told = options.said(**reading)
-    if told.get("sequence") or told.get("sequences"):
+    reported = options.stated(**reading)
+    if reported.get("sequence") or reported.get("sequences"):
         return found
     drives: list[Input] = []
     for one in found:
-        several = (one,) if stays(one) else each_drive(one, read_as=told.get("read_as"))
+        several = (one,) if stays(one) else each_drive(one, read_as=reported.get("read_as"))
         if len(several) > 1 and not quiet:
             click.echo(f"{one.name}: {len(several)} drives; --sequence chooses one", err=True)
         drives += several

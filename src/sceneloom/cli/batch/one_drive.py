@@ -46,7 +46,7 @@ BATCHED: Mapping[str, Batched] = MappingProxyType(
     {
         "fuse": Batched(
             *("path", "output", ".sfs", ("sceneloom.cli.fuse", "sceneloom.pipeline.fusing.job")),
-            folders=("depth", "pictures"),
+            folders=("depth", "images"),
             beside=("boxes3d", "boxes2d", "detectors"),
         ),
         "convert": Batched(
@@ -59,7 +59,7 @@ BATCHED: Mapping[str, Batched] = MappingProxyType(
         ),
         "track": Batched(
             *("path", "output", ".sfs", ("sceneloom.cli.track", "sceneloom.pipeline.found_objects")),
-            folders=("pictures",),
+            folders=("images",),
             beside=("boxes3d", "boxes2d", "detectors"),
         ),
         "report": Batched(
@@ -100,11 +100,11 @@ def verb_named(name: str) -> click.Command:
     return command
 
 
-def run_verb(place: str, output: Path, values: Mapping[str, Any]) -> Any:
+def run_verb(location: str, output: Path, values: Mapping[str, Any]) -> Any:
     """Do a verb for one drive, quietly, and give what it prints as JSON.
 
     Args:
-        place: path or URL of the drive.
+        location: path or URL of the drive.
         output: the file or folder to write.
         values: of the verb's other parameters, its name as `verb`.
 
@@ -118,7 +118,7 @@ def run_verb(place: str, output: Path, values: Mapping[str, Any]) -> Any:
     given |= {
         parameter.name: fixed[parameter.name] for parameter in command.params if parameter.name in fixed
     }
-    given[batched.drive] = options.place(place)
+    given[batched.drive] = options.location(location)
     if batched.output:
         given[batched.output] = output
     if isinstance(given.get(_NAMED), Path):
@@ -133,19 +133,19 @@ def run_verb(place: str, output: Path, values: Mapping[str, Any]) -> Any:
                 raise OptionError(f"{name} ended with code {ended.exit_code}") from ended
         except click.ClickException as error:
             raise OptionError(error.format_message()) from error
-    told = _told(printed.getvalue())
+    reported = _reported(printed.getvalue())
     if not batched.output:  # without times, which the record has: the same drive gives the same file
         result = (
-            {name: value for name, value in told.items() if name != "stages"}
-            if isinstance(told, dict)
-            else told
+            {name: value for name, value in reported.items() if name != "stages"}
+            if isinstance(reported, dict)
+            else reported
         )
         with output.open("w", encoding="utf-8") as file, redirect_stdout(file):
             print_json(result)
-    return told
+    return reported
 
 
-def _told(text: str) -> Any:
+def _reported(text: str) -> Any:
     try:
         return json.loads(text)
     except ValueError:
@@ -153,7 +153,7 @@ def _told(text: str) -> Any:
 
 
 def _read_as_listed(given: dict[str, Any], command: click.Command) -> None:
-    """Put what a list says of reading a drive where the verb has it, in place of what is said of all."""
+    """Put what a list says of reading a drive where the verb has it, instead of what is stated for all."""
     names = {parameter.name for parameter in command.params}
     for own in [name for name in given if name.startswith(READING)]:
         name, value = own.removeprefix(READING), given.pop(own)

@@ -1,4 +1,4 @@
-"""`sceneloom batch status`, and how a run is told when it ends."""
+"""`sceneloom batch status`, and how a run is reported when it ends."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ _SHOWN = 5
 
 
 @click.command()
-@click.argument("output", type=options.place)
+@click.argument("output", type=options.location)
 @click.option(
     "--record",
     type=click.Path(path_type=Path, file_okay=False),
@@ -37,7 +37,7 @@ def status(
     quiet: bool,
     verbose: bool,
 ) -> None:
-    """Say how the run into OUTPUT, a folder or a URL, stands, while it goes on, too."""
+    """Report how the run into OUTPUT, a folder or a URL, stands, while it goes on, too."""
     from dataclasses import asdict
 
     from sceneloom.batch.jobs import State
@@ -48,17 +48,17 @@ def status(
 
     folder = record or (record_folder(output) if isinstance(output, str) else output)
     with Record.opened(folder) as opened:
-        told, rows = opened.told(), opened.rows()
+        reported, rows = opened.reported(), opened.rows()
     figures = read_figures(folder)
     if html is not None:
         write_page(figures, html, overwrite=overwrite)
     if as_json:
-        print_json({"run": told, "stages": figures.stages, "drives": [asdict(row) for row in rows]})
+        print_json({"run": reported, "stages": figures.stages, "drives": [asdict(row) for row in rows]})
         return
     counts = {state: sum(row.state is state for row in rows) for state in State}
     parts = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
     click.echo(
-        f"{redacted(output)}: {told.get('verb', '')} over {several(len(rows), 'drive')}: {parts or 'none'}"
+        f"{redacted(output)}: {reported.get('verb', '')} over {several(len(rows), 'drive')}: {parts or 'none'}"
     )
     if quiet:
         return
@@ -82,7 +82,7 @@ def status(
 
 
 def print_summary(summary: "RunSummary", *, verbose: bool) -> None:
-    """Say how a run ended, and what to do about failures."""
+    """Report how a run ended, and what to do about failures."""
     from sceneloom.batch.jobs import State
     from sceneloom.batch.record import Record
 
@@ -105,7 +105,7 @@ def print_summary(summary: "RunSummary", *, verbose: bool) -> None:
         click.echo(f"failed: {row.name}: {_why(row)}", err=True)
     if not verbose and len(failed) > _SHOWN:
         click.echo(f"… and {len(failed) - _SHOWN} more: `sceneloom batch status {summary.record}`", err=True)
-    click.echo("next: mend what failed, then say the same with `--resume`", err=True)
+    click.echo("next: repair what failed, then state the same with `--resume`", err=True)
 
 
 def _why(row: "Row") -> str:

@@ -35,8 +35,8 @@ def build(
 ) -> int:
     """Make a catalogue of drives: scenes, sensors, frames, annotations, tracks, attributes and findings as tables.
 
-    Drives are paths, patterns in quotes, URLs, or the lines of a list. One that cannot be read is told, and the others
-    go on; exit 1 then.
+    Drives are paths, patterns in quotes, URLs, or the lines of a list. One that cannot be read is reported, and the
+    others go on; exit 1 then.
     """
     from sceneloom.catalog.building import build as build_catalogue
 

@@ -17,13 +17,13 @@ FORMS = ("table", "json", "csv", "list")
 
 @click.command()
 @click.argument("catalogue", type=click.Path(path_type=Path))
-@click.option("--sql", metavar="TEXT", help="One statement that reads, in place of filters.")
+@click.option("--sql", metavar="TEXT", help="One statement that reads, instead of filters.")
 @click.option(
     "--label",
     "labels",
     multiple=True,
     metavar="NAME",
-    help="Boxes of this class, `*` allowed; may be said again.",
+    help="Boxes of this class, `*` allowed; may be stated again.",
 )
 @click.option(
     "--type", "types", type=click.Choice(["cuboid", "box_2d"]), multiple=True, help="Boxes of this type."
@@ -32,14 +32,14 @@ FORMS = ("table", "json", "csv", "list")
     "--after",
     "start",
     metavar="T",
-    help="Not before T: seconds of the drive, or a date and time (UTC unless said).",
+    help="Not before T: seconds of the drive, or a date and time (UTC unless stated).",
 )
 @click.option("--before", "stop", metavar="T", help="Before T.")
 @click.option(
     "--near",
     type=(options.finite, options.finite, options.not_negative),
     metavar="LAT LON METRES",
-    help="The ego no farther from a place.",
+    help="The ego no farther from a location.",
 )
 @click.option(
     "--speed",
@@ -59,10 +59,10 @@ FORMS = ("table", "json", "csv", "list")
     "attributes",
     multiple=True,
     metavar="NAME=VALUE",
-    help="An attribute of the scene, a sensor or the box has this value then; may be said again.",
+    help="An attribute of the scene, a sensor or the box has this value then; may be stated again.",
 )
 @click.option(
-    "--finding", "findings", multiple=True, metavar="RULE", help="`validate` found this; may be said again."
+    "--finding", "findings", multiple=True, metavar="RULE", help="`validate` found this; may be stated again."
 )
 @click.option(
     "--show",
@@ -110,8 +110,8 @@ def query(
     """
     del quiet, verbose
     if sql is not None and any(value not in {None, ()} for value in filters.values()):
-        raise click.UsageError("--sql takes the place of filters: say them in its WHERE")
-    from sceneloom.catalog.asking import query as query_catalogue
+        raise click.UsageError("--sql takes the position of filters: state them in its WHERE")
+    from sceneloom.catalog.query import query as query_catalogue
 
     wanted = sql if sql is not None else _selection(filters)
     result = query_catalogue(catalogue, wanted, show=show, gap=gap, margin=margin, limit=limit)

@@ -1,4 +1,4 @@
-"""What the verbs that write catalogues share: options, and how the result is told."""
+"""What the verbs that write catalogues share: options, and how the result is reported."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -31,19 +31,19 @@ lists = options.lists('a path, or {"path": …, "reading": {"sequence": …}}')
 
 
 def named_drives(
-    places: Sequence[str], lists: Sequence[Path], reading: Mapping[str, Any], *, quiet: bool
+    locations: Sequence[str], lists: Sequence[Path], reading: Mapping[str, Any], *, quiet: bool
 ) -> "list[Drive]":
-    """The drives that a command names, and how each is opened, which lists may say; whole ones only."""
+    """The drives that a command names, and how each is opened, which lists may state; whole ones only."""
     from sceneloom.batch.inputs import READING
     from sceneloom.catalog.drives import Drive
     from sceneloom.cli.batch.listed import find_listed
 
-    found = find_listed("catalog", places, lists, reading=reading, quiet=quiet)
-    said = options.said(**reading)
+    found = find_listed("catalog", locations, lists, reading=reading, quiet=quiet)
+    stated = options.stated(**reading)
     return [
         Drive(
-            drive.place,
-            said
+            drive.location,
+            stated
             | {
                 name.removeprefix(READING): value
                 for name, value in drive.options.items()
@@ -55,7 +55,7 @@ def named_drives(
 
 
 def print_report(report: "CatalogReport", *, as_json: bool, verbose: bool) -> int:
-    """Say what building or updating did; gives the exit code."""
+    """Report what building or updating did; gives the exit code."""
     if as_json:
         print_json(report)
         return int(bool(report.failed))
@@ -73,14 +73,14 @@ def print_report(report: "CatalogReport", *, as_json: bool, verbose: bool) -> in
     click.echo(
         f"{report.catalogue}: {several(report.scenes, 'scene')}: {', '.join(parts) or 'nothing to do'}"
     )
-    print_lines([f"failed: {_told(failure)}" for failure in report.failed], verbose=verbose)
+    print_lines([f"failed: {_reported(failure)}" for failure in report.failed], verbose=verbose)
     print_lines(
         [f"not there any more: {path}; `--prune` takes it out" for path in report.gone], verbose=verbose
     )
     return int(bool(report.failed))
 
 
-def _told(failure: "Failure") -> str:
+def _reported(failure: "Failure") -> str:
     """Errors of files begin with their path already; of a fault of ours the last line says what it is."""
     text = (failure.error.strip().splitlines() or [""])[-1]
     return text if text.startswith(failure.path) else f"{failure.path}: {text}"

@@ -34,7 +34,7 @@ def update(
     """Bring a catalogue up to date: drives that are new or have changed are read, no other is touched.
 
     Without drives, all that stand in the catalogue are looked at, and read as they were before. One that cannot be
-    read is told, and what stood of it stays; exit 1 then.
+    read is reported, and what stood of it stays; exit 1 then.
     """
     from sceneloom.catalog.building import update as update_catalogue
 

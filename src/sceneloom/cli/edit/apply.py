@@ -30,7 +30,7 @@ def apply(path: Path, output: Path, only: tuple[str, ...], annotations_in: str |
     def change(scenes: "Sequence[Scene]", on_points: "OnPoints") -> "Scene":
         del on_points
         ids = [annotation.id for annotation in scenes[0].annotations]
-        chosen = [next((i for i in ids if said not in ids and str(i) == said), said) for said in only]
+        chosen = [next((i for i in ids if stated not in ids and str(i) == stated), stated) for stated in only]
         return apply_corrections(scenes[0], corrections=chosen or None, annotations_in=annotations_in)
 
     run_edit("apply", [path], output, change, **common)

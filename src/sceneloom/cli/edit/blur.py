@@ -1,4 +1,4 @@
-"""`sceneloom edit blur`: faces, plates and whatever else nobody is to see, hidden in videos and pictures."""
+"""`sceneloom edit blur`: faces, plates and whatever else nobody is to see, hidden in videos and images."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
     "box_file",
     type=options.source(),
     metavar="FILE",
-    help="CSV or JSON of what to hide: camera, number or time of the picture, x1, y1, x2, y2, track.",
+    help="CSV or JSON of what to hide: camera, number or time of the image, x1, y1, x2, y2, track.",
 )
 @click.option(
     "--label",
     "labels",
     multiple=True,
     metavar="LABEL",
-    help="Hide the drive's own boxes and outlines in pictures that bear this label.",
+    help="Hide the drive's own boxes and outlines in images that bear this label.",
 )
 @click.option(
     "--fill",
     type=click.Choice(["blur", "pixelate", "black"]),
     default="blur",
     show_default=True,
-    help="What takes their place: at most 4 x 4 mean colours, smooth or in squares, or nothing.",
+    help="What takes their location: at most 4 x 4 mean colours, smooth or in squares, or nothing.",
 )
 @click.option(
     "--margin",
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     type=options.not_negative,
     default=0.0,
     metavar="S",
-    help="Hide tracks and annotations S seconds longer before their first and after their last picture.",
+    help="Hide tracks and annotations S seconds longer before their first and after their last image.",
 )
 @click.option("--drop-colours", is_flag=True, help="Take the colours away that cameras gave to points.")
 @common
@@ -71,11 +71,11 @@ def blur(
     verbose: bool,
     **reading: Any,
 ) -> None:
-    """Hide faces, plates and other places in videos and pictures for good."""
-    from sceneloom.formats.picture_boxes import read_picture_boxes
+    """Hide faces, plates and other locations in videos and images for good."""
+    from sceneloom.formats.image_boxes import read_image_boxes
     from sceneloom.pipeline.sharing.blurring import blur_files
 
-    boxes = () if box_file is None else read_picture_boxes(box_file)
+    boxes = () if box_file is None else read_image_boxes(box_file)
     names = tuple(name for label in labels for name in label.split(",") if name)
     with progress_bar("edit blur", quiet=quiet) as progress:
         report = blur_files(
@@ -87,10 +87,10 @@ def blur(
             margin=margin,
             hold=hold,
             drop_colours=drop_colours,
-            reading=options.said(**reading),
+            reading=options.stated(**reading),
             progress=progress,
             overwrite=overwrite,
-            **options.said(profile=profile, time_unit=time_unit),
+            **options.stated(profile=profile, time_unit=time_unit),
         )
     if as_json:
         print_json({**structs.asdict(report.edit), "fill": fill, "margin": margin, "cameras": report.cameras})
@@ -100,10 +100,10 @@ def blur(
 
 
 def _print_cameras(report: "BlurReport") -> None:
-    rows = [("camera", "boxes", "places hidden", "in pictures", "outside", "video")]
+    rows = [("camera", "boxes", "locations hidden", "in images", "outside", "video")]
     for one in report.cameras:
         video = "" if one.encoded is None else f"{one.encoded} encoded again"
-        outside = str(one.outside + one.without_picture)
-        pictures = f"{one.pictures} of {one.of_pictures}"
-        rows.append((str(one.camera), str(one.boxes), str(one.hidden), pictures, outside, video))
+        outside = str(one.outside + one.without_image)
+        images = f"{one.images} of {one.of_images}"
+        rows.append((str(one.camera), str(one.boxes), str(one.hidden), images, outside, video))
     print_table(rows)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from sceneloom.cli.edit.running import chosen_way, common, editing, run_edit, way
+from sceneloom.cli.edit.running import chosen_trajectory, common, editing, run_edit, trajectory
 from sceneloom.cli.identifiers import known_ids
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @editing
-@way
+@trajectory
 @click.option(
     "--lidar",
     "lidars",
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     help="Meet cuboids at the time of the frame (deskewed sweeps), or of each point (sweeps as measured).",
 )
 @click.option("--margin", type=float, default=0.0, metavar="M", help="Count points so far outside, too.")
-@click.option("--activations", is_flag=True, help="Also tell when each lidar has points of each cuboid.")
+@click.option("--activations", is_flag=True, help="Also report when each lidar has points of each cuboid.")
 @click.option("--labeled-points", is_flag=True, help="Add an annotation of labelled points for each cuboid.")
 @common
 def count(
@@ -60,12 +60,12 @@ def count(
             scene,
             lidars=known_ids(scene, lidars) or "all",
             moment=at,
-            trajectory=chosen_way(scene, trajectory, heading),
+            trajectory=chosen_trajectory(scene, trajectory, heading),
             listed=labeled_points,
             margin=margin,
             activations=not activations,
         )
-        details.update(_told(counts))
+        details.update(_reported(counts))
         counted = with_counts(scene, counts)
         counted = with_activations(counted, counts) if activations else counted
         return with_labeled_points(counted, counts) if labeled_points else counted
@@ -73,7 +73,7 @@ def count(
     run_edit("count", [path], output, change, details=details, **common)
 
 
-def _told(counts: "PointCounts") -> dict[str, Any]:
+def _reported(counts: "PointCounts") -> dict[str, Any]:
     total = np.sum([lidar.counts.sum(axis=0) for lidar in counts.lidars], axis=0)
     points = (
         {str(identifier): int(total[row]) for row, identifier in enumerate(counts.annotation_ids)}

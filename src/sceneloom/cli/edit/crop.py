@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.edit.running import common, editing, run_edit, way
+from sceneloom.cli.edit.running import common, editing, run_edit, trajectory
 from sceneloom.cli.identifiers import known_ids
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class Box(click.ParamType):  # type: ignore[type-arg, unused-ignore]  # generic 
 @click.option(
     "--label", "labels", multiple=True, metavar="LABEL", help="The only labels to keep. [default: all]"
 )
-@way
+@trajectory
 @common
 def crop(
     path: Path,

@@ -12,7 +12,7 @@ from sceneloom.cli.printing import (
     print_json,
     print_lines,
     print_losses,
-    print_notices,
+    print_warnings,
     progress_bar,
     several,
 )
@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 
 @click.command()
 @editing
-@options.way(further="`imu`: only the turning that the IMU tells")
+@options.trajectory(further="`imu`: only the rotating that the IMU reports")
 @click.option(
     "--at",
     type=click.Choice(["start", "middle", "end"]),
@@ -56,7 +56,7 @@ def deskew(
     from sceneloom.pipeline.deskewing.job import deskew as deskew_scene
 
     with (
-        open_scene(path, **options.said(**reading)) as scene,
+        open_scene(path, **options.stated(**reading)) as scene,
         progress_bar("deskewing", quiet=quiet) as progress,
     ):
         report = deskew_scene(
@@ -71,7 +71,7 @@ def deskew(
             lenient=reading["lenient"],
             progress=progress,
             overwrite=overwrite,
-            **options.said(profile=profile, time_unit=time_unit),
+            **options.stated(profile=profile, time_unit=time_unit),
         )
     if as_json:
         print_json(report)
@@ -80,9 +80,9 @@ def deskew(
 
 
 def _print_deskewing(report: "DeskewReport", *, quiet: bool, verbose: bool) -> None:
-    way = "the lidars' own poses" if report.trajectory is None else f"trajectory {report.trajectory}"
+    trajectory = "the lidars' own poses" if report.trajectory is None else f"trajectory {report.trajectory}"
     click.echo(
-        f"deskewed {report.deskewed} of {several(report.sweeps, 'sweep')} by {way} to the {report.at} of each, "
+        f"deskewed {report.deskewed} of {several(report.sweeps, 'sweep')} by {trajectory} to the {report.at} of each, "
         f"in {report.seconds:.1f} s"
     )
     click.echo(
@@ -99,5 +99,5 @@ def _print_deskewing(report: "DeskewReport", *, quiet: bool, verbose: bool) -> N
     click.echo(f"scene: {report.output}")
     if not quiet:
         print_lines([f"skipped: {reason}" for reason in report.skipped], verbose=verbose)
-        print_notices(report.notices, verbose=verbose)
+        print_warnings(report.warnings, verbose=verbose)
         print_losses(report.losses, verbose=verbose)

@@ -17,12 +17,12 @@ VERBS = MappingProxyType(
         "to-sensor": "Bring points into the frames of their sensors.",
         "count": "Count the points in each cuboid.",
         "project": "See the cuboids with the cameras.",
-        "simplify": "Keep only those stamps of paths that the others do not tell.",
+        "simplify": "Keep only those timestamps of paths that the others do not report.",
         "apply": "Apply localization adjustments and camera calibrations.",
-        "blur": "Hide faces, plates and other places in pictures for good.",
-        "relative": "Take out where a drive was, by whom, and on request when.",
-        "undistort": "Resample pictures so that their lenses are pinholes.",
-        "lens": "Tell the lenses by another model, as near as it comes.",
+        "blur": "Hide faces, plates and other locations in images for good.",
+        "anonymise": "Take out where a drive was, by whom, and on request when.",
+        "undistort": "Resample images so that their camera models are pinholes.",
+        "camera_model": "Report the camera models by another model, as near as it comes.",
     }
 )
 """Each verb stands in the module of its name, with `_` for `-`."""

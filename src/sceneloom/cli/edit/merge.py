@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("paths", nargs=-1, required=True, type=options.place)
+@click.argument("paths", nargs=-1, required=True, type=options.location)
 @OUTPUT
 @click.option("--rename", is_flag=True, help="Give new ids to sensors and annotations whose ids are taken.")
 @click.option(

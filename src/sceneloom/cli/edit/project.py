@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.edit.running import chosen_way, common, editing, run_edit, way
+from sceneloom.cli.edit.running import chosen_trajectory, common, editing, run_edit, trajectory
 from sceneloom.cli.identifiers import known_id_or_none, known_ids
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @editing
-@way
+@trajectory
 @click.option(
     "--camera",
     "cameras",
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     default=1.0,
     show_default=True,
     metavar="N",
-    help="What is narrower or lower than this in a picture is not seen.",
+    help="What is narrower or lower than this in an image is not seen.",
 )
 @click.option(
     "--see-through",
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     help="What fills little of its cuboid, such as trees, and hides nothing.",
 )
 @click.option("--lidar", metavar="ID", help="Ask the points of this lidar, too, what hides a cuboid.")
-@click.option("--activations", is_flag=True, help="Also tell when each camera sees each cuboid.")
+@click.option("--activations", is_flag=True, help="Also report when each camera sees each cuboid.")
 @common
 def project(
     path: Path,
@@ -53,7 +53,7 @@ def project(
     activations: bool,
     **common: Any,
 ) -> None:
-    """See the cuboids with the cameras: boxes in each picture, shares cut off and hidden."""
+    """See the cuboids with the cameras: boxes in each image, shares cut off and hidden."""
     from sceneloom.scene.annotations.cuboids import CuboidAnnotation
     from sceneloom.visibility.projected import project_cuboids
 
@@ -63,7 +63,7 @@ def project(
         projected = project_cuboids(
             scenes[0],
             cameras=known_ids(scenes[0], cameras) or "all",
-            trajectory=chosen_way(scenes[0], trajectory, heading),
+            trajectory=chosen_trajectory(scenes[0], trajectory, heading),
             min_pixels=min_pixels,
             see_through=see_through,
             lidar=known_id_or_none(scenes[0], lidar),

@@ -8,7 +8,7 @@ import click
 from msgspec import structs
 
 from sceneloom.cli import options
-from sceneloom.cli.printing import print_json, print_losses, print_notices, progress_bar, several
+from sceneloom.cli.printing import print_json, print_losses, print_warnings, progress_bar, several
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
     from sceneloom.pipeline.edited import EditReport, Joining
@@ -27,17 +27,22 @@ OUTPUT = click.option(
 annotations_in = click.option(
     "--annotations-in",
     type=click.Choice(["world", "ego"]),
-    help="The frame of the annotations in a scene that does not say it. [default: world]",
+    help="The frame of the annotations in a scene that does not state it. [default: world]",
 )
 """On the verbs that bring annotations into another frame."""
 
 
-way = options.way()
-"""The options that choose the ego's way."""
+trajectory = options.trajectory()
+"""The options that choose the ego trajectory."""
 
 
-def chosen_way(scene: "Scene", trajectory: str | None, heading: str | None) -> "EgoMotion | str | None":
-    """The ego's way that was asked for; the name itself where the scene needs none, which is for others to refuse."""
+def chosen_trajectory(
+    scene: "Scene", trajectory: str | None, heading: str | None
+) -> "EgoMotion | str | None":
+    """The ego trajectory that was asked for; the name itself where the scene needs none.
+
+    Which is for others to refuse.
+    """
     from sceneloom.motion.ego_motion import find_ego_motion
     from sceneloom.scene.sensor_sources import needs_ego
 
@@ -48,7 +53,7 @@ def chosen_way(scene: "Scene", trajectory: str | None, heading: str | None) -> "
 
 def editing(command: Callable[..., None]) -> Callable[..., None]:
     """The argument and the output of every verb that changes one drive; above its own options."""
-    argument = click.argument("path", type=options.place)
+    argument = click.argument("path", type=options.location)
     return argument(OUTPUT(command))
 
 
@@ -73,7 +78,7 @@ def run_edit(
 ) -> None:
     """Read, change, write and print; `change` makes one scene out of those read.
 
-    What it then has put into `details` is told besides: single values to people, all of it to machines.
+    What it then has put into `details` is reported besides: single values to people, all of it to machines.
     """
     from sceneloom.pipeline.edited import edit_files
 
@@ -83,10 +88,10 @@ def run_edit(
             paths,
             output,
             change,
-            reading=options.said(**reading),
+            reading=options.stated(**reading),
             progress=progress,
             overwrite=overwrite,
-            **options.said(profile=profile, time_unit=time_unit),
+            **options.stated(profile=profile, time_unit=time_unit),
         )
     if as_json:
         print_json({**structs.asdict(report), **(details or {})})
@@ -107,5 +112,5 @@ def print_edit(report: "EditReport", *, quiet: bool, verbose: bool) -> None:
         click.echo(several(was, noun) if was == is_now else f"{several(was, noun)}{those} -> {is_now}")
     click.echo(f"written: {report.output}")
     if not quiet:
-        print_notices(report.notices, verbose=verbose)
+        print_warnings(report.warnings, verbose=verbose)
         print_losses(report.losses, verbose=verbose)

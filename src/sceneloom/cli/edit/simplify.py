@@ -1,4 +1,4 @@
-"""`sceneloom edit simplify`: paths with fewer stamps."""
+"""`sceneloom edit simplify`: paths with fewer timestamps."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,7 +23,7 @@ PATHS = ("cuboids", "keypoints", "poses")
     default=0.01,
     show_default=True,
     metavar="M",
-    help="How far interpolated places and sizes may be from those left out.",
+    help="How far interpolated locations and sizes may be from those left out.",
 )
 @click.option(
     "--tolerance-deg",
@@ -31,7 +31,7 @@ PATHS = ("cuboids", "keypoints", "poses")
     default=0.1,
     show_default=True,
     metavar="DEG",
-    help="How far interpolated turns may be from those left out.",
+    help="How far interpolated rotates may be from those left out.",
 )
 @click.option(
     "--only", multiple=True, type=click.Choice(PATHS), help="The only paths to simplify. [default: all]"
@@ -45,16 +45,16 @@ def simplify(
     only: tuple[str, ...],
     **common: Any,
 ) -> None:
-    """Keep only those stamps of paths that the others do not tell within the tolerances."""
+    """Keep only those timestamps of paths that the others do not report within the tolerances."""
     from sceneloom.editing.simplify import simplify_scene
 
     chosen = {name: name in (only or PATHS) for name in PATHS}
     details: dict[str, Any] = {}
 
     def change(scenes: "Sequence[Scene]", _: Any) -> "Scene":
-        known = scenes[0].notices
+        known = scenes[0].warnings
         found = simplify_scene(scenes[0], tolerance_m=tolerance_m, tolerance_deg=tolerance_deg, **chosen)
-        details["stamps_left_out"] = sum(notice.count for notice in found.notices[len(known) :])
+        details["timestamps_left_out"] = sum(warning.count for warning in found.warnings[len(known) :])
         return found
 
     run_edit("simplify", [path], output, change, details=details, **common)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sceneloom.cli.edit.running import annotations_in, common, editing, run_edit, way
+from sceneloom.cli.edit.running import annotations_in, common, editing, run_edit, trajectory
 
 if TYPE_CHECKING:
     from sceneloom.editing.chosen_points import OnPoints
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @click.command("to-ego")
 @editing
-@way
+@trajectory
 @annotations_in
 @common
 def to_ego(

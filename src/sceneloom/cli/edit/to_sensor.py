@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sceneloom.cli.edit.running import common, editing, run_edit, way
+from sceneloom.cli.edit.running import common, editing, run_edit, trajectory
 
 if TYPE_CHECKING:
     from sceneloom.editing.chosen_points import OnPoints
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @click.command("to-sensor")
 @editing
-@way
+@trajectory
 @common
 def to_sensor(path: Path, output: Path, trajectory: str | None, heading: str | None, **common: Any) -> None:
     """Bring the points of lidars and radars into the frames of their sensors."""

@@ -1,4 +1,4 @@
-"""`sceneloom edit undistort`: pictures as cameras without distortion would have taken them."""
+"""`sceneloom edit undistort`: images as cameras without distortion would have taken them."""
 
 import re
 from collections.abc import Sequence
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 KEEP = {"valid": 0.0, "all": 1.0}
 
 
-def _size(_context: click.Context, _option: click.Parameter, said: str | None) -> tuple[int, int] | None:
-    match = None if said is None else re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", said)
-    if said is not None and match is None:
-        raise click.BadParameter(f"{said!r}; expected width x height in pixels, such as 1280x720")
+def _size(_context: click.Context, _option: click.Parameter, stated: str | None) -> tuple[int, int] | None:
+    match = None if stated is None else re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", stated)
+    if stated is not None and match is None:
+        raise click.BadParameter(f"{stated!r}; expected width x height in pixels, such as 1280x720")
     return None if match is None else (int(match[1]), int(match[2]))
 
 
@@ -33,9 +33,9 @@ def _size(_context: click.Context, _option: click.Parameter, said: str | None) -
     type=click.Choice(list(KEEP)),
     default="valid",
     show_default=True,
-    help="Show only what fills the picture, or all that the old one shows, with black where it shows nothing.",
+    help="Show only what fills the image, or all that the old one shows, with black where it shows nothing.",
 )
-@click.option("--size", callback=_size, metavar="WxH", help="Size of the new pictures. [default: as before]")
+@click.option("--size", callback=_size, metavar="WxH", help="Size of the new images. [default: as before]")
 @common
 def undistort(
     path: Path,
@@ -45,7 +45,7 @@ def undistort(
     size: tuple[int, int] | None,
     **common: Any,
 ) -> None:
-    """Resample pictures so that their lenses are pinholes; what is drawn into them follows."""
+    """Resample images so that their camera models are pinholes; what is drawn into them follows."""
     from sceneloom.editing.undistortion import undistort_scene
 
     width, height = size or (None, None)

@@ -7,7 +7,7 @@ import click
 from sceneloom.cli import options
 from sceneloom.cli.eval.detection_tables import print_detection
 from sceneloom.cli.eval.object_options import share, sides_to_compare
-from sceneloom.cli.printing import print_json, print_notices
+from sceneloom.cli.printing import print_json, print_warnings
 
 
 @click.command()
@@ -17,7 +17,7 @@ from sceneloom.cli.printing import print_json, print_notices
     "similarities",
     type=click.Choice(["2d", "bev", "3d"]),
     multiple=True,
-    help="Overlap in the picture, from above, in space; may be said again. [default: all that both sides have]",
+    help="Overlap in the image, from above, in space; may be stated again. [default: all that both sides have]",
 )
 @click.option(
     "--threshold",
@@ -30,7 +30,7 @@ from sceneloom.cli.printing import print_json, print_notices
     "difficulties",
     type=click.Choice(["easy", "moderate", "hard", "all"]),
     multiple=True,
-    help="Which objects must be found; may be said again. [default: easy moderate hard; all without pictures]",
+    help="Which objects must be found; may be stated again. [default: easy moderate hard; all without images]",
 )
 @click.option(
     "--regions-in-space",
@@ -62,7 +62,7 @@ def detection(
     quiet: bool,
     verbose: bool,
 ) -> None:
-    """Say how good the detections RESULTS are, held against TRUTH: AP, F1, calibration of scores, by KITTI's rules.
+    """Report how good the detections RESULTS are, held against TRUTH: AP, F1, calibration of scores, by KITTI's rules.
 
     Both are KITTI's text (a file for each sequence or for each frame, in a folder, or one file), or scenes with
     cuboids; RESULTS may also be lists of detections, CLASS/NNNN.txt, or what `sceneloom fuse --type detection` wrote,
@@ -95,4 +95,4 @@ def detection(
         return
     print_detection(report)
     if not quiet:
-        print_notices(report.notices, verbose=verbose)
+        print_warnings(report.warnings, verbose=verbose)

@@ -18,15 +18,15 @@ def print_detection(report: "DetectionReport") -> None:
     """Print what was compared, and by class precision and recall, and how true scores and covariances are."""
     click.echo(f"{report.results} against {report.truth}")
     click.echo(several(len(report.sequences), "sequence"))
-    for label, told in report.classes.items():
+    for label, reported in report.classes.items():
         click.echo(label)
         rows = [
             (f"{one.similarity} > {one.least_overlap:g}", name, *_cells(scores))
-            for one in told
+            for one in reported
             for name, scores in one.difficulties.items()
         ]
         print_table([("overlap", "", *_COLUMNS), *rows])
-        _print_covariances(told)
+        _print_covariances(reported)
 
 
 def _cells(scores: "DetectionScores") -> list[str]:
@@ -38,8 +38,8 @@ def _cells(scores: "DetectionScores") -> list[str]:
     return [ap40, ap11, max_f1, threshold, precision, recall, *counts, error]
 
 
-def _print_covariances(told: "tuple[ClassDetection, ...]") -> None:
-    judged = next((one for one in told if one.covariances), None)
+def _print_covariances(reported: "tuple[ClassDetection, ...]") -> None:
+    judged = next((one for one in reported if one.covariances), None)
     if judged is None or judged.covariances is None:
         return
     levels = [part.level for part in next(iter(judged.covariances.values())).coverages]

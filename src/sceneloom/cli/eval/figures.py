@@ -29,7 +29,9 @@ def print_report(report: "TrajectoryReport") -> None:
         ("rotation [°]", absolute.rotation_deg),
     ]
     click.echo("absolute errors (ATE)")
-    print_table([("", *_COLUMNS), *((name, *_cells(told)) for name, told in rows if told is not None)])
+    print_table(
+        [("", *_COLUMNS), *((name, *_cells(reported)) for name, reported in rows if reported is not None)]
+    )
     if report.relative:
         click.echo("errors of motions (RPE)")
         print_table([("over", "", *_COLUMNS, "per metre", "per second"), *_relative_rows(report.relative)])
@@ -48,13 +50,15 @@ def _alignment(report: "TrajectoryReport") -> str:
 def _relative_rows(relative: "tuple[RelativeErrors, ...]") -> list[tuple[str, ...]]:
     rows = []
     for step in relative:
-        percent, turn = step.translation_percent, step.rotation_deg_per_m
-        told = "" if percent is None else f"{percent:.4g} %"
-        rows.append((step.delta, "m", *_cells(step.translation), told, f"{step.translation_per_s:.4g} m/s"))
+        percent, rotation = step.translation_percent, step.rotation_deg_per_m
+        reported = "" if percent is None else f"{percent:.4g} %"
+        rows.append(
+            (step.delta, "m", *_cells(step.translation), reported, f"{step.translation_per_s:.4g} m/s")
+        )
         if step.rotation_deg is not None:
-            told = "" if turn is None else f"{turn:.4g} °/m"
+            reported = "" if rotation is None else f"{rotation:.4g} °/m"
             per_second = f"{step.rotation_deg_per_s:.4g} °/s"
-            rows.append(("", "°", *_cells(step.rotation_deg), told, per_second))
+            rows.append(("", "°", *_cells(step.rotation_deg), reported, per_second))
     return rows
 
 

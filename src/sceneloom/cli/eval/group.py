@@ -8,9 +8,9 @@ from sceneloom.cli.verb_group import VerbGroup
 
 VERBS = MappingProxyType(
     {
-        "detection": "Say how good detections are.",
-        "tracking": "Say how good a tracker is.",
-        "trajectory": "Say how far a trajectory is from a reference.",
+        "detection": "Report how good detections are.",
+        "tracking": "Report how good a tracker is.",
+        "trajectory": "Report how far a trajectory is from a reference.",
     }
 )
 """Each verb stands in the module of its name, with `_` for `-`."""
@@ -18,4 +18,4 @@ VERBS = MappingProxyType(
 
 @click.group(cls=VerbGroup, verbs=VERBS, room="sceneloom.cli.eval")
 def eval() -> None:  # noqa: A001 - the verb's name
-    """Say how good an estimate is, against a reference."""
+    """Report how good an estimate is, against a reference."""

@@ -1,4 +1,4 @@
-"""What both evaluations of objects take: two sides, classes, sequences, a picture."""
+"""What both evaluations of objects take: two sides, classes, sequences, an image."""
 
 from collections.abc import Callable
 from functools import reduce
@@ -23,21 +23,21 @@ def share(number: str | float) -> float:
 
 
 _OPTIONS: tuple[Callable[[Any], Any], ...] = (
-    click.argument("results", type=options.place, metavar="RESULTS"),
-    click.argument("truth", type=options.place, metavar="TRUTH"),
+    click.argument("results", type=options.location, metavar="RESULTS"),
+    click.argument("truth", type=options.location, metavar="TRUTH"),
     click.option(
         "--class",
         "classes",
         multiple=True,
         metavar="NAME",
-        help="A class to evaluate; may be said again. [default: KITTI's of the truth; of scenes all]",
+        help="A class to evaluate; may be stated again. [default: KITTI's of the truth; of scenes all]",
     ),
     click.option(
         "--sequence",
         "sequences",
         multiple=True,
         metavar="NAME",
-        help="A sequence to take, such as 0003; may be said again of KITTI's text. [default: all of the truth]",
+        help="A sequence to take, such as 0003; may be stated again of KITTI's text. [default: all of the truth]",
     ),
     click.option(
         "-o",
@@ -46,7 +46,7 @@ _OPTIONS: tuple[Callable[[Any], Any], ...] = (
         metavar="OUT.png",
         help="Draw the curves (.png, .svg, .pdf; needs sceneloom[report]).",
     ),
-    click.option("--overwrite", is_flag=True, help="Replace a picture that exists."),
+    click.option("--overwrite", is_flag=True, help="Replace an image that exists."),
     click.option(
         "--no-corrections",
         "corrections",
@@ -60,5 +60,5 @@ _OPTIONS: tuple[Callable[[Any], Any], ...] = (
 
 
 def sides_to_compare(command: Command) -> Command:
-    """Give a verb RESULTS, TRUTH and what is to be said of both."""
+    """Give a verb RESULTS, TRUTH and what is to be stated of both."""
     return reduce(lambda inner, option: option(inner), reversed(_OPTIONS), command)

@@ -7,7 +7,7 @@ import click
 from sceneloom.cli import options
 from sceneloom.cli.eval.object_options import share, sides_to_compare
 from sceneloom.cli.eval.tracking_tables import print_tracking
-from sceneloom.cli.printing import print_json, print_notices
+from sceneloom.cli.printing import print_json, print_warnings
 
 
 @click.command()
@@ -15,7 +15,7 @@ from sceneloom.cli.printing import print_json, print_notices
 @click.option(
     "--similarity",
     type=click.Choice(["2d", "bev", "3d", "distance"]),
-    help="What says how alike two boxes are: overlap in the picture, from above, in space; distance of middles "
+    help="What says how alike two boxes are: overlap in the image, from above, in space; distance of middles "
     "(0 at 4 m). [default: 2d, else 3d]",
 )
 @click.option(
@@ -40,7 +40,7 @@ def tracking(
     quiet: bool,
     verbose: bool,
 ) -> None:
-    """Say how good the tracks RESULTS are, held against TRUTH: HOTA, CLEAR MOT, IDF1, by KITTI's rules.
+    """Report how good the tracks RESULTS are, held against TRUTH: HOTA, CLEAR MOT, IDF1, by KITTI's rules.
 
     Both are KITTI's text (a file NNNN.txt for each sequence, in a folder, or one file), or scenes with cuboids.
     """
@@ -67,4 +67,4 @@ def tracking(
         return
     print_tracking(report)
     if not quiet:
-        print_notices(report.notices, verbose=verbose)
+        print_warnings(report.warnings, verbose=verbose)

@@ -8,19 +8,19 @@ import click
 
 from sceneloom.cli import options
 from sceneloom.cli.eval.figures import print_report
-from sceneloom.cli.printing import print_json, print_notices, progress_bar
+from sceneloom.cli.printing import print_json, print_warnings, progress_bar
 from sceneloom.errors import SceneloomError
 
 
 @click.command()
-@click.argument("estimate", type=options.place, metavar="EST")
-@click.argument("reference", type=options.place, metavar="REF")
+@click.argument("estimate", type=options.location, metavar="EST")
+@click.argument("reference", type=options.location, metavar="REF")
 @click.option(
     "--align",
     type=click.Choice(["none", "origin", "yaw", "se3", "sim3"]),
     default="se3",
     show_default=True,
-    help="Lay EST onto REF first: by the first pose; shift and heading; shift and turn; and scale.",
+    help="Lay EST onto REF first: by the first pose; shift and heading; shift and rotate; and scale.",
 )
 @click.option(
     "--align-first",
@@ -48,12 +48,12 @@ from sceneloom.errors import SceneloomError
     "rpe_deltas",
     multiple=True,
     metavar="STEP",
-    help="Compare motions over steps such as 1s, 10m, 1f (poses); may be said again. [default: 1s 5m 10m 50m]",
+    help="Compare motions over steps such as 1s, 10m, 1f (poses); may be stated again. [default: 1s 5m 10m 50m]",
 )
 @click.option(
-    "--plot", type=options.target, metavar="OUT.png", help="Draw the ways from above and the errors."
+    "--plot", type=options.target, metavar="OUT.png", help="Draw the trajectories from above and the errors."
 )
-@click.option("--overwrite", is_flag=True, help="Replace a picture that exists.")
+@click.option("--overwrite", is_flag=True, help="Replace an image that exists.")
 @click.option("--est-name", metavar="NAME", help="Which trajectory of EST.")
 @click.option("--ref-name", metavar="NAME", help="Which trajectory of REF.")
 @options.trajectories("est", "EST")
@@ -78,7 +78,7 @@ def trajectory(
     overwrite: bool,
     **reading: Any,
 ) -> None:
-    """Say how far the trajectory EST is from the trajectory REF: ATE, RPE, KITTI's figures, coverage.
+    """Report how far the trajectory EST is from the trajectory REF: ATE, RPE, KITTI's figures, coverage.
 
     EST and REF are files (TUM, KITTI, EuRoC, GNSS, named columns, JSON lines) or drives; `PATH:NAME` names one of
     several trajectories; of a drive also `lidar` and `gnss` (computed) and `fixes` (as received). `--start` and
@@ -92,7 +92,7 @@ def trajectory(
     if plot is not None:
         check_plot(plot, overwrite=overwrite)
     own = {side: _own(reading, side) for side in ("est", "ref")}
-    shared, sides = SharedOptions(options.said(**reading)), {}
+    shared, sides = SharedOptions(options.stated(**reading)), {}
     for path, side in ((estimate, "est"), (reference, "ref")):
         with progress_bar(f"reading {side.upper()}", quiet=quiet) as progress:
             sides[side] = shared.read(partial(read_trajectory_file, path, progress=progress, **own[side]))
@@ -121,20 +121,20 @@ def trajectory(
         return
     print_report(report)
     if not quiet:
-        print_notices(report.notices, verbose=verbose)
+        print_warnings(report.warnings, verbose=verbose)
 
 
 def _own(reading: dict[str, Any], side: str) -> dict[str, Any]:
     """Take the options of one side out of all."""
     named = {name: reading.pop(name) for name in list(reading) if name.startswith(f"{side}_")}
-    return options.said(**{name.removeprefix(f"{side}_"): value for name, value in named.items()})
+    return options.stated(**{name.removeprefix(f"{side}_"): value for name, value in named.items()})
 
 
 def _offset_ns(text: str) -> int:
     """Seconds as they were typed, in nanoseconds, without rounding."""
-    from sceneloom.formats.rig.stamps import StampError, parse_stamp
+    from sceneloom.formats.rig.timestamps import TimestampError, parse_timestamp
 
     try:
-        return parse_stamp(text, "seconds")
-    except StampError as error:
+        return parse_timestamp(text, "seconds")
+    except TimestampError as error:
         raise click.BadParameter(str(error), param_hint="--offset") from None

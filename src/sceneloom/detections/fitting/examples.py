@@ -11,9 +11,9 @@ from sceneloom.detections.assignment import assign, pair_gains
 from sceneloom.detections.classes import numbers_of, table_rows
 from sceneloom.detections.existence import existence_table
 from sceneloom.detections.independent import independent_detectors
-from sceneloom.detections.outlines import Outlines, boxes_with_area, boxes_with_place, project_outlines
+from sceneloom.detections.outlines import Outlines, boxes_with_area, boxes_with_position, project_outlines
 from sceneloom.detections.results import NO_BOX, DetectionPair
-from sceneloom.kernels import existence_odds
+from sceneloom.kernels import existence_probability
 from sceneloom.kernels.upright_overlaps import overlaps_in_space
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
 
@@ -21,7 +21,7 @@ IGNORED = -1
 """A verdict: neither true nor false."""
 
 LEAST_IOU = 0.3
-"""Overlap in the picture from which on boxes may be one object, as fusion has it."""
+"""Overlap in the image from which on boxes may be one object, as fusion has it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,10 +33,10 @@ class LabelledPair:
         truth: the exact boxes, lidar frame.
         counts: (T,) bool, those that detectors must find; a box of another one is neither true nor false.
         neighbours: (T,) bool, those that are of another class and only look like theirs, so that errors of their boxes
-            say nothing.
-        regions_xyxy: (R, 4) float64 [px], parts of the picture whose objects nobody wrote down.
+            state nothing.
+        regions_xyxy: (R, 4) float64 [px], parts of the image whose objects nobody wrote down.
         group: of what belongs together, such as a drive: errors within are alike.
-        least_height_px: a box without an object is not false where the picture shows it, but less high than this [px].
+        least_height_px: a box without an object is not false where the image shows it, but less high than this [px].
     """
 
     pair: DetectionPair
@@ -54,12 +54,12 @@ class SweepColumns(NamedTuple):
     Attributes:
         group: (N,) int64, of the example.
         kind: (N,) int64, of the class.
-        told: (N,) what the score says, as logarithm of odds.
-        partner_told: (N,) the same of the partner in the picture, NaN without one.
+        reported: (N,) what the score says, as logarithm of odds.
+        partner_reported: (N,) the same of the partner in the image, NaN without one.
         matched: (N,) bool, whether there is a partner.
-        overlap: (N,) with the partner in the picture.
-        seen: (N,) share that the picture shows.
-        height: (N,) [px], in the picture.
+        overlap: (N,) with the partner in the image.
+        seen: (N,) share that the image shows.
+        height: (N,) [px], in the image.
         distance: (N,) [m].
         verdict: (N,) int64, 1 true, 0 false, or IGNORED.
         errors: (N, 7) of the box in its own axes: middle, sizes [m] and heading [rad]; NaN where no object is near.
@@ -70,8 +70,8 @@ class SweepColumns(NamedTuple):
 
     group: Int64Array
     kind: Int64Array
-    told: Float64Array
-    partner_told: Float64Array
+    reported: Float64Array
+    partner_reported: Float64Array
     matched: BoolArray
     overlap: Float64Array
     seen: Float64Array
@@ -83,18 +83,18 @@ class SweepColumns(NamedTuple):
     sides: Float64Array
 
 
-class PictureColumns(NamedTuple):
-    """Boxes of pictures, row by row: group, class, what the score says, verdict, whether the sweep has one too."""
+class ImageColumns(NamedTuple):
+    """Boxes of images, row by row: group, class, what the score says, verdict, whether the sweep has one too."""
 
     group: Int64Array
     kind: Int64Array
-    told: Float64Array
+    reported: Float64Array
     verdict: Int64Array
     matched: BoolArray
 
 
 class Prepared(NamedTuple):
-    """One example, ready for the update by the picture: rows of the columns, boxes, their outlines and partners."""
+    """One example, ready for the update by the image: rows of the columns, boxes, their outlines and partners."""
 
     pair: DetectionPair
     first: int
@@ -109,19 +109,19 @@ class Columns(NamedTuple):
 
     groups: tuple[str, ...]
     sweep: SweepColumns
-    picture: PictureColumns
+    image: ImageColumns
     prepared: tuple[Prepared, ...]
 
     def without(self, *groups: int) -> "Columns":
-        """The same rows, of which those of some groups say nothing."""
-        out, hidden = np.isin(self.sweep.group, groups), np.isin(self.picture.group, groups)
+        """The same rows, of which those of some groups state nothing."""
+        out, hidden = np.isin(self.sweep.group, groups), np.isin(self.image.group, groups)
         return self._replace(
             sweep=self.sweep._replace(
                 verdict=np.where(out, IGNORED, self.sweep.verdict),
                 errors=np.where(out[:, None], np.nan, self.sweep.errors),
                 apart=np.where(out[:, None], np.nan, self.sweep.apart),
             ),
-            picture=self.picture._replace(verdict=np.where(hidden, IGNORED, self.picture.verdict)),
+            image=self.image._replace(verdict=np.where(hidden, IGNORED, self.image.verdict)),
         )
 
 
@@ -133,18 +133,18 @@ def columns_of(examples: Iterable[LabelledPair], *, overlap: float) -> Columns:
         overlap: in space, from which on a box is true.
     """
     groups: dict[str, int] = {}
-    sweeps, pictures, prepared, first = list[Any](), list[Any](), list[Prepared](), 0
+    sweeps, images, prepared, first = list[Any](), list[Any](), list[Prepared](), 0
     for example in examples:
         number = groups.setdefault(example.group, len(groups))
-        ready, sweep, picture = _example(example, number, overlap)
+        ready, sweep, image = _example(example, number, overlap)
         prepared.append(ready._replace(first=first))
         first += len(ready.boxes)
         sweeps.append(sweep)
-        pictures.append(picture)
+        images.append(image)
     return Columns(
         tuple(groups),
         SweepColumns(*(np.concatenate(parts) for parts in zip(*sweeps, strict=True))),
-        PictureColumns(*(np.concatenate(parts) for parts in zip(*pictures, strict=True))),
+        ImageColumns(*(np.concatenate(parts) for parts in zip(*images, strict=True))),
         tuple(prepared),
     )
 
@@ -154,16 +154,16 @@ _TABLE = existence_table(independent_detectors())
 
 def _example(
     example: LabelledPair, group: int, overlap: float
-) -> tuple[Prepared, SweepColumns, PictureColumns]:
+) -> tuple[Prepared, SweepColumns, ImageColumns]:
     pair = example.pair
     three, two = pair.boxes_3d, pair.boxes_2d
-    boxes, rows_3d = boxes_with_place(three.centers, three.sizes_lwh, three.yaws)
+    boxes, rows_3d = boxes_with_position(three.centers, three.sizes_lwh, three.yaws)
     corners, rows_2d = boxes_with_area(two.corners_xyxy)
     labels_3d, labels_2d = _some(three.labels, rows_3d), _some(two.labels, rows_2d)
     classes_3d, classes_2d = numbers_of(labels_3d, labels_2d)
     kinds_3d, kinds_2d = table_rows(classes_3d), table_rows(classes_2d)
-    told_3d, likely_3d = _told(three, rows_3d, kinds_3d)
-    told_2d, likely_2d = _told(two, rows_2d, kinds_2d)
+    reported_3d, likely_3d = _reported(three, rows_3d, kinds_3d)
+    reported_2d, likely_2d = _reported(two, rows_2d, kinds_2d)
     outlines = project_outlines(pair.camera, pair.camera_from_lidar, boxes, likely=likely_3d)
     shown = outlines.corners_xyxy
     gains = pair_gains(shown, corners, classes_3d, classes_2d, likely_3d, likely_2d, least_iou=LEAST_IOU)
@@ -171,19 +171,19 @@ def _example(
     truth = _Truth.of(example, labels_3d)
     verdicts, _ = truth.judge(boxes, classes_3d, likely_3d, shown, overlap)
     near = truth.judge(boxes, classes_3d, likely_3d, shown, LEAST_IOU)[1]
-    fits = picture_overlaps(shown, corners)
+    fits = image_overlaps(shown, corners)
     has = partners != NO_BOX
     rows = np.arange(len(boxes))
     count = len(boxes)
-    told_by_partner, overlaps = np.full(count, np.nan), np.zeros(count)
-    told_by_partner[has], overlaps[has] = told_2d[partners[has]], fits[rows[has], partners[has]]
+    reported_by_partner, overlaps = np.full(count, np.nan), np.zeros(count)
+    reported_by_partner[has], overlaps[has] = reported_2d[partners[has]], fits[rows[has], partners[has]]
     sides = np.full((count, 2), np.nan)
     sides[has] = corners[partners[has], 2:] - corners[partners[has], :2]
     sweep = SweepColumns(
         np.full(count, group),
         kinds_3d,
-        told_3d,
-        told_by_partner,
+        reported_3d,
+        reported_by_partner,
         has,
         overlaps,
         outlines.seen_shares,
@@ -194,21 +194,23 @@ def _example(
         truth.apart(pair, near, corners, partners),
         sides,
     )
-    picture = PictureColumns(
+    image = ImageColumns(
         np.full(len(corners), group),
         kinds_2d,
-        told_2d,
-        truth.judge_picture(pair, corners, classes_2d, likely_2d),
+        reported_2d,
+        truth.judge_image(pair, corners, classes_2d, likely_2d),
         taken != NO_BOX,
     )
-    return Prepared(pair, 0, boxes, outlines, partners, corners), sweep, picture
+    return Prepared(pair, 0, boxes, outlines, partners, corners), sweep, image
 
 
-def _told(boxes: Boxes3D | Boxes2D, rows: Int64Array, kinds: Int64Array) -> tuple[Float64Array, Float64Array]:
+def _reported(
+    boxes: Boxes3D | Boxes2D, rows: Int64Array, kinds: Int64Array
+) -> tuple[Float64Array, Float64Array]:
     """What scores name: logarithms of odds, and probabilities."""
     logit, flat = boxes.score_form is ScoreForm.LOGIT, isinstance(boxes, Boxes2D)
-    told, _, likely = existence_odds.told_odds(boxes.scores, rows, logit, flat, kinds, _TABLE)
-    return told, likely
+    reported, _, likely = existence_probability.reported_odds(boxes.scores, rows, logit, flat, kinds, _TABLE)
+    return reported, likely
 
 
 def _some(labels: Sequence[str], rows: Int64Array) -> list[str]:
@@ -246,12 +248,12 @@ class _Truth(NamedTuple):
         ).reshape(len(boxes), len(self.boxes))
         return self._judge(overlaps, classes, likely, shown, overlap)
 
-    def judge_picture(
+    def judge_image(
         self, pair: DetectionPair, corners: Float64Array, classes: Int64Array, likely: Float64Array
     ) -> Int64Array:
-        """Verdicts over boxes of the picture, by the outlines of the true boxes there."""
+        """Verdicts over boxes of the image, by the outlines of the true boxes there."""
         shown = project_outlines(pair.camera, pair.camera_from_lidar, self.boxes.copy()).corners_xyxy
-        return self._judge(picture_overlaps(corners, shown), classes, likely, corners, 0.5)[0]
+        return self._judge(image_overlaps(corners, shown), classes, likely, corners, 0.5)[0]
 
     def _judge(
         self,
@@ -320,8 +322,8 @@ class _Truth(NamedTuple):
 _BORDER_PX = 3.0
 
 
-def picture_overlaps(one: Float64Array, other: Float64Array) -> Float64Array:
-    """Intersections over unions of boxes of a picture, (N, M)."""
+def image_overlaps(one: Float64Array, other: Float64Array) -> Float64Array:
+    """Intersections over unions of boxes of an image, (N, M)."""
     common = _common(one, other)
     areas = [_areas(boxes) for boxes in (one, other)]
     overlaps: Float64Array = common / np.maximum(areas[0][:, None] + areas[1] - common, 1e-9)

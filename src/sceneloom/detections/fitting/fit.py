@@ -9,8 +9,8 @@ import numpy as np
 from sceneloom.detections.classes import KINDS
 from sceneloom.detections.detectors import ClassStatistics, Detectors
 from sceneloom.detections.fitting.examples import IGNORED, Columns, LabelledPair, columns_of
-from sceneloom.detections.fitting.existence_fit import SUREST_2D, fit_agreement, fit_sight, fit_told
-from sceneloom.detections.fitting.noise_fit import fit_noise, fit_picture_noise, widened
+from sceneloom.detections.fitting.existence_fit import SUREST_2D, fit_agreement, fit_reported, fit_visibility
+from sceneloom.detections.fitting.noise_fit import fit_image_noise, fit_noise, widened
 from sceneloom.errors import OptionError
 
 
@@ -23,7 +23,7 @@ class FitSettings:
         surest_3d: scores of sweeps are held at these logarithms of odds at the most.
         least_count: classes with fewer boxes that are true or false get no numbers of their own.
         degrees_of_freedom: of the Student distribution of errors.
-        weak_recall_2d, weak_share: how poorly a camera may do, and in what share of pictures; drives by day do not say.
+        weak_recall_2d, weak_share: how poorly a camera may do, and in what share of images; drives by day do not state.
         otherwise: class whose numbers hold for words that no table has. [default: the class with the most boxes]
     """
 
@@ -92,16 +92,16 @@ def fit_columns(
 
 def _fit_class(columns: Columns, kind: int, settings: FitSettings) -> ClassStatistics:
     sweep = type(columns.sweep)(*(column[columns.sweep.kind == kind] for column in columns.sweep))
-    picture = type(columns.picture)(*(column[columns.picture.kind == kind] for column in columns.picture))
-    of_sweep = fit_told(sweep.told, sweep.verdict, highest=settings.surest_3d)
-    of_picture = fit_told(picture.told, picture.verdict, highest=SUREST_2D)
+    image = type(columns.image)(*(column[columns.image.kind == kind] for column in columns.image))
+    of_sweep = fit_reported(sweep.reported, sweep.verdict, highest=settings.surest_3d)
+    of_image = fit_reported(image.reported, image.verdict, highest=SUREST_2D)
     return ClassStatistics(
         sweep=of_sweep,
-        picture=of_picture,
-        both=fit_agreement(sweep, of_sweep, of_picture),
-        sight=fit_sight(
-            sweep, picture, weak_recall_2d=settings.weak_recall_2d, weak_share=settings.weak_share
+        image=of_image,
+        both=fit_agreement(sweep, of_sweep, of_image),
+        visibility=fit_visibility(
+            sweep, image, weak_recall_2d=settings.weak_recall_2d, weak_share=settings.weak_share
         ),
         noise=fit_noise(sweep, of_sweep, settings.degrees_of_freedom),
-        picture_noise=fit_picture_noise(sweep),
+        image_noise=fit_image_noise(sweep),
     )

@@ -8,15 +8,15 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.detections.classes import KINDS
-from sceneloom.detections.detectors import BoxNoise, Detectors, PictureNoise, Told
+from sceneloom.detections.detectors import BoxNoise, Detectors, ImageNoise, Reported
 from sceneloom.detections.fitting.examples import Columns, SweepColumns
 from sceneloom.detections.fitting.regression import fit_deviations, weighted_quantile
 from sceneloom.detections.noise import (
     NEAREST,
     USUAL,
     box_covariances,
+    image_sigmas,
     noise_table,
-    picture_sigmas,
     radius_squared,
 )
 from sceneloom.detections.refinement import refine
@@ -37,13 +37,13 @@ _UNKNOWN = BoxNoise(
 _PARTS = (slice(0, 3), slice(3, 6), slice(6, 7))
 
 
-def fit_noise(columns: SweepColumns, told: Told, degrees_of_freedom: float) -> BoxNoise:
+def fit_noise(columns: SweepColumns, reported: Reported, degrees_of_freedom: float) -> BoxNoise:
     """Fit scales of a Student distribution; `widened` makes covariances of them."""
-    rows = np.isfinite(columns.errors).all(axis=1) & np.isfinite(columns.told)
+    rows = np.isfinite(columns.errors).all(axis=1) & np.isfinite(columns.reported)
     if rows.sum() < _LEAST_ERRORS:
         return _UNKNOWN
     far = np.log(np.maximum(columns.distance[rows], NEAREST) / USUAL)
-    held = np.clip(columns.told[rows], told.low, told.high)
+    held = np.clip(columns.reported[rows], reported.low, reported.high)
     features = np.column_stack([np.ones(len(held)), held, far])
     weights = _even(columns.group[rows])
     parts = [
@@ -57,7 +57,7 @@ def fit_noise(columns: SweepColumns, told: Told, degrees_of_freedom: float) -> B
     ]
     numbers = [[tuple(column) for column in part.T.tolist()] for part in parts]
     return BoxNoise(
-        scores=(told.low, told.high),
+        scores=(reported.low, reported.high),
         center_base=numbers[0][0],
         center_by_score=numbers[0][1],
         center_by_range=numbers[0][2],
@@ -74,13 +74,13 @@ def _even(groups: Int64Array) -> Float64Array:
     return weights
 
 
-def fit_picture_noise(columns: SweepColumns) -> PictureNoise:
+def fit_image_noise(columns: SweepColumns) -> ImageNoise:
     """Fit how far partners are off the true outlines: robust deviations in four classes of size, on a line."""
     rows = np.isfinite(columns.apart).all(axis=1)
     if rows.sum() < _LEAST_ERRORS:
-        return PictureNoise(across=(2.0, 0.03), upright=(2.0, 0.03), height=(2.0, 0.06))
+        return ImageNoise(across=(2.0, 0.03), upright=(2.0, 0.03), height=(2.0, 0.06))
     apart, sides = columns.apart[rows], columns.sides[rows]
-    return PictureNoise(
+    return ImageNoise(
         across=_line(apart[:, 0], sides[:, 0]),
         upright=_line(apart[:, 1], sides[:, 1]),
         height=_line(apart[:, 2], sides[:, 1]),
@@ -112,16 +112,16 @@ def widened(columns: Columns, draft: Detectors) -> Detectors:
         * radius_squared(_LEVEL, degrees_of_freedom=float("inf"))
     )
     drafts = _left_out(columns, draft)
-    alone = _distances(columns, drafts, by_picture=False)
+    alone = _distances(columns, drafts, by_image=False)
     first = {name: _ratios(columns, name, alone, promised, matched=False) for name in draft.classes}
     drafts = [_scaled(left, first) for left in drafts]
-    both = _distances(columns, drafts, by_picture=True)
+    both = _distances(columns, drafts, by_image=True)
     second = {name: _ratios(columns, name, both, promised, matched=True) for name in draft.classes}
     return _scaled(draft, first, agreed=second)
 
 
 def _left_out(columns: Columns, draft: Detectors) -> list[Detectors]:
-    """For each group what the others say; of a single group there are no others."""
+    """For each group what the others state; of a single group there are no others."""
     if len(columns.groups) < 2:
         return [draft]
     return [_refitted(columns.without(group), draft) for group in range(len(columns.groups))]
@@ -133,22 +133,22 @@ def _refitted(columns: Columns, draft: Detectors) -> Detectors:
         rows = columns.sweep.kind == list(KINDS).index(name)
         sweep = SweepColumns(*(column[rows] for column in columns.sweep))
         noise = fit_noise(sweep, own.sweep, draft.degrees_of_freedom)
-        classes[name] = replace(own, noise=noise, picture_noise=fit_picture_noise(sweep))
+        classes[name] = replace(own, noise=noise, image_noise=fit_image_noise(sweep))
     return replace(draft, classes=MappingProxyType(classes))
 
 
-def _distances(columns: Columns, drafts: list[Detectors], *, by_picture: bool) -> Float64Array:
+def _distances(columns: Columns, drafts: list[Detectors], *, by_image: bool) -> Float64Array:
     """Squared Mahalanobis distances of the errors of middles, sizes and headings, (N, 3), each by its own group."""
     tables = [noise_table(draft) for draft in drafts]
     found = np.full((len(columns.sweep.kind), 3), np.nan)
     for ready in columns.prepared:
         rows = slice(ready.first, ready.first + len(ready.boxes))
-        kinds, told = columns.sweep.kind[rows], columns.sweep.told[rows]
+        kinds, reported = columns.sweep.kind[rows], columns.sweep.reported[rows]
         group = int(columns.sweep.group[ready.first]) if len(ready.boxes) else 0
         table = tables[min(group, len(tables) - 1)]
         boxes, none = ready.boxes.copy(), np.zeros((0, 7, 7))
-        covariances, of_yaws, _ = box_covariances(boxes, told, none, np.arange(len(boxes)), kinds, table)
-        if by_picture:
+        covariances, of_yaws, _ = box_covariances(boxes, reported, none, np.arange(len(boxes)), kinds, table)
+        if by_image:
             refine(
                 ready.pair.camera,
                 ready.pair.camera_from_lidar,
@@ -157,10 +157,10 @@ def _distances(columns: Columns, drafts: list[Detectors], *, by_picture: bool) -
                 covariances,
                 ready.partners,
                 ready.corners_xyxy,
-                picture_sigmas(table, kinds),
+                image_sigmas(table, kinds),
             )
         errors = columns.sweep.errors[rows].copy()
-        _turn(errors, boxes[:, 6])
+        _rotation(errors, boxes[:, 6])
         errors[:, :6] += boxes[:, :6] - ready.boxes[:, :6]
         for k, part in enumerate(_PARTS[:2]):
             solved = np.linalg.solve(covariances[:, part, part], errors[:, part, None])[..., 0]
@@ -169,8 +169,8 @@ def _distances(columns: Columns, drafts: list[Detectors], *, by_picture: bool) -
     return found
 
 
-def _turn(errors: Float64Array, yaws: Float64Array) -> None:
-    """Turn errors along the axes of boxes into the frame of the boxes; changed."""
+def _rotation(errors: Float64Array, yaws: Float64Array) -> None:
+    """Rotate errors along the axes of boxes into the frame of the boxes; changed."""
     along, across = errors[:, 0].copy(), errors[:, 1].copy()
     errors[:, 0] = np.cos(yaws) * along - np.sin(yaws) * across
     errors[:, 1] = np.sin(yaws) * along + np.cos(yaws) * across

@@ -18,7 +18,7 @@ def fit_odds(
     Args:
         features: (N, K), the first column of ones.
         came_true: (N,).
-        expected: (K,), what coefficients are where data say nothing.
+        expected: (K,), what coefficients are where data state nothing.
         weights: (K,), as how many examples' worth that counts.
 
     Returns:

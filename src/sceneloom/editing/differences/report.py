@@ -1,4 +1,4 @@
-"""What differs: gathered while two scenes are compared, told as a list without repetition."""
+"""What differs: gathered while two scenes are compared, reported as a list without repetition."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -70,7 +70,7 @@ class Findings:
         unit: str = "",
         frame: int | None = None,
     ) -> None:
-        """Add a difference; of several in frames the largest one is told."""
+        """Add a difference; of several in frames the largest one is reported."""
         key = (path, change)
         made = Difference(path=path, change=change, message=message, amount=amount, unit=unit, frame=frame)
         before = self.found.get(key)
@@ -80,9 +80,9 @@ class Findings:
         self.found[key] = made
 
     def pass_over(self, what: str) -> None:
-        """Say that something was not compared."""
+        """Report that something was not compared."""
         self.not_compared[what] = None
 
-    def told(self) -> SceneDifferences:
+    def reported(self) -> SceneDifferences:
         """All that was found."""
         return SceneDifferences(differences=tuple(self.found.values()), not_compared=tuple(self.not_compared))

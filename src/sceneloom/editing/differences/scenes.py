@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.editing.differences.frames import compare_depth_images, compare_frames, compare_pictures
+from sceneloom.editing.differences.frames import compare_depth_images, compare_frames, compare_images
 from sceneloom.editing.differences.report import Change, Findings, SceneDifferences
 from sceneloom.editing.differences.tolerances import Tolerances
 from sceneloom.editing.differences.values import Comparison, shown
@@ -31,25 +31,26 @@ def diff_scenes(
     tolerance_deg: float = 0.0,
     tolerance_ns: float = 0.0,
     tolerance_px: float = 0.0,
-    other_stamps: bool = False,
+    other_timestamps: bool = False,
     pixels: bool = False,
     progress: Progress | None = None,
 ) -> SceneDifferences:
-    """Tell what differs between two scenes: what was added, removed and changed from the first to the second.
+    """Report what differs between two scenes: what was added, removed and changed from the first to the second.
 
-    Sensors and annotations are the same if their ids are, frames if their stamps are. Where a scene comes from and what
-    was remarked on reading it does not count. Frames are read in pairs and not kept.
+    Sensors and annotations are the same if their ids are, frames if their timestamps are. Where a scene comes from and
+    what was remarked on reading it does not count. Frames are read in pairs and not kept.
 
     Args:
         first, second: the scenes.
-        tolerance_m: largest distance of places, sizes and translations that counts as none [m].
-        tolerance_deg: largest turn [deg]; quaternions of one rotation are equal whatever their sign, and so are cuboids
-            whose angles are told in another unit or order.
-        tolerance_ns: largest difference of stamps [ns].
-        tolerance_px: largest difference of what is drawn into pictures [px].
-        other_stamps: let a path be told at other stamps, if at those of both it is the same within the tolerances.
-        pixels: decode pictures whose bytes differ or are not there, and compare their pixels.
-        progress: told after each frame how many are done, and of how many.
+        tolerance_m: largest distance of locations, sizes and translations that counts as none [m].
+        tolerance_deg: largest rotate [deg]; quaternions of one rotation are equal whatever their sign, and so are
+            cuboids whose angles are reported in another unit or order.
+        tolerance_ns: largest difference of timestamps [ns].
+        tolerance_px: largest difference of what is drawn into images [px].
+        other_timestamps: let a path be reported at other timestamps, if at those of both it is the same within the
+            tolerances.
+        pixels: decode images whose bytes differ or are not there, and compare their pixels.
+        progress: reported after each frame how many are done, and of how many.
 
     Raises:
         OptionError: one is no scene, or a tolerance is negative or not a number.
@@ -61,7 +62,7 @@ def diff_scenes(
     findings = Findings()
     comparison = Comparison(
         findings,
-        Tolerances(tolerance_m, tolerance_deg, tolerance_ns, tolerance_px, other_stamps),
+        Tolerances(tolerance_m, tolerance_deg, tolerance_ns, tolerance_px, other_timestamps),
         (CuboidAngles.of(first), CuboidAngles.of(second)),
     )
     steps = _Steps(max(_frames(first), _frames(second)), progress)
@@ -75,11 +76,11 @@ def diff_scenes(
 
     _compare_members(comparison, "sensors", first.sensors, second.sensors, compare_sensors)
     _compare_members(comparison, "annotations", first.annotations, second.annotations, comparison.records)
-    return findings.told()
+    return findings.reported()
 
 
 def _extras(scene: Scene) -> Mapping[str, Any]:
-    """The further fields of a scene, with the unit of times that holds where it is not said."""
+    """The further fields of a scene, with the unit of times that holds where it is not stated."""
     return {"time_unit": "microseconds", **scene.extras}
 
 
@@ -130,9 +131,9 @@ def _named(member: Any) -> str:
 def _compare_sensor(
     comparison: Comparison, path: str, a: Sensor, b: Sensor, on_frame: Callable[[], None], *, pixels: bool
 ) -> None:
-    comparison.records(path, a, b, skipped=("frames", "pictures", "video"))
+    comparison.records(path, a, b, skipped=("frames", "images", "video"))
     if isinstance(a, CameraSensor) and isinstance(b, CameraSensor):
-        compare_pictures(comparison, f"{path}.pictures", a, b, on_frame, pixels=pixels)
+        compare_images(comparison, f"{path}.images", a, b, on_frame, pixels=pixels)
     elif isinstance(a, DepthCameraSensor) and isinstance(b, DepthCameraSensor):
         compare_depth_images(comparison, f"{path}.frames", a, b, on_frame, pixels=pixels)
     elif isinstance(a, LidarSensor | RadarSensor) and type(a) is type(b):
@@ -142,7 +143,7 @@ def _compare_sensor(
 def _compare_cloud(
     comparison: Comparison, path: str, a: LidarFrame | RadarFrame, b: LidarFrame | RadarFrame
 ) -> None:
-    """Compare two frames; of different numbers of points only the numbers are told."""
+    """Compare two frames; of different numbers of points only the numbers are reported."""
     if len(a.points) == len(b.points):
         comparison.records(path, a, b)
         return

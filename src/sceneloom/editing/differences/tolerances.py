@@ -12,11 +12,12 @@ class Tolerances:
     """Largest differences that count as none.
 
     Attributes:
-        metres: of places, sizes and translations.
-        degrees: of turns.
-        nanoseconds: of stamps; frames so near in time are the same frame.
-        pixels: of what is drawn into pictures.
-        other_stamps: whether a path may be told at other stamps, if it is the same way within the tolerances.
+        metres: of locations, sizes and translations.
+        degrees: of rotations.
+        nanoseconds: of timestamps; frames so near in time are the same frame.
+        pixels: of what is drawn into images.
+        other_timestamps: whether a path may be reported at other timestamps, if it is the same way within the
+            tolerances.
 
     Raises:
         OptionError: one is negative or not a number.
@@ -26,7 +27,7 @@ class Tolerances:
     degrees: float = 0.0
     nanoseconds: float = 0.0
     pixels: float = 0.0
-    other_stamps: bool = False
+    other_timestamps: bool = False
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -39,8 +40,8 @@ METRES, DEGREES, NANOSECONDS, PIXELS, EXACT = "m", "deg", "ns", "px", ""
 
 FIELDS: Mapping[tuple[str, str], str] = MappingProxyType(
     {
-        ("PosePath", "positions"): METRES,
-        ("PosePath", "quaternions_xyzw"): DEGREES,
+        ("Poses", "positions"): METRES,
+        ("Poses", "quaternions_xyzw"): DEGREES,
         ("Trajectory", "positions"): METRES,
         ("Trajectory", "quaternions_xyzw"): DEGREES,
         ("LidarPoints", "positions"): METRES,
@@ -55,7 +56,7 @@ FIELDS: Mapping[tuple[str, str], str] = MappingProxyType(
         ("RigidTransform", "rotation"): DEGREES,
     }
 )
-"""Class and field of everything that has a tolerance, besides stamps (`_ns`), cuboids and vertices."""
+"""Class and field of everything that has a tolerance, besides timestamps (`_ns`), cuboids and vertices."""
 
 
 def unit_of(owner: str, name: str) -> str:

@@ -20,14 +20,14 @@ from sceneloom.editing.differences.tolerances import (
     limit_of,
     unit_of,
 )
-from sceneloom.editing.differences.ways import WAYS, is_way, ways_apart
+from sceneloom.editing.differences.trajectories import TRAJECTORIES, is_trajectory, trajectories_apart
 from sceneloom.scene.angles import CuboidAngles
 
 SHOWN = 60
-"""Characters of a value that are told."""
+"""Characters of a value that are reported."""
 
 CUBOIDS = {("CuboidPath", "values"), ("Projection", "cuboids"), ("Activation", "cuboids")}
-"""Class and field of cuboid rows, whose angles are compared as turns."""
+"""Class and field of cuboid rows, whose angles are compared as rotates."""
 
 KEYS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -38,15 +38,15 @@ KEYS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "LabeledPoints": ("sensor_id", "sensor_frame"),
     }
 )
-"""By which fields the members of a list are told apart, in place of their numbers."""
+"""By which fields the members of a list are distinguished, instead of their numbers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """Compares values and tells what it finds.
+    """Compares values and reports what it finds.
 
     Attributes:
-        findings: where differences are told.
+        findings: where differences are reported.
         tolerances: how much may differ.
         angles: how the angles of cuboids are meant in the two scenes.
         frame: number of the frame that is compared, or None.
@@ -60,7 +60,7 @@ class Comparison:
     def add(
         self, path: str, change: Change, message: str, amount: float | None = None, unit: str = ""
     ) -> None:
-        """Tell a difference."""
+        """Report a difference."""
         self.findings.add(path, change, message, amount=amount, unit=unit, frame=self.frame)
 
     def values(self, path: str, a: Any, b: Any, *, owner: str = "", name: str = "") -> None:
@@ -83,32 +83,32 @@ class Comparison:
             self.add(path, Change.CHANGED, f"{type(a).__name__}; then {type(b).__name__}")
             return
         owner = type(a).__name__
-        passed = {*skipped, *self._ways(path, a, b)}
+        passed = {*skipped, *self._trajectories(path, a, b)}
         for each in fields(a):
             if each.name not in passed:
                 inner = f"{path}.{each.name}" if path else each.name
                 self.values(inner, getattr(a, each.name), getattr(b, each.name), owner=owner, name=each.name)
 
-    def _ways(self, path: str, a: Any, b: Any) -> tuple[str, ...]:
-        """Compare two paths told at other stamps as ways; gives the fields that this settles."""
-        if not (is_way(a) and is_way(b)):
+    def _trajectories(self, path: str, a: Any, b: Any) -> tuple[str, ...]:
+        """Compare two paths reported at other timestamps as ways; gives the fields that this settles."""
+        if not (is_trajectory(a) and is_trajectory(b)):
             return ()
         count, other = len(a.timestamps_ns), len(b.timestamps_ns)
         if count == other:
             away = np.abs(a.timestamps_ns - b.timestamps_ns)
             if away.max() <= self.tolerances.nanoseconds:
                 return ()
-        found = ways_apart(a, b, self.angles)
+        found = trajectories_apart(a, b, self.angles)
         if found is None:
             return ()
         metres, degrees = found
         within = metres <= self.tolerances.metres and degrees <= self.tolerances.degrees
-        if not (self.tolerances.other_stamps and within):
+        if not (self.tolerances.other_timestamps and within):
             message = (
-                f"{count} stamps; then {other}; as ways up to {metres:.3g} m and {degrees:.3g} deg apart"
+                f"{count} timestamps; then {other}; as ways up to {metres:.3g} m and {degrees:.3g} deg apart"
             )
             self.add(path, Change.CHANGED, message, metres, METRES)
-        return WAYS[type(a).__name__][1]
+        return TRAJECTORIES[type(a).__name__][1]
 
     def record(self, path: str, a: Any, b: Any, _owner: str, _name: str) -> None:
         """Compare two records field by field."""
@@ -133,7 +133,7 @@ class Comparison:
                 self.add(f"{path}[{key}]", Change.ADDED, shown(value))
 
     def sequence(self, path: str, a: Sequence[Any], b: Sequence[Any], owner: str, name: str) -> None:
-        """Compare two lists, member by member or by what tells their members apart."""
+        """Compare two lists, member by member or by what reports their members apart."""
         keyed = _keyed(a), _keyed(b)
         if keyed[0] is not None and keyed[1] is not None:
             self._members(path, keyed[0], keyed[1])
@@ -174,7 +174,7 @@ class Comparison:
             self.add(path, Change.CHANGED, f"{rows} differ, row {worst} most", float(away[worst]), unit)
 
     def _cuboids(self, path: str, a: AnyArray, b: AnyArray) -> None:
-        """Sizes and places in metres, angles as turns, each by the reading of its own scene."""
+        """Sizes and locations in metres, angles as rotates, each by the reading of its own scene."""
         self._rows(f"{path}.size", a[:, :3], b[:, :3], METRES)
         self._rows(f"{path}.position", a[:, 3:6], b[:, 3:6], METRES)
         if self.angles[0] == self.angles[1] and np.array_equal(a[:, 6:], b[:, 6:], equal_nan=True):
@@ -221,7 +221,7 @@ _KINDS: tuple[tuple[Callable[[Any], bool], Callable[..., None]], ...] = (
 
 
 def _keyed(members: Sequence[Any]) -> dict[str, Any] | None:
-    """The members by what tells them apart; None where nothing does, or not all of them."""
+    """The members by what reports them apart; None where nothing does, or not all of them."""
     names = {type(member).__name__ for member in members}
     if not members:
         return {}

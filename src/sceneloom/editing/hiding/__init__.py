@@ -1,1 +1,1 @@
-"""Places in pictures that nobody is to see: found, and hidden for good."""
+"""Locations in images that nobody is to see: found, and hidden for good."""

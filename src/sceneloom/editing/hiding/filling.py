@@ -1,4 +1,4 @@
-"""What takes the place of the pixels in a box: nothing from which they could be told again."""
+"""What takes the position of the pixels in a box: nothing from which they could be reported again."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType

@@ -1,4 +1,4 @@
-"""Scenes in whose pictures places are hidden; pictures are changed when they are decoded."""
+"""Scenes in whose images locations are hidden; images are changed when they are decoded."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -7,22 +7,22 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array, UInt8Array
 from sceneloom.editing.hiding.boxes import Hiding
-from sceneloom.editing.hiding.embedded import EmbeddedPictures, pictures_without_embedded
+from sceneloom.editing.hiding.embedded import EmbeddedImages, images_without_embedded
 from sceneloom.editing.hiding.filling import FILLS, filled
 from sceneloom.editing.hiding.regions import HiddenRegions, hidden_regions
-from sceneloom.editing.record import assumed, skipped, with_notices
+from sceneloom.editing.record import assumed, skipped, with_warnings
 from sceneloom.errors import OptionError
-from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor
 from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.notices import Notice
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, Key, key_of
+from sceneloom.scene.warnings import DataWarning
 
 _NO_BOXES = np.zeros((0, 4), np.int64)
 
 
-def hide_in_pictures(
+def hide_in_images(
     scene: Scene,
     hidings: tuple[Hiding, ...],
     *,
@@ -30,10 +30,10 @@ def hide_in_pictures(
     margin: float = 0.1,
     drop_colours: bool = False,
 ) -> Scene:
-    """Give the scene with places in its pictures hidden for good.
+    """Give the scene with locations in its images hidden for good.
 
-    Videos are left out where places are hidden in their pictures, and so are the files that such pictures were decoded
-    from: the scene's pictures hold what is to be written. Copies of pictures in free fields are taken out.
+    Videos are left out where locations are hidden in their images, and so are the files that such images were decoded
+    from: the scene's images hold what is to be written. Copies of images in free fields are taken out.
 
     Args:
         scene: as it is.
@@ -51,13 +51,13 @@ def hide_in_pictures(
     if not any(one.pixels for one in regions.values()):
         given = sum(hiding.given for hiding in hidings)
         raise OptionError(
-            f"{scene.source}: none of the {given} boxes lies in any picture, so nothing would be hidden; expected "
-            "numbers of pictures from 0 or times on the scene's clock, and pixels of the pictures"
+            f"{scene.source}: none of the {given} boxes lies in any image, so nothing would be hidden; expected "
+            "numbers of images from 0 or times on the scene's clock, and pixels of the images"
         )
-    embedded = EmbeddedPictures()
+    embedded = EmbeddedImages()
     cleaned = embedded.scene(scene)
     sensors = tuple(
-        _hidden_camera(pictures_without_embedded(sensor), regions[key_of(sensor.id)], fill)
+        _hidden_camera(images_without_embedded(sensor), regions[key_of(sensor.id)], fill)
         if isinstance(sensor, CameraSensor)
         else _without_colours(sensor)
         if drop_colours and isinstance(sensor, LidarSensor | PointsSensor)
@@ -65,15 +65,17 @@ def hide_in_pictures(
         for sensor in cleaned.sensors
     )
     out = [
-        skipped("embedded-picture", place, "a copy of a picture in a free field: left out")
-        for place in embedded.places
+        skipped("embedded-image", location, "a copy of an image in a free field: left out")
+        for location in embedded.locations
     ]
     changed = replace(cleaned, sensors=sensors)
-    return with_notices(changed, [*out, *_told(hidings, regions), *_coloured(scene, dropped=drop_colours)])
+    return with_warnings(
+        changed, [*out, *_reported(hidings, regions), *_coloured(scene, dropped=drop_colours)]
+    )
 
 
 def regions_of(scene: Scene, hidings: tuple[Hiding, ...], *, margin: float) -> dict[Key, HiddenRegions]:
-    """The pixels to hide in each camera's pictures, by the camera's id and its type."""
+    """The pixels to hide in each camera's images, by the camera's id and its type."""
     cameras = {key_of(camera.id): camera.camera for camera in scene.cameras}
     return {
         key_of(hiding.camera_id): hidden_regions(
@@ -89,33 +91,33 @@ def regions_of(scene: Scene, hidings: tuple[Hiding, ...], *, margin: float) -> d
 def _hidden_camera(camera: CameraSensor, regions: HiddenRegions, fill: str) -> CameraSensor:
     if not regions.pixels:
         return camera
-    pictures = LazyFrames(camera.pictures.timestamps_ns, _Hidden(camera.pictures, regions.pixels, fill))
-    return replace(camera, pictures=pictures, video=None)
+    images = LazyFrames(camera.images.timestamps_ns, _Hidden(camera.images, regions.pixels, fill))
+    return replace(camera, images=images, video=None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Hidden:
-    """Reads pictures; what `LazyFrames` asks for."""
+    """Reads images; what `LazyFrames` asks for."""
 
-    pictures: LazyFrames[Picture]
+    images: LazyFrames[CameraImage]
     pixels: Mapping[int, Int64Array]
     fill: str
 
-    def __call__(self, k: int) -> Picture:
-        picture, boxes = self.pictures[k], self.pixels.get(k, _NO_BOXES)
+    def __call__(self, k: int) -> CameraImage:
+        image, boxes = self.images[k], self.pixels.get(k, _NO_BOXES)
         if not len(boxes):
-            return picture
-        return replace(picture, decode=_Decode(picture, boxes, self.fill), encoded=None)
+            return image
+        return replace(image, decode=_Decode(image, boxes, self.fill), encoded=None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Decode:
-    picture: Picture
+    image: CameraImage
     boxes: Int64Array
     fill: str
 
     def __call__(self) -> UInt8Array:
-        return filled(self.picture.rgb, self.boxes, fill=self.fill)
+        return filled(self.image.rgb, self.boxes, fill=self.fill)
 
 
 def _without_colours(sensor: LidarSensor | PointsSensor) -> LidarSensor | PointsSensor:
@@ -133,17 +135,17 @@ class _Colourless:
         return replace(frame, points=replace(frame.points, colors=None))
 
 
-def _told(hidings: tuple[Hiding, ...], regions: Mapping[Key, HiddenRegions]) -> list[Notice]:
-    told: list[Notice] = []
+def _reported(hidings: tuple[Hiding, ...], regions: Mapping[Key, HiddenRegions]) -> list[DataWarning]:
+    reported: list[DataWarning] = []
     for hiding in hidings:
-        place, found = f"sensors[{hiding.camera_id}].pictures", regions[key_of(hiding.camera_id)]
-        no_picture = "boxes of pictures that are not there: nothing hidden"
-        outside = "boxes that lie outside of their pictures or have no size: nothing hidden"
-        told.append(skipped("box-without-picture", place, no_picture, count=hiding.unmatched))
-        told.append(skipped("box-outside", place, outside, count=found.outside))
-        none = "a camera without boxes: its pictures stay as they are"
-        told.append(assumed("camera-without-boxes", place, none, count=int(not found.pixels)))
-    return told
+        location, found = f"sensors[{hiding.camera_id}].images", regions[key_of(hiding.camera_id)]
+        no_image = "boxes of images that are not there: nothing hidden"
+        outside = "boxes that lie outside of their images or have no size: nothing hidden"
+        reported.append(skipped("box-without-image", location, no_image, count=hiding.unmatched))
+        reported.append(skipped("box-outside", location, outside, count=found.outside))
+        none = "a camera without boxes: its images stay as they are"
+        reported.append(assumed("camera-without-boxes", location, none, count=int(not found.pixels)))
+    return reported
 
 
 def coloured_sensors(scene: Scene) -> tuple[Identifier, ...]:
@@ -155,11 +157,11 @@ def coloured_sensors(scene: Scene) -> tuple[Identifier, ...]:
     return (*found, *maps)
 
 
-def _coloured(scene: Scene, *, dropped: bool) -> list[Notice]:
+def _coloured(scene: Scene, *, dropped: bool) -> list[DataWarning]:
     what = (
         "colours of points were left out"
         if dropped
-        else "colours of points came from pictures before anything was hidden, and stay; `--drop-colours` drops them"
+        else "colours of points came from images before anything was hidden, and stay; `--drop-colours` drops them"
     )
     return [
         assumed("colours-of-points", f"sensors[{one}].points.colors", what) for one in coloured_sensors(scene)

@@ -1,4 +1,4 @@
-"""Boxes as whole pixels of pictures: wider by a margin, cut to the picture, counted where nothing stays of them."""
+"""Boxes as whole pixels of images: wider by a margin, cut to the image, counted where nothing stays of them."""
 
 from dataclasses import dataclass
 
@@ -11,11 +11,11 @@ from sceneloom.errors import OptionError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HiddenRegions:
-    """What is hidden in each picture of a camera.
+    """What is hidden in each image of a camera.
 
     Attributes:
-        pixels: by the number of the picture, (K, 4) int64 left, top, right, bottom [px], right and bottom exclusive.
-        outside: how many boxes lie outside of their pictures or have no size.
+        pixels: by the number of the image, (K, 4) int64 left, top, right, bottom [px], right and bottom exclusive.
+        outside: how many boxes lie outside of their images or have no size.
         cut: how many reach beyond an edge of theirs.
     """
 
@@ -29,7 +29,7 @@ def hidden_regions(hiding: Hiding, width: int, height: int, *, margin: float = 0
 
     Args:
         hiding: the boxes.
-        width, height: of the pictures [px].
+        width, height: of the images [px].
         margin: by what share of its width and height a box grows on each side.
 
     Raises:
@@ -44,8 +44,7 @@ def hidden_regions(hiding: Hiding, width: int, height: int, *, margin: float = 0
     wider = (high - low) * margin
     corners = _whole(low - wider, high + wider, size)
     pixels = {
-        int(picture): corners[there & (hiding.pictures == picture)]
-        for picture in np.unique(hiding.pictures[there])
+        int(image): corners[there & (hiding.images == image)] for image in np.unique(hiding.images[there])
     }
     return HiddenRegions(pixels, int((~there).sum()), int(cut.sum()))
 

@@ -1,4 +1,4 @@
-"""Whether scores are what they say: of the detections with a score of 0.8, are 80 % true?"""
+"""Whether scores are what they state: of the detections with a score of 0.8, are 80 % true?"""
 
 from itertools import pairwise
 
@@ -17,7 +17,7 @@ class ReliabilityBin(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         low, high: its bounds.
         count: how many detections it has.
-        mean_score: what they say on the average, None of an empty bin.
+        mean_score: what they state on the average, None of an empty bin.
         share_true: how many are true, of all, None of an empty bin.
     """
 
@@ -57,11 +57,11 @@ def judge_calibration(
         bin_count: how many bins of equal width.
     """
     edges = np.linspace(0.0, 1.0, bin_count + 1)
-    places = np.clip(np.searchsorted(edges, probabilities, side="right") - 1, 0, bin_count - 1)
-    counts = np.bincount(places, minlength=bin_count)
-    said = np.bincount(places, weights=probabilities, minlength=bin_count)
-    came = np.bincount(places, weights=are_true.astype(np.float64), minlength=bin_count)
-    gaps = np.abs(said - came)
+    locations = np.clip(np.searchsorted(edges, probabilities, side="right") - 1, 0, bin_count - 1)
+    counts = np.bincount(locations, minlength=bin_count)
+    stated = np.bincount(locations, weights=probabilities, minlength=bin_count)
+    came = np.bincount(locations, weights=are_true.astype(np.float64), minlength=bin_count)
+    gaps = np.abs(stated - came)
     large = counts >= max(1.0, 0.01 * len(probabilities))
     return Calibration(
         count=len(probabilities),
@@ -77,7 +77,7 @@ def judge_calibration(
                 share_true=true / count if count else None,
             )
             for (low, high), count, mean, true in zip(
-                pairwise(edges.tolist()), counts.tolist(), said.tolist(), came.tolist(), strict=True
+                pairwise(edges.tolist()), counts.tolist(), stated.tolist(), came.tolist(), strict=True
             )
         ),
     )

@@ -17,9 +17,9 @@ from sceneloom.evaluate.detection.evaluation import (
 from sceneloom.evaluate.detection.rules import DetectionRules
 from sceneloom.evaluate.object_files import BothSides, check_classes, check_similarity, classes_of, read_both
 from sceneloom.evaluate.overlaps import Similarity, similarity_named
-from sceneloom.scene.notices import Notice
+from sceneloom.scene.warnings import DataWarning
 
-SIMILARITIES = (Similarity.PICTURE, Similarity.ABOVE, Similarity.SPACE)
+SIMILARITIES = (Similarity.IMAGE, Similarity.ABOVE, Similarity.SPACE)
 """Those of KITTI's object benchmark."""
 
 
@@ -30,14 +30,14 @@ class DetectionReport(msgspec.Struct, frozen=True, kw_only=True):
         results, truth: what was compared.
         sequences: names, in order.
         classes: by class, the figures of each similarity.
-        notices: what is to be known about the numbers.
+        warnings: what is to be known about the numbers.
     """
 
     results: str
     truth: str
     sequences: tuple[str, ...]
     classes: dict[str, tuple[ClassDetection, ...]]
-    notices: tuple[Notice, ...] = ()
+    warnings: tuple[DataWarning, ...] = ()
 
 
 def compare_detections(
@@ -62,7 +62,7 @@ def compare_detections(
         sequences: those to take. [default: all of the truth]
         similarities: what says how much two boxes overlap. [default: all of `SIMILARITIES` that both sides have]
         least_overlap: what pairs must exceed. [default: KITTI's, by class]
-        difficulties: of `DIFFICULTIES`. [default: KITTI's three; `all` where the truth has no boxes in pictures]
+        difficulties: of `DIFFICULTIES`. [default: KITTI's three; `all` where the truth has no boxes in images]
         degrees_of_freedom: of the detections' errors, as of `judge_covariances`.
         rules: all else that counts.
         lenient, corrections: as of `object_files.read_both`.
@@ -81,7 +81,7 @@ def compare_detections(
             raise OptionError(f"similarity 'distance'; detections take {', '.join(SIMILARITIES)}")
         check_similarity(sides, similarity)
     labels = tuple(classes) or classes_of(sides, CLASSES)
-    told = [
+    reported = [
         evaluate_detection(
             sides.results,
             sides.truth,
@@ -96,11 +96,11 @@ def compare_detections(
         results=str(results),
         truth=str(truth),
         sequences=tuple(sides.truth),
-        classes={label: tuple(one[label] for one in told) for label in labels},
-        notices=sides.notices,
+        classes={label: tuple(one[label] for one in reported) for label in labels},
+        warnings=sides.warnings,
     )
 
 
 def _usual_difficulties(sides: BothSides) -> tuple[str, ...]:
-    in_pictures = any(len(table) and table.corners_xyxy is not None for table in sides.truth.values())
-    return KITTI_DIFFICULTIES if in_pictures else ("all",)
+    in_images = any(len(table) and table.corners_xyxy is not None for table in sides.truth.values())
+    return KITTI_DIFFICULTIES if in_images else ("all",)

@@ -61,7 +61,7 @@ def score_curve(detections: ScoredDetections) -> ScoreCurve:
     scores = detections.scores
     steps = detection_scores.score_steps(
         detections.overlaps,
-        *detections.pairs.places,
+        *detections.pairs.locations,
         detections.true_ignored,
         detections.found_ignored,
         detections.excused,
@@ -100,5 +100,5 @@ def _samples(detections: ScoredDetections, thresholds: Float64Array, true_count:
 def surest_matches(detections: ScoredDetections) -> Int64Array:
     """The true object of each detection, (N,) int64, -1 for none; of several the surest one has it."""
     return detection_scores.surest_matches(
-        detections.overlaps, *detections.pairs.places, detections.scores, detections.least_overlap
+        detections.overlaps, *detections.pairs.locations, detections.scores, detections.least_overlap
     )

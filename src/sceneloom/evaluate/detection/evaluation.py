@@ -31,7 +31,7 @@ KITTI_IN_SPACE = DetectionRules()
 """Those of KITTI's object benchmark in 3D."""
 
 OVERLAP_OF_ERRORS = 0.3
-"""Overlap in space from which errors of a detection are told: such boxes are of one object beyond doubt."""
+"""Overlap in space from which errors of a detection are reported: such boxes are of one object beyond doubt."""
 
 PARTS = {"center": slice(0, 3), "size": slice(3, 6), "yaw": slice(6, 7)}
 """What covariances are judged of, and where it stands in a box."""
@@ -115,19 +115,19 @@ def evaluate_detection(
     unknown = [name for name in difficulties if name not in DIFFICULTIES]
     if unknown:
         raise OptionError(f"difficulty {unknown[0]!r}; expected one of {', '.join(DIFFICULTIES)}")
-    told = {}
+    reported = {}
     for label in classes:
         pairs = pair_detections(results, truth, label, rules=rules)
         figures = {name: score_detections(at_difficulty(pairs, DIFFICULTIES[name])) for name in difficulties}
         covariances, reversed_share = _judge_boxes(results, truth, label, rules, degrees_of_freedom)
-        told[label] = ClassDetection(
+        reported[label] = ClassDetection(
             similarity=rules.similarity.value,
             least_overlap=pairs.least_overlap,
             difficulties=figures,
             covariances=covariances,
             headings_reversed=reversed_share,
         )
-    return told
+    return reported
 
 
 def score_detections(detections: ScoredDetections) -> DetectionScores:
@@ -155,7 +155,7 @@ def _sampled(curve: ScoreCurve) -> dict[str, tuple[float, ...]]:
 
 
 def outcomes(detections: ScoredDetections) -> tuple[Int64Array, BoolArray]:
-    """Say which detections are true; of several of one object the surest one is.
+    """Report which detections are true; of several of one object the surest one is.
 
     Returns:
         (K,) int64, the detections that are either true or false, and (K,) bool, whether each is true.
@@ -194,14 +194,14 @@ def _judge_boxes(
         return None, None
     errors, covariances = box_errors(detections)
     reversed_share = float((np.abs(errors[:, 6]) > np.pi / 2).mean())
-    # a heading the wrong way round is a mistake of its own, which no covariance is meant to tell
+    # a heading the wrong way round is a mistake of its own, which no covariance is meant to report
     errors[:, 6] = (errors[:, 6] + np.pi / 2) % np.pi - np.pi / 2
     judged = {
         name: judge_covariances(
             errors[:, part], covariances[:, part, part], degrees_of_freedom=degrees_of_freedom
         )
         for name, part in PARTS.items()
-        if covariances[:, part, part].any()  # what nobody told has variances of 0
+        if covariances[:, part, part].any()  # what nobody reported has variances of 0
     }
     return judged, reversed_share
 

@@ -1,4 +1,4 @@
-"""The figures of detections in one picture: for each class precision over recall, and whether scores are true."""
+"""The figures of detections in one image: for each class precision over recall, and whether scores are true."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -27,9 +27,9 @@ def plot_detection(report: DetectionReport, path: Path, *, overwrite: bool = Fal
     rows, columns = max(1, len(report.classes)), max(1, len(panels))
     figure = figure_of(figsize=(_COLUMN_INCHES * columns, _ROW_INCHES * rows), dpi=_DPI, layout="constrained")
     grid = figure.add_gridspec(rows, columns)
-    for row, (label, told) in enumerate(report.classes.items()):
+    for row, (label, reported) in enumerate(report.classes.items()):
         for column, (draw, number) in enumerate(panels):
-            draw(figure.add_subplot(grid[row, column]), label, told[number])
+            draw(figure.add_subplot(grid[row, column]), label, reported[number])
     figure.suptitle(f"{report.results} against {report.truth}", fontsize=11)
     with replacing(path, overwrite=overwrite) as draft:
         figure.savefig(draft, format=path.suffix[1:].lower())
@@ -37,39 +37,39 @@ def plot_detection(report: DetectionReport, path: Path, *, overwrite: bool = Fal
 
 def _panels(report: DetectionReport) -> list[tuple[Callable[[Any, str, ClassDetection], None], int]]:
     """What is drawn of each class, from left to right, and of which similarity; only what some class has."""
-    told = [one for similarities in report.classes.values() for one in similarities]
+    reported = [one for similarities in report.classes.values() for one in similarities]
     count = max((len(similarities) for similarities in report.classes.values()), default=0)
     panels: list[tuple[Callable[[Any, str, ClassDetection], None], int]]
     panels = [(_draw_precision, number) for number in range(count)]
-    if any(scores.calibration for one in told for scores in one.difficulties.values()):
+    if any(scores.calibration for one in reported for scores in one.difficulties.values()):
         panels.append((_draw_reliability, count - 1))
-    if any(one.covariances for one in told):
+    if any(one.covariances for one in reported):
         panels.append((_draw_coverage, count - 1))
     return panels
 
 
-def _draw_precision(axes: Any, label: str, told: ClassDetection) -> None:
-    for name, scores in told.difficulties.items():
+def _draw_precision(axes: Any, label: str, reported: ClassDetection) -> None:
+    for name, scores in reported.difficulties.items():
         shown = f"{name}: AP40 {100 * scores.ap40:.2f}, F1 {100 * scores.max_f1:.2f}"
         (line,) = axes.plot(scores.recalls, scores.precisions, linewidth=1.6, label=shown)
         if scores.threshold is not None:
             axes.plot(scores.recall, scores.precision, marker="o", color=line.get_color(), markersize=5)
-    axes.set_title(f"{label}, {told.similarity} overlap above {told.least_overlap:g}", fontsize=10)
+    axes.set_title(f"{label}, {reported.similarity} overlap above {reported.least_overlap:g}", fontsize=10)
     axes.set(xlabel="recall", ylabel="precision", xlim=(0, 1.02), ylim=(0, 1.02))
     axes.grid(visible=True, alpha=0.3)
     axes.legend(loc="lower left", fontsize=8)
 
 
-def _draw_reliability(axes: Any, label: str, told: ClassDetection) -> None:
+def _draw_reliability(axes: Any, label: str, reported: ClassDetection) -> None:
     axes.plot([0, 1], [0, 1], color="0.6", linewidth=1)
     calibrations = {
-        name: scores.calibration for name, scores in told.difficulties.items() if scores.calibration
+        name: scores.calibration for name, scores in reported.difficulties.items() if scores.calibration
     }
     for name, calibration in calibrations.items():
         _draw_bins(axes, name, calibration)
     if calibrations:
         axes.legend(loc="upper left", fontsize=8)
-    axes.set_title(f"{label}, reliability of scores, {told.similarity}", fontsize=10)
+    axes.set_title(f"{label}, reliability of scores, {reported.similarity}", fontsize=10)
     axes.set(xlabel="score", ylabel="share that is true", xlim=(0, 1.02), ylim=(0, 1.02))
     axes.grid(visible=True, alpha=0.3)
 
@@ -83,14 +83,14 @@ def _draw_bins(axes: Any, name: str, calibration: Calibration) -> None:
     axes.scatter(scores, shares, s=sizes, color=line.get_color(), alpha=0.6)
 
 
-def _draw_coverage(axes: Any, label: str, told: ClassDetection) -> None:
+def _draw_coverage(axes: Any, label: str, reported: ClassDetection) -> None:
     axes.plot([0, 1], [0, 1], color="0.6", linewidth=1)
-    for name, part in (told.covariances or {}).items():
+    for name, part in (reported.covariances or {}).items():
         levels, shares = zip(*((one.level, one.share) for one in part.coverages), strict=True)
         shown = f"{name}: NEES {part.nees:.2f} of {part.dimensions}"
         axes.plot(levels, shares, marker="o", linewidth=1.2, label=shown)
     axes.set_title(f"{label}, regions of covariances", fontsize=10)
     axes.set(xlabel="what a region promises", ylabel="what it holds", xlim=(0.4, 1.02), ylim=(0.4, 1.02))
     axes.grid(visible=True, alpha=0.3)
-    if told.covariances:
+    if reported.covariances:
         axes.legend(loc="upper left", fontsize=8)

@@ -19,9 +19,9 @@ class Difficulty:
     """Which true objects must be found.
 
     Attributes:
-        least_height_px: those not higher in the picture need not be found, and lower detections do not count [px].
+        least_height_px: those not higher in the image need not be found, and lower detections do not count [px].
         most_occlusion: those more hidden need not be found.
-        most_truncation: nor those of which more is outside the picture.
+        most_truncation: nor those of which more is outside the image.
     """
 
     least_height_px: float
@@ -53,9 +53,9 @@ class DetectionRules:
         similarity: what says how much two boxes overlap.
         least_overlap: what pairs must exceed. [default: that of `LEAST_OVERLAPS`]
         neighbours: by class, the classes whose objects neither count nor make a detection wrong.
-        regions: class of the truth whose boxes in the picture are regions in which detections are not wrong.
+        regions: class of the truth whose boxes in the image are regions in which detections are not wrong.
         regions_in_space: whether regions count also where boxes in space are compared, by the detections' boxes in the
-            picture; KITTI has them count in the picture only.
+            image; KITTI has them count in the image only.
     """
 
     similarity: Similarity = Similarity.SPACE
@@ -152,14 +152,14 @@ def at_difficulty(detections: ScoredDetections, difficulty: Difficulty) -> Score
 def _excused(
     found: ObjectTable, regions: ObjectTable, frames: int, rules: DetectionRules, least: float
 ) -> BoolArray:
-    in_picture = rules.similarity is Similarity.PICTURE
-    counts = in_picture or rules.regions_in_space
+    in_image = rules.similarity is Similarity.IMAGE
+    counts = in_image or rules.regions_in_space
     if not counts or not len(regions) or regions.corners_xyxy is None or found.corners_xyxy is None:
         return np.zeros(len(found), np.bool_)
     pairs = FramePairs.of(regions.frame_starts(frames), found.frame_starts(frames))
     shares = covered_by(found, regions.corners_xyxy, pairs)
-    # a box in space is no picture's box, whose own overlap would say when it is in a region
-    return track_scores.reached_columns(shares, *pairs.places, least if in_picture else OTHER_OVERLAP)
+    # a box in space is no image's box, whose own overlap would state when it is in a region
+    return track_scores.reached_columns(shares, *pairs.locations, least if in_image else OTHER_OVERLAP)
 
 
 def _joined(

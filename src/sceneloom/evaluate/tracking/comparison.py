@@ -11,7 +11,7 @@ from sceneloom.evaluate.object_files import BothSides, check_classes, check_simi
 from sceneloom.evaluate.overlaps import Similarity, similarity_named
 from sceneloom.evaluate.tracking.evaluation import CLASSES, ClassTracking, evaluate_tracking
 from sceneloom.evaluate.tracking.protocol import KITTI_RULES, TrackingRules
-from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 
 class TrackingReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -23,7 +23,7 @@ class TrackingReport(msgspec.Struct, frozen=True, kw_only=True):
         least_similarity: pairs from which CLEAR and identities take two boxes for one object.
         sequences: names, in order.
         classes: the figures by class.
-        notices: what is to be known about the numbers.
+        warnings: what is to be known about the numbers.
     """
 
     results: str
@@ -32,7 +32,7 @@ class TrackingReport(msgspec.Struct, frozen=True, kw_only=True):
     least_similarity: float
     sequences: tuple[str, ...]
     classes: dict[str, ClassTracking]
-    notices: tuple[Notice, ...] = ()
+    warnings: tuple[DataWarning, ...] = ()
 
 
 def compare_tracks(
@@ -53,7 +53,7 @@ def compare_tracks(
         results, truth: files or folders, as of `object_files.read_both`.
         classes: those to evaluate. [default: KITTI's of the truth, else all of the truth]
         sequences: those to take. [default: all of the truth]
-        similarity: what says how alike two boxes are. [default: boxes of the picture where both have them, else boxes
+        similarity: what says how alike two boxes are. [default: boxes of the image where both have them, else boxes
             in space]
         least_similarity: pairs from which CLEAR and identities take two boxes for one object. [default: 0.5]
         rules: all else that counts.
@@ -67,13 +67,13 @@ def compare_tracks(
     sides = read_both(results, truth, sequences=sequences, lenient=lenient, corrections=corrections)
     check_classes(sides, classes)
     without = _check_ids(results, sides)
-    usual = (Similarity.PICTURE, Similarity.SPACE)
+    usual = (Similarity.IMAGE, Similarity.SPACE)
     chosen = next((known for known in usual if known in sides.similarities), Similarity.SPACE)
     if similarity is not None:
         chosen = similarity_named(similarity)
     check_similarity(sides, chosen)
     least = rules.least_similarity if least_similarity is None else least_similarity
-    told = evaluate_tracking(
+    reported = evaluate_tracking(
         sides.results,
         sides.truth,
         classes=classes or classes_of(sides, CLASSES),
@@ -85,13 +85,13 @@ def compare_tracks(
         similarity=chosen.value,
         least_similarity=least,
         sequences=tuple(sides.truth),
-        classes=told,
-        notices=(*sides.notices, *without),
+        classes=reported,
+        warnings=(*sides.warnings, *without),
     )
 
 
-def _check_ids(results: Path | str, sides: BothSides) -> tuple[Notice, ...]:
-    """Remark results without an id, which are left out; refuse them where none has one."""
+def _check_ids(results: Path | str, sides: BothSides) -> tuple[DataWarning, ...]:
+    """Note results without an id, which are left out; refuse them where none has one."""
     count = sum(len(table) for table in sides.results.values())
     without = sum(int((table.ids < 0).sum()) for table in sides.results.values())
     if count and without == count:
@@ -101,10 +101,10 @@ def _check_ids(results: Path | str, sides: BothSides) -> tuple[Notice, ...]:
     if not without:
         return ()
     return (
-        Notice(
-            kind=NoticeKind.SKIPPED,
+        DataWarning(
+            kind=WarningKind.SKIPPED,
             code="results-without-id",
-            place=str(results),
+            location=str(results),
             message="objects whose id is below 0 are left out",
             count=without,
         ),

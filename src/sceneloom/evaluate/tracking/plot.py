@@ -1,4 +1,4 @@
-"""The figures of a tracker in one picture: for each class HOTA and its parts over similarities, and the sequences."""
+"""The figures of a tracker in one image: for each class HOTA and its parts over similarities, and the sequences."""
 
 from pathlib import Path
 from typing import Any
@@ -49,8 +49,8 @@ def plot_tracking(report: TrackingReport, path: Path, *, overwrite: bool = False
 def _draw_curves(axes: Any, label: str, scores: ClassTracking, similarity: str) -> None:
     hota = scores.combined.hota
     for name, (shown, color, dashes, width) in _CURVES.items():
-        told = f"{shown} {100 * getattr(hota, name):.2f}"
-        axes.plot(ALPHAS, hota.curves[name], color=color, linestyle=dashes, linewidth=width, label=told)
+        reported = f"{shown} {100 * getattr(hota, name):.2f}"
+        axes.plot(ALPHAS, hota.curves[name], color=color, linestyle=dashes, linewidth=width, label=reported)
     clear, identity = scores.combined.clear, scores.combined.identity
     axes.set_title(
         f"{label}: MOTA {100 * clear.mota:.2f}, IDF1 {100 * identity.idf1:.2f}, IDSW {clear.idsw}",
@@ -70,7 +70,9 @@ def _draw_sequences(axes: Any, scores: ClassTracking) -> None:
         "IDF1": [scores.sequences[name].identity.idf1 for name in there],
     }
     for k, (shown, values) in enumerate(bars.items()):
-        axes.bar([place + 0.27 * (k - 1) for place in range(len(there))], values, width=0.25, label=shown)
+        axes.bar(
+            [location + 0.27 * (k - 1) for location in range(len(there))], values, width=0.25, label=shown
+        )
     axes.set_xticks(range(len(there)), there, rotation=45 if len(there) > 6 else 0)
     axes.set(ylim=(0, 1.15))
     axes.set_title("sequences", fontsize=10)

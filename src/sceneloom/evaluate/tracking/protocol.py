@@ -30,12 +30,12 @@ class TrackingRules:
         least_similarity: pairs from which CLEAR, identities and the ignoring of boxes take two boxes for one object.
         neighbours: by class, the classes whose objects neither count nor make a found one false.
         most_occlusion, most_truncation: objects of the truth beyond them neither count nor make a found one false.
-        least_height_px: found boxes without a true one that are not higher in the picture do not count [px].
+        least_height_px: found boxes without a true one that are not higher in the image do not count [px].
         regions: class of the truth whose boxes are regions in which found boxes without a true one do not count.
         most_in_region: share of a found box from which it lies in a region.
     """
 
-    similarity: Similarity = Similarity.PICTURE
+    similarity: Similarity = Similarity.IMAGE
     least_similarity: float = 0.5
     neighbours: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: NEIGHBOURS)
     most_occlusion: float = 2.0
@@ -106,7 +106,7 @@ def apply_rules(
         _check_ids(objects, side)
     pairs = FramePairs.of(truth.frame_starts(frame_count), found.frame_starts(frame_count))
     alike = similarities(truth, found, pairs, rules.similarity)
-    of_found, _ = track_scores.most_similar_pairs(alike, *pairs.places, rules.least_similarity)
+    of_found, _ = track_scores.most_similar_pairs(alike, *pairs.locations, rules.least_similarity)
     kept = ~_may_be_missing(found, regions, frame_count, rules)
     kept[of_found >= 0] = counts[of_found[of_found >= 0]]
     return _scored(truth, found, pairs, alike, counts, kept)
@@ -123,7 +123,7 @@ def _frame_count(truth: ObjectTable, found: ObjectTable, frame_count: int | None
 
 
 def _check_ids(objects: ObjectTable, side: str) -> None:
-    """Refuse an object that is in two places at once."""
+    """Refuse an object that is in two locations at once."""
     order = np.lexsort((objects.ids, objects.frames))
     frames, ids = objects.frames[order], objects.ids[order]
     twice = np.flatnonzero((frames[1:] == frames[:-1]) & (ids[1:] == ids[:-1]))
@@ -146,7 +146,7 @@ def _is_hidden(truth: ObjectTable, rules: TrackingRules) -> BoolArray:
 def _may_be_missing(
     found: ObjectTable, regions: ObjectTable, frame_count: int, rules: TrackingRules
 ) -> BoolArray:
-    """Say which found objects would be nothing wrong if no true one is where they are."""
+    """Report which found objects would be nothing wrong if no true one is where they are."""
     small = np.zeros(len(found), np.bool_)
     if found.corners_xyxy is None:
         return small
@@ -155,7 +155,7 @@ def _may_be_missing(
         return small
     pairs = FramePairs.of(regions.frame_starts(frame_count), found.frame_starts(frame_count))
     shares = covered_by(found, regions.corners_xyxy, pairs)
-    return small | track_scores.reached_columns(shares, *pairs.places, rules.most_in_region + _EPSILON)
+    return small | track_scores.reached_columns(shares, *pairs.locations, rules.most_in_region + _EPSILON)
 
 
 def _scored(
@@ -166,7 +166,7 @@ def _scored(
     true_kept: BoolArray,
     found_kept: BoolArray,
 ) -> ScoredSequence:
-    left = track_scores.kept_pairs(alike, *pairs.places, true_kept, found_kept)
+    left = track_scores.kept_pairs(alike, *pairs.locations, true_kept, found_kept)
     true_names, true_ids = np.unique(truth.ids[true_kept], return_inverse=True)
     found_names, found_ids = np.unique(found.ids[found_kept], return_inverse=True)
     starts = [

@@ -1,7 +1,7 @@
 """The figures of trackers: HOTA, CLEAR and identities, of one sequence and of several together.
 
-All shares are 0 to 1; MOTA may be below 0. What cannot be told for want of objects is 0, but for LocA, which is 1, and
-for MOTA of several sequences together, which is minus the number of false boxes then.
+All shares are 0 to 1; MOTA may be below 0. What cannot be reported for want of objects is 0, but for LocA, which is 1,
+and for MOTA of several sequences together, which is minus the number of false boxes then.
 """
 
 from collections.abc import Sequence
@@ -118,12 +118,12 @@ def _paired_at_alphas(sequence: ScoredSequence) -> tuple[Float64Array, Float64Ar
     """Boxes paired, sums of their similarities, and of A(c), recall and precision of association, over `ALPHAS`."""
     true_boxes = np.bincount(sequence.true_ids, minlength=sequence.true_count).astype(np.float64)
     found_boxes = np.bincount(sequence.found_ids, minlength=sequence.found_count).astype(np.float64)
-    places = (*sequence.pairs.places, sequence.true_ids, sequence.found_ids)
+    locations = (*sequence.pairs.locations, sequence.true_ids, sequence.found_ids)
     shared = track_scores.shared_frames(
-        sequence.similarities, *places, sequence.true_count, sequence.found_count
+        sequence.similarities, *locations, sequence.true_count, sequence.found_count
     )
     aligned = shared / (true_boxes[:, None] + found_boxes[None] - shared)
-    true_ids, found_ids, alike = track_scores.aligned_pairs(sequence.similarities, *places, aligned)
+    true_ids, found_ids, alike = track_scores.aligned_pairs(sequence.similarities, *locations, aligned)
     couples, of_pair = np.unique(true_ids * sequence.found_count + found_ids, return_inverse=True)
     true_of, found_of = np.divmod(couples, sequence.found_count)
     tp, located, association = np.zeros(len(ALPHAS)), np.zeros(len(ALPHAS)), np.zeros((3, len(ALPHAS)))
@@ -151,8 +151,8 @@ def _hota(
         curves[name] = total / np.maximum(1.0, tp)
     curves["hota"] = np.sqrt(curves["deta"] * curves["assa"])
     means = {name: float(curve.mean()) for name, curve in curves.items()}
-    told = {**curves, "tp": tp, "fn": fn, "fp": fp}
-    return HotaScores(**means, curves={name: tuple(curve.tolist()) for name, curve in told.items()})
+    reported = {**curves, "tp": tp, "fn": fn, "fp": fp}
+    return HotaScores(**means, curves={name: tuple(curve.tolist()) for name, curve in reported.items()})
 
 
 def score_clear(sequence: ScoredSequence, *, least_similarity: float = 0.5) -> ClearScores:
@@ -162,7 +162,7 @@ def score_clear(sequence: ScoredSequence, *, least_similarity: float = 0.5) -> C
     if not sequence.is_empty:
         tp, idsw, alike, frames, begun = track_scores.followed_pairs(
             sequence.similarities,
-            *sequence.pairs.places,
+            *sequence.pairs.locations,
             sequence.true_ids,
             sequence.found_ids,
             sequence.true_count,
@@ -214,7 +214,7 @@ def score_identity(sequence: ScoredSequence, *, least_similarity: float = 0.5) -
     if not sequence.is_empty:
         together = track_scores.similar_frames(
             sequence.similarities,
-            *sequence.pairs.places,
+            *sequence.pairs.locations,
             sequence.true_ids,
             sequence.found_ids,
             sequence.true_count,

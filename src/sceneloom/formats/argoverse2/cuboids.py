@@ -15,7 +15,7 @@ from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations.attributes import AttributePath
 from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 
 _SIZES = ("length_m", "width_m", "height_m")
 _COLUMNS: Columns = {
@@ -28,7 +28,7 @@ _COLUMNS: Columns = {
 }
 
 
-def build_cuboids(log: Path, path: PosePath | None, ledger: Ledger) -> tuple[CuboidAnnotation, ...]:
+def build_cuboids(log: Path, path: Poses | None, ledger: Ledger) -> tuple[CuboidAnnotation, ...]:
     """Build a cuboid for each track, in the order in which they come up; () where the log has no annotations.
 
     Args:
@@ -71,19 +71,19 @@ def _values(
     sizes: Float64Array,
     ego_from_box: tuple[Float64Array, Float64Array],
     timestamps_ns: Int64Array,
-    path: PosePath | None,
+    path: Poses | None,
 ) -> tuple[Float64Array, BoolArray]:
     """Rows `dx dy dz px py pz roll pitch yaw` in the world, and which of them are known."""
     if path is None:
-        raise DataError(file, "", "boxes are in the ego's frame, whose way is not known")
+        raise DataError(file, "", "boxes are in the ego's frame, whose trajectory is not known")
     ego = path.interpolate(timestamps_ns)
     known = ego.coverage == 0
     positions, quaternions = ego_from_box
     values = np.full((len(sizes), 9), np.nan)
     values[:, :3] = sizes
-    turns = ego.quaternions_xyzw[known]
-    values[known, 3:6] = rotate_vectors(turns, positions[known]) + ego.positions[known]
-    values[known, 6:] = CuboidAngles().from_quaternions(multiply_quaternions(turns, quaternions[known]))
+    rotations = ego.quaternions_xyzw[known]
+    values[known, 3:6] = rotate_vectors(rotations, positions[known]) + ego.positions[known]
+    values[known, 6:] = CuboidAngles().from_quaternions(multiply_quaternions(rotations, quaternions[known]))
     return values, known
 
 

@@ -96,10 +96,10 @@ def _buffers(head: memoryview) -> Iterator[tuple[int, int]]:
 
     def field(table: int, number: int) -> int | None:
         vtable = table - struct.unpack_from("<i", head, table)[0]
-        place = 4 + 2 * number
-        if vtable < 0 or place >= struct.unpack_from("<H", head, vtable)[0]:
+        location = 4 + 2 * number
+        if vtable < 0 or location >= struct.unpack_from("<H", head, vtable)[0]:
             return None
-        offset = int(struct.unpack_from("<H", head, vtable + place)[0])
+        offset = int(struct.unpack_from("<H", head, vtable + location)[0])
         return table + offset if offset else None
 
     root = pointed(0)

@@ -14,12 +14,12 @@ from sceneloom.formats.argoverse2.spec import POSES, is_log
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.option_values import as_flag
 from sceneloom.formats.spec import choose_drive, drives_in
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene
+from sceneloom.scene.warnings import WarningKind
 
 TRAJECTORY = "pose"
-"""The name of the ego's way."""
+"""The name of the ego trajectory."""
 
 _ANGLES = MappingProxyType({"euler_unit": "degrees", "euler_order": "xyz"})
 
@@ -32,13 +32,13 @@ def open_argoverse2(
     distorted: bool | str = False,
     lenient: bool = False,
 ) -> Scene:
-    """Open a log; pictures and points are read when asked for, boxes and poses at once.
+    """Open a log; images and points are read when asked for, boxes and poses at once.
 
     Args:
         path: the folder of a log, or one of several logs.
         sequence: name of the log, where there are several.
         one_lidar: give the points of both lidars as those of one, `lidar`.
-        distorted: use the coefficients of the lenses, for pictures that are not those of the data set.
+        distorted: use the coefficients of the camera models, for images that are not those of the data set.
         lenient: leave out what is at fault and count it.
 
     Raises:
@@ -65,7 +65,7 @@ def open_argoverse2(
         )
         annotations = build_cuboids(log, poses, ledger)
         if (log / "map").is_dir():
-            ledger.note(NoticeKind.SKIPPED, "maps-left-out", str(log / "map"), "maps are left out")
+            ledger.note(WarningKind.SKIPPED, "maps-left-out", str(log / "map"), "maps are left out")
     return Scene(
         sensors=sensors,
         annotations=annotations,
@@ -73,12 +73,12 @@ def open_argoverse2(
         metadata=MappingProxyType({"argoverse2": {"log": log.name}, "sceneloom": dict(_ANGLES)}),
         source=str(log),
         format="argoverse2",
-        notices=ledger.notices,
+        warnings=ledger.warnings,
     )
 
 
 def _trajectory(log: Path, ledger: Ledger) -> Trajectory | None:
-    """The ego's way in the city; None in a lenient reading of a log without it.
+    """The ego trajectory in the city; None in a lenient reading of a log without it.
 
     Raises:
         DataError: the file is missing or wrong.
@@ -88,14 +88,18 @@ def _trajectory(log: Path, ledger: Ledger) -> Trajectory | None:
         ledger.fault("poses-missing", DataError(file, "", "is not there; expected the poses of the ego"))
         return None
     columns = read_columns(file, {"timestamp_ns": np.int64, **POSE_COLUMNS})
-    stamps_ns: Int64Array = columns["timestamp_ns"]
-    if len(stamps_ns) == 0:
+    timestamps_ns: Int64Array = columns["timestamp_ns"]
+    if len(timestamps_ns) == 0:
         raise DataError(file, "", "no row; expected one pose at least")
     positions, quaternions = poses_of(file, columns)
-    times_ns, first = np.unique(stamps_ns, return_index=True)
-    if len(times_ns) < len(stamps_ns):
+    times_ns, first = np.unique(timestamps_ns, return_index=True)
+    if len(times_ns) < len(timestamps_ns):
         message = "further poses of a time that has one already are left out"
         ledger.note(
-            NoticeKind.SKIPPED, "poses-repeated", str(file), message, count=len(stamps_ns) - len(times_ns)
+            WarningKind.SKIPPED,
+            "poses-repeated",
+            str(file),
+            message,
+            count=len(timestamps_ns) - len(times_ns),
         )
     return Trajectory(TRAJECTORY, times_ns, positions[first], quaternions[first])

@@ -13,18 +13,18 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.table import MODELS
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.argoverse2.feather import POSE_COLUMNS, poses_of, read_columns
-from sceneloom.formats.argoverse2.spec import CAMERAS, LENSES, LIDAR, MOUNTS
+from sceneloom.formats.argoverse2.spec import CAMERA_MODELS, CAMERAS, LIDAR, MOUNTS
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.rig.pictures import PictureReader
+from sceneloom.formats.rig.images import ImageReader
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarPoints, LidarSensor
 from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.pose_source import poses_along
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Sensor
 from sceneloom.scene.types import PointsFrame
+from sceneloom.scene.warnings import WarningKind
 
 UP, DOWN, BOTH = "up_lidar", "down_lidar", "lidar"
 _LASERS = {UP: (0, 32), DOWN: (32, 64), BOTH: (0, 256)}
@@ -37,7 +37,7 @@ _POINT_COLUMNS = {
     "laser_number": np.uint8,
     "offset_ns": np.int32,
 }
-_LENS_COLUMNS = {
+_CAMERA_MODEL_COLUMNS = {
     "sensor_name": str,
     **dict.fromkeys(("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3"), np.float64),
     **dict.fromkeys(("height_px", "width_px"), np.int64),
@@ -67,8 +67,8 @@ def read_mounts(log: Path, ledger: Ledger) -> dict[str, RigidTransform]:
 class SweepFiles:
     """Reads the sweeps of one lidar out of files that hold those of both.
 
-    Points were moved to where the ego was at the stamp, which therefore is the time of all of them; when each was
-    measured stands in `extras` as `offset_ns` from the stamp.
+    Points were moved to where the ego was at the timestamp, which therefore is the time of all of them; when each was
+    measured stands in `extras` as `offset_ns` from the timestamp.
 
     Attributes:
         files: of each sweep.
@@ -90,41 +90,41 @@ class SweepFiles:
         low, high = _LASERS[self.sensor_id]
         chosen = (columns["laser_number"] >= low) & (columns["laser_number"] < high)
         own: dict[str, AnyArray] = {name: column[chosen] for name, column in columns.items()}
-        stamp_ns = int(self.timestamps_ns[k])
+        timestamp_ns = int(self.timestamps_ns[k])
         points = LidarPoints(
             positions=read_only(np.stack([own[axis] for axis in "xyz"], axis=1)),
             intensities=read_only(own["intensity"]),
-            timestamps_ns=read_only(np.full(int(chosen.sum()), stamp_ns, np.int64)),
+            timestamps_ns=read_only(np.full(int(chosen.sum()), timestamp_ns, np.int64)),
             rings=read_only(own["laser_number"], np.uint16),
             extras=MappingProxyType({"offset_ns": read_only(own["offset_ns"])}),
         )
-        return LidarFrame(stamp_ns, points, MappingProxyType({"file": f"{LIDAR}/{self.files[k].name}"}))
+        return LidarFrame(timestamp_ns, points, MappingProxyType({"file": f"{LIDAR}/{self.files[k].name}"}))
 
 
 def build_lidars(
-    log: Path, mounts: Mapping[str, RigidTransform], path: PosePath | None, *, one_lidar: bool, ledger: Ledger
+    log: Path, mounts: Mapping[str, RigidTransform], path: Poses | None, *, one_lidar: bool, ledger: Ledger
 ) -> list[Sensor]:
     """Build the upper and the lower lidar, or one that stands for both.
 
     Raises:
         DataError: there is no sweep, or a mounting is missing.
     """
-    found = _stamped_files(log / LIDAR, ".feather")
+    found = _timestamped_files(log / LIDAR, ".feather")
     if not found:
         raise DataError(log / LIDAR, "", "no sweep; expected files such as 315966265259836000.feather")
-    stamps_ns = np.array([stamp for stamp, _ in found], np.int64)
+    timestamps_ns = np.array([timestamp for timestamp, _ in found], np.int64)
     files = tuple(file for _, file in found)
     if one_lidar:
         message = "points of two lidars are given as those of one, mounted where the upper one is"
-        ledger.note(NoticeKind.ASSUMED, "lidars-joined", str(log / LIDAR), message)
+        ledger.note(WarningKind.ASSUMED, "lidars-joined", str(log / LIDAR), message)
     sensors: list[Sensor] = []
     for name in (BOTH,) if one_lidar else (UP, DOWN):
         mount = _mount(log, mounts, UP if one_lidar else name, ledger)
         sensors.append(
             LidarSensor(
                 id=name,
-                frames=LazyFrames(stamps_ns, SweepFiles(files, stamps_ns, name)),
-                poses=_poses(path, mount, stamps_ns),
+                frames=LazyFrames(timestamps_ns, SweepFiles(files, timestamps_ns, name)),
+                poses=_poses(path, mount, timestamps_ns),
                 mount=mount,
                 points_frame=PointsFrame.EGO,
             )
@@ -141,43 +141,47 @@ def _mount(
     return mounts.get(name)
 
 
-def _poses(path: PosePath | None, mount: RigidTransform | None, stamps_ns: Int64Array) -> PosePath | None:
+def _poses(path: Poses | None, mount: RigidTransform | None, timestamps_ns: Int64Array) -> Poses | None:
     if mount is None:
         return None
-    return poses_along(path, {0: mount}, np.zeros(len(stamps_ns), np.int64), stamps_ns)
+    return poses_along(path, {0: mount}, np.zeros(len(timestamps_ns), np.int64), timestamps_ns)
 
 
 def build_cameras(
-    log: Path, mounts: Mapping[str, RigidTransform], path: PosePath | None, *, distorted: bool, ledger: Ledger
+    log: Path, mounts: Mapping[str, RigidTransform], path: Poses | None, *, distorted: bool, ledger: Ledger
 ) -> list[Sensor]:
-    """Build the cameras that have a lens, with their pictures as far as there are; () where no lens is told.
+    """Build the cameras that have a camera model, with their images as far as there are.
+
+    () where no camera model is reported.
 
     Args:
         log: the folder.
         mounts: `ego_from_sensor`.
         path: `world_from_ego`.
-        distorted: use the coefficients of the lenses, which the pictures, being undistorted, do not show any more.
-        ledger: takes notices.
+        distorted: use the coefficients of the camera models, which the images, being undistorted, do not show any more.
+        ledger: takes warnings.
 
     Raises:
-        DataError: a file is wrong, or pictures have no lens.
+        DataError: a file is wrong, or images have no camera model.
     """
     folders = sorted(child.name for child in (log / CAMERAS).glob("*") if child.is_dir())
-    if not (log / LENSES).is_file():
+    if not (log / CAMERA_MODELS).is_file():
         if folders:
-            problem = f"is not there; expected the lenses of {', '.join(folders)}"
-            ledger.fault("lenses-missing", DataError(log / LENSES, "", problem), count=len(folders))
+            problem = f"is not there; expected the camera models of {', '.join(folders)}"
+            ledger.fault(
+                "camera-models-missing", DataError(log / CAMERA_MODELS, "", problem), count=len(folders)
+            )
         return []
     try:
-        columns = read_columns(log / LENSES, _LENS_COLUMNS)
+        columns = read_columns(log / CAMERA_MODELS, _CAMERA_MODEL_COLUMNS)
     except DataError as error:
-        ledger.fault("lenses-missing", error, count=len(folders))
+        ledger.fault("camera-models-missing", error, count=len(folders))
         return []
     names = columns["sensor_name"].tolist()
     unknown = sorted(set(folders) - set(names))
     if unknown:
         problem = f"no camera {unknown[0]!r}; it has {', '.join(names) or 'none'}"
-        ledger.fault("lenses-missing", DataError(log / LENSES, "", problem), count=len(unknown))
+        ledger.fault("camera-models-missing", DataError(log / CAMERA_MODELS, "", problem), count=len(unknown))
     _note_cameras(log, names, folders, distorted=distorted, ledger=ledger)
     return [
         _camera(
@@ -196,20 +200,20 @@ def _note_cameras(
 ) -> None:
     without = [name for name in names if name not in folders]
     if without:
-        message = f"no pictures of {', '.join(without)}; only lens and mounting are known"
-        ledger.note(NoticeKind.SKIPPED, "pictures-missing", str(log / CAMERAS), message, count=len(without))
+        message = f"no images of {', '.join(without)}; only camera model and mounting are known"
+        ledger.note(WarningKind.SKIPPED, "images-missing", str(log / CAMERAS), message, count=len(without))
     if not distorted:
         message = (
-            "pictures of this data set are undistorted: k1, k2 and k3 are in the cameras' extras and not used"
+            "images of this data set are undistorted: k1, k2 and k3 are in the cameras' extras and not used"
         )
-        ledger.note(NoticeKind.ASSUMED, "undistorted", str(log / LENSES), message, count=len(names))
+        ledger.note(WarningKind.ASSUMED, "undistorted", str(log / CAMERA_MODELS), message, count=len(names))
 
 
 def _camera(
     log: Path,
     row: Mapping[str, Any],
     mount: RigidTransform | None,
-    path: PosePath | None,
+    path: Poses | None,
     *,
     distorted: bool,
 ) -> CameraSensor:
@@ -218,24 +222,24 @@ def _camera(
     size = int(row["width_px"]), int(row["height_px"])
     model = "brown_conrady" if distorted else "pinhole"
     try:
-        lens = Camera(model, *size, fx, fy, cx, cy, _lens_numbers(row, distorted=distorted))
+        camera_model = Camera(model, *size, fx, fy, cx, cy, _camera_model_numbers(row, distorted=distorted))
     except CalibrationError as error:
-        raise DataError(log / LENSES, name, str(error)) from error
-    found = _stamped_files(log / CAMERAS / name, ".jpg")
-    stamps_ns = np.array([stamp for stamp, _ in found], np.int64)
+        raise DataError(log / CAMERA_MODELS, name, str(error)) from error
+    found = _timestamped_files(log / CAMERAS / name, ".jpg")
+    timestamps_ns = np.array([timestamp for timestamp, _ in found], np.int64)
     files = tuple(file for _, file in found)
     names = tuple(f"{CAMERAS}/{name}/{file.name}" for file in files)
     return CameraSensor(
         id=name,
-        camera=lens,
-        pictures=LazyFrames(stamps_ns, PictureReader(files, names, stamps_ns, lens)),
-        poses=_poses(path, mount, stamps_ns) if found else None,
+        camera=camera_model,
+        images=LazyFrames(timestamps_ns, ImageReader(files, names, timestamps_ns, camera_model)),
+        poses=_poses(path, mount, timestamps_ns) if found else None,
         mount=mount,
         extras=MappingProxyType({name: float(row[name]) for name in ("k1", "k2", "k3")}),
     )
 
 
-def _lens_numbers(row: Mapping[str, Any], *, distorted: bool) -> tuple[float, ...]:
+def _camera_model_numbers(row: Mapping[str, Any], *, distorted: bool) -> tuple[float, ...]:
     """Coefficients k1 k2 p1 p2 k3 … of `brown_conrady`, or none."""
     if not distorted:
         return ()
@@ -243,7 +247,7 @@ def _lens_numbers(row: Mapping[str, Any], *, distorted: bool) -> tuple[float, ..
     return tuple(known.get(name, 0.0) for name in MODELS["brown_conrady"].coefficient_names)
 
 
-def _stamped_files(folder: Path, suffix: str) -> list[tuple[int, Path]]:
+def _timestamped_files(folder: Path, suffix: str) -> list[tuple[int, Path]]:
     """The files of a folder that are named after their time [ns], in its order.
 
     Raises:

@@ -19,7 +19,7 @@ from sceneloom.formats.spec import FormatSpec, any_drive, drives_in
 
 POSES = "city_SE3_egovehicle.feather"
 MOUNTS = "calibration/egovehicle_SE3_sensor.feather"
-LENSES = "calibration/intrinsics.feather"
+CAMERA_MODELS = "calibration/intrinsics.feather"
 ANNOTATIONS = "annotations.feather"
 LIDAR = "sensors/lidar"
 CAMERAS = "sensors/cameras"
@@ -46,5 +46,5 @@ FORMAT = FormatSpec(
     drives=partial(drives_in, is_drive=is_log),
     reader="sceneloom.formats.argoverse2.scene_from_log:open_argoverse2",
     read_options=("lenient", "sequence", "one_lidar", "distorted"),
-    instead="Argoverse 2 is only read; write a scene file (drive.sfs) or a recording (a folder) in its place",
+    instead="Argoverse 2 is only read; write a scene file (drive.sfs) or a recording (a folder) in its location",
 )

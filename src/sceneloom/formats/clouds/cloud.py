@@ -52,30 +52,30 @@ def unique_names(names: list[str]) -> list[str]:
     return unique
 
 
-def check_count(path: Path, place: str, count: int) -> None:
+def check_count(path: Path, location: str, count: int) -> None:
     """Refuse a number of points that no sweep has.
 
     Raises:
         DataError: it is negative or larger than `MOST_POINTS`.
     """
     if not 0 <= count <= MOST_POINTS:
-        raise DataError(path, place, f"{count} points; expected 0 to {MOST_POINTS}")
+        raise DataError(path, location, f"{count} points; expected 0 to {MOST_POINTS}")
 
 
-def check_end(path: Path, left: bytes, place: int, told: str) -> None:
+def check_end(path: Path, left: bytes, location: int, reported: str) -> None:
     """Refuse bytes behind the last point that a head declares: they may be points that it does not count.
 
     Args:
         path: for messages.
         left: what stands behind the last point; zeros and blanks fill files up, and are no points.
-        place: where they begin [byte].
-        told: the points that the head declares.
+        location: where they begin [byte].
+        reported: the points that the head declares.
 
     Raises:
         DataError: there is anything else.
     """
     if left.strip(b"\0\t\r\n "):
         problem = (
-            f"{len(left)} bytes behind the last of {told}; expected none: is the count of the head wrong?"
+            f"{len(left)} bytes behind the last of {reported}; expected none: is the count of the head wrong?"
         )
-        raise DataError(path, f"byte {place}", problem)
+        raise DataError(path, f"byte {location}", problem)

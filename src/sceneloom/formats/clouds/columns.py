@@ -8,13 +8,13 @@ from types import MappingProxyType
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float32Array
-from sceneloom.formats.loss import Fate, Loss
+from sceneloom.formats.loss import Loss, Support
 from sceneloom.scene.clouds import LidarFrame, grey_where_unseen
 
 OFFSET = "offset_ns"
 """Times of points from the frame's time on [ns]: 32 bits hold two seconds either way."""
 
-_PLACES = ("x", "y", "z")
+_LOCATIONS = ("x", "y", "z")
 _COLORS = ("red", "green", "blue")
 _SPACES = re.compile(r"\s+")
 _LONGEST_LAS_NAME = 32
@@ -62,7 +62,7 @@ def frame_columns(frame: LidarFrame, intensity_max: float | None) -> FrameColumn
         further["ring"] = points.rings
     if points.camera_index is not None:
         further["camera_index"] = points.camera_index
-    taken = {*_PLACES, *_COLORS, "intensity", "rgb", *further}
+    taken = {*_LOCATIONS, *_COLORS, "intensity", "rgb", *further}
     for name, values in extras.items():
         plain = _SPACES.sub("_", name) or "_"
         while plain in taken:
@@ -77,19 +77,25 @@ def _is_column(values: AnyArray, count: int) -> bool:
     return values.ndim in {1, 2} and len(values) == count and values.dtype.kind in "iufb" and values.size > 0
 
 
-def left_out(frame: LidarFrame, sensor: str, tell: LossTaker) -> None:
-    """Tell what of a frame no file of points has a place for."""
+def left_out(frame: LidarFrame, sensor: str, notify: LossTaker) -> None:
+    """Report what of a frame no file of points has a location for."""
     count = len(frame.points)
     for name, values in frame.points.extras.items():
         if count and not _is_column(values, count):
             what = "left out: no column of numbers with a row per point"
-            tell(Loss(field=f"sensors[{sensor}].frames.points.extras.{name}", what=what))
+            notify(Loss(field=f"sensors[{sensor}].frames.points.extras.{name}", what=what))
         elif _SPACES.search(name):
             what = "spaces in its name written as `_`"
-            tell(Loss(field=f"sensors[{sensor}].frames.points.extras.{name}", what=what, fate=Fate.CONVERTED))
+            notify(
+                Loss(
+                    field=f"sensors[{sensor}].frames.points.extras.{name}",
+                    what=what,
+                    support=Support.CONVERTED,
+                )
+            )
     if frame.extras:
         what = "left out: a file of points has no further fields"
-        tell(Loss(field=f"sensors[{sensor}].frames.extras", what=what, count=len(frame.extras)))
+        notify(Loss(field=f"sensors[{sensor}].frames.extras", what=what, count=len(frame.extras)))
 
 
 def single_columns(columns: FrameColumns) -> dict[str, AnyArray]:
@@ -104,23 +110,23 @@ def single_columns(columns: FrameColumns) -> dict[str, AnyArray]:
 
 
 def fitted(
-    columns: Mapping[str, AnyArray], held: frozenset[str], place: str, tell: LossTaker
+    columns: Mapping[str, AnyArray], held: frozenset[str], location: str, notify: LossTaker
 ) -> dict[str, AnyArray]:
-    """Bring columns to the types that a kind of file has; what this changes is told.
+    """Bring columns to the types that a kind of file has; what this changes is reported.
 
     Args:
         columns: by name.
         held: types of the kind, as "u1" or "f8".
-        place: of the points, for the losses.
-        tell: takes the losses.
+        location: of the points, for the losses.
+        notify: takes the losses.
     """
-    return {name: _fitted(name, values, held, place, tell) for name, values in columns.items()}
+    return {name: _fitted(name, values, held, location, notify) for name, values in columns.items()}
 
 
 _WIDER: Mapping[str, str] = MappingProxyType({"b1": "u1", "f2": "f4", "i8": "f8", "u8": "f8"})
 
 
-def _fitted(name: str, values: AnyArray, held: frozenset[str], place: str, tell: LossTaker) -> AnyArray:
+def _fitted(name: str, values: AnyArray, held: frozenset[str], location: str, notify: LossTaker) -> AnyArray:
     kind = values.dtype.str[1:]
     if kind in held:
         return values
@@ -130,14 +136,14 @@ def _fitted(name: str, values: AnyArray, held: frozenset[str], place: str, tell:
         # what float64 makes of large integers, compared as integers
         inside = np.abs(wider) < 2.0**63
         error = float(np.abs(wider[inside].astype(np.int64) - values[inside].astype(np.int64)).max(initial=0))
-    told = f"{values.dtype.name} written as {wider.dtype.name}"
-    fate = Fate.APPROXIMATED if error else Fate.CONVERTED
-    tell(
+    reported = f"{values.dtype.name} written as {wider.dtype.name}"
+    support = Support.APPROXIMATED if error else Support.CONVERTED
+    notify(
         Loss(
-            field=f"{place}.extras.{name}",
-            what=told,
+            field=f"{location}.extras.{name}",
+            what=reported,
             count=1,
-            fate=fate,
+            support=support,
             largest_error=error or None,
         )
     )

@@ -14,13 +14,13 @@ class CloudFolder:
 
     Attributes:
         sensor_id: what the lidar is called.
-        place: the folder, or the only file.
+        location: the folder, or the only file.
         files: at least one.
-        beside: files that say more about them, by name.
+        beside: files that state more about them, by name.
     """
 
     sensor_id: str
-    place: Path
+    location: Path
     files: tuple[Path, ...]
     beside: dict[str, Path]
 
@@ -42,10 +42,10 @@ def find_folders(path: Path, kind: CloudKind) -> list[CloudFolder]:
     except OSError as error:
         raise DataError(path, "", f"cannot be read: {error.strerror or error}") from error
     if not found:
-        raise DataError(path, "", f"has no files of points; expected {kind.told}")
-    if len(found) == 1 and found[0].place == path:
+        raise DataError(path, "", f"has no files of points; expected {kind.reported}")
+    if len(found) == 1 and found[0].location == path:
         return found
-    return [CloudFolder(unquote(one.place.name), one.place, one.files, one.beside) for one in found]
+    return [CloudFolder(unquote(one.location.name), one.location, one.files, one.beside) for one in found]
 
 
 def _files(folder: Path, kind: CloudKind) -> CloudFolder | None:

@@ -14,7 +14,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, BoolArray, UInt8Array, finite_rows
 from sceneloom.errors import OptionError
 from sceneloom.formats.clouds.columns import FrameColumns, LossTaker, fitted, las_names, single_columns
-from sceneloom.formats.loss import Fate, Loss
+from sceneloom.formats.loss import Loss, Support
 
 _WHOLE = frozenset({"u1", "i1", "u2", "i2", "u4", "i4", "f4", "f8"})
 _PLY_TYPES: Mapping[str, str] = MappingProxyType(
@@ -25,7 +25,7 @@ _PLY_TYPES: Mapping[str, str] = MappingProxyType(
 )  # fmt: skip
 _PCD_LETTERS = {"u": "U", "i": "I", "f": "F"}
 _STEPS_M = (1e-5, 1e-3)
-"""Steps of the places in LAS files: fine where the points lie within 20 km, else as fine as any lidar measures."""
+"""Steps of the locations in LAS files: fine where the points lie within 20 km, else as fine as any lidar measures."""
 _LAS_REACH = 2.0**31 - 1
 _FULL_SCALE = 257
 
@@ -39,7 +39,7 @@ def _records(columns: Mapping[str, AnyArray], count: int) -> AnyArray:
     return records
 
 
-def _places(columns: FrameColumns) -> dict[str, AnyArray]:
+def _locations(columns: FrameColumns) -> dict[str, AnyArray]:
     return {axis: columns.positions[:, k] for k, axis in enumerate("xyz")}
 
 
@@ -47,11 +47,11 @@ def _brightness(columns: FrameColumns) -> dict[str, AnyArray]:
     return {} if columns.intensities is None else {"intensity": columns.intensities}
 
 
-def write_pcd(path: Path, columns: FrameColumns, place: str, tell: LossTaker, *, encoding: str) -> None:
+def write_pcd(path: Path, columns: FrameColumns, location: str, notify: LossTaker, *, encoding: str) -> None:
     """Write a PCD file; colours are packed into one float, as PCL's type PointXYZRGB has them."""
     colors = {} if columns.colors is None else {"rgb": _packed(columns.colors)}
     further = {**_brightness(columns), **columns.further}
-    found = {**_places(columns), **colors, **fitted(further, _WHOLE | {"i8", "u8"}, place, tell)}
+    found = {**_locations(columns), **colors, **fitted(further, _WHOLE | {"i8", "u8"}, location, notify)}
     records = _records(found, len(columns.positions))
     kinds = [values.dtype for values in found.values()]
     counts = [values.shape[1] if values.ndim == 2 else 1 for values in found.values()]
@@ -106,13 +106,13 @@ _PCD_BODIES: Mapping[str, Callable[[AnyArray], bytes]] = MappingProxyType(
 )
 
 
-def write_ply(path: Path, columns: FrameColumns, place: str, tell: LossTaker) -> None:
+def write_ply(path: Path, columns: FrameColumns, location: str, notify: LossTaker) -> None:
     """Write a binary PLY file."""
     colors: dict[str, AnyArray] = {}
     if columns.colors is not None:
         colors = {name: columns.colors[:, k] for k, name in enumerate(("red", "green", "blue"))}
-    further = fitted({**_brightness(columns), **single_columns(columns)}, _WHOLE, place, tell)
-    found = {**_places(columns), **colors, **further}
+    further = fitted({**_brightness(columns), **single_columns(columns)}, _WHOLE, location, notify)
+    found = {**_locations(columns), **colors, **further}
     records = _records(found, len(columns.positions))
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(records)}"]
     lines += [f"property {_PLY_TYPES[values.dtype.str[1:]]} {name}" for name, values in found.items()]
@@ -121,11 +121,11 @@ def write_ply(path: Path, columns: FrameColumns, place: str, tell: LossTaker) ->
         file.write(records.tobytes())
 
 
-def write_las(path: Path, columns: FrameColumns, place: str, tell: LossTaker) -> None:
-    """Write a LAS or LAZ file, by the ending of its name; places are rounded to steps."""
+def write_las(path: Path, columns: FrameColumns, location: str, notify: LossTaker) -> None:
+    """Write a LAS or LAZ file, by the ending of its name; locations are rounded to steps."""
     import laspy
 
-    finite = _finite(columns, place, tell)
+    finite = _finite(columns, location, notify)
     positions = columns.positions[finite].astype(np.float64)
     offsets = np.floor(positions.mean(axis=0)) if len(positions) else np.zeros(3)
     reach = np.abs(positions - offsets).max(initial=0.0)
@@ -138,31 +138,33 @@ def write_las(path: Path, columns: FrameColumns, place: str, tell: LossTaker) ->
     header.generating_software, header.scales, header.offsets = "sceneloom", np.full(3, step), offsets
     own = frozenset({*header.point_format.dimension_names, "x", "y", "z"})
     further = las_names(single_columns(columns), own)
-    found = fitted(further, _WHOLE | {"i8", "u8"}, place, tell)
+    found = fitted(further, _WHOLE | {"i8", "u8"}, location, notify)
     header.add_extra_dims([laspy.ExtraBytesParams(name, values.dtype) for name, values in found.items()])
     record = laspy.ScaleAwarePointRecord.zeros(len(positions), header=header)
     steps = np.rint((positions - offsets) / step)
     for axis, name in enumerate(("X", "Y", "Z")):
         record[name] = steps[:, axis].astype(np.int32)
-    for name, values in {**found, **_las_values(columns, place, tell)}.items():
+    for name, values in {**found, **_las_values(columns, location, notify)}.items():
         record[name] = values[finite]
     with laspy.open(str(path), mode="w", header=header) as file:
         file.write_points(record)
     error = float(np.abs(steps * step + offsets - positions).max(initial=0.0))
-    told = f"rounded to steps of {step:g} m"
-    tell(Loss(field=f"{place}.positions", what=told, fate=Fate.APPROXIMATED, largest_error=error))
+    reported = f"rounded to steps of {step:g} m"
+    notify(
+        Loss(field=f"{location}.positions", what=reported, support=Support.APPROXIMATED, largest_error=error)
+    )
 
 
-def _finite(columns: FrameColumns, place: str, tell: LossTaker) -> BoolArray:
-    """Which points are finite, (N,) bool: the others are left out, which is told."""
+def _finite(columns: FrameColumns, location: str, notify: LossTaker) -> BoolArray:
+    """Which points are finite, (N,) bool: the others are left out, which is reported."""
     finite = finite_rows(columns.positions)
     if not finite.all():
         what = "points that are not finite are left out"
-        tell(Loss(field=f"{place}.positions", what=what, count=int((~finite).sum())))
+        notify(Loss(field=f"{location}.positions", what=what, count=int((~finite).sum())))
     return finite
 
 
-def _las_values(columns: FrameColumns, place: str, tell: LossTaker) -> dict[str, AnyArray]:
+def _las_values(columns: FrameColumns, location: str, notify: LossTaker) -> dict[str, AnyArray]:
     """The dimensions that LAS has names for: brightness and colours of 16 bits, 0 to the full scale."""
     found: dict[str, AnyArray] = {}
     if columns.colors is not None:
@@ -175,16 +177,16 @@ def _las_values(columns: FrameColumns, place: str, tell: LossTaker) -> dict[str,
         whole = np.clip(np.rint(np.nan_to_num(scaled)), 0, 65535)
         error = float(np.abs(whole - scaled).max(initial=0.0)) * columns.brightest / 65535.0
         if error > 1e-9 * columns.brightest:
-            told = f"brightness of 0 to {columns.brightest:g} rounded to 65536 steps"
-            field = f"{place}.intensities"
-            tell(Loss(field=field, what=told, fate=Fate.APPROXIMATED, largest_error=error))
+            reported = f"brightness of 0 to {columns.brightest:g} rounded to 65536 steps"
+            field = f"{location}.intensities"
+            notify(Loss(field=field, what=reported, support=Support.APPROXIMATED, largest_error=error))
         found["intensity"] = whole.astype(np.uint16)
     return found
 
 
-def write_npz(path: Path, columns: FrameColumns, place: str, tell: LossTaker) -> None:
+def write_npz(path: Path, columns: FrameColumns, location: str, notify: LossTaker) -> None:
     """Write an NPZ file, one array per column."""
-    del place, tell
+    del location, notify
     found: dict[str, Any] = {"positions": columns.positions, **_brightness(columns), **columns.further}
     if columns.colors is not None:
         found["colors"] = columns.colors
@@ -195,42 +197,42 @@ def write_npz(path: Path, columns: FrameColumns, place: str, tell: LossTaker) ->
 def _write_bin(
     path: Path,
     columns: FrameColumns,
-    place: str,
-    tell: LossTaker,
+    location: str,
+    notify: LossTaker,
     *,
     brightest: float,
     further: tuple[str, ...],
 ) -> None:
     """Write packed float32: x, y, z, brightness on a scale, then some further columns, 0 where they are missing."""
     count = len(columns.positions)
-    found: dict[str, UInt8Array | AnyArray] = {**_places(columns)}
+    found: dict[str, UInt8Array | AnyArray] = {**_locations(columns)}
     values = np.zeros(count, np.float32) if columns.intensities is None else columns.intensities
     found["intensity"] = (values * (brightest / columns.brightest)).astype(np.float32)
     for name in further:
         found[name] = columns.further.get(name, np.zeros(count)).astype(np.float32)
     if columns.intensities is None:
-        told = "there are none; written as 0"
-        tell(Loss(field=f"{place}.intensities", what=told, fate=Fate.CONVERTED))
+        reported = "there are none; written as 0"
+        notify(Loss(field=f"{location}.intensities", what=reported, support=Support.CONVERTED))
     for name in columns.further:
         if name not in further:
-            told = f"left out: such files have x y z {' '.join(['intensity', *further])} only"
-            tell(Loss(field=f"{place}.{_MODEL_NAMES.get(name, f'extras.{name}')}", what=told))
+            reported = f"left out: such files have x y z {' '.join(['intensity', *further])} only"
+            notify(Loss(field=f"{location}.{_MODEL_NAMES.get(name, f'extras.{name}')}", what=reported))
     if columns.colors is not None:
-        tell(Loss(field=f"{place}.colors", what="left out: such files have none"))
-    path.write_bytes(_records(found, count)[_finite(columns, place, tell)].tobytes())
+        notify(Loss(field=f"{location}.colors", what="left out: such files have none"))
+    path.write_bytes(_records(found, count)[_finite(columns, location, notify)].tobytes())
 
 
 _MODEL_NAMES = {"offset_ns": "timestamps_ns", "ring": "rings", "camera_index": "camera_index"}
 
 
-def write_kitti_bin(path: Path, columns: FrameColumns, place: str, tell: LossTaker) -> None:
+def write_kitti_bin(path: Path, columns: FrameColumns, location: str, notify: LossTaker) -> None:
     """Write a file as KITTI has them: brightness from 0 to 1."""
-    _write_bin(path, columns, place, tell, brightest=1.0, further=())
+    _write_bin(path, columns, location, notify, brightest=1.0, further=())
 
 
-def write_nuscenes_bin(path: Path, columns: FrameColumns, place: str, tell: LossTaker) -> None:
+def write_nuscenes_bin(path: Path, columns: FrameColumns, location: str, notify: LossTaker) -> None:
     """Write a file as nuScenes has them: brightness from 0 to 255, and the number of the laser."""
-    _write_bin(path, columns, place, tell, brightest=255.0, further=("ring",))
+    _write_bin(path, columns, location, notify, brightest=255.0, further=("ring",))
 
 
 FRAME_WRITERS: Mapping[str, Callable[..., None]] = MappingProxyType(

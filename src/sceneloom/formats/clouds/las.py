@@ -26,7 +26,7 @@ _FULL_SCALE = 257
 """From 8 to 16 bits: 255 becomes 65535. Source: "Red, Green, Blue" and "Intensity", to be normalised to 16 bits."""
 _LARGEST_CLASS = 255
 _REACH = 2**31 - 1
-_PLACES = ("x", "y", "z")
+_LOCATIONS = ("x", "y", "z")
 _FARTHEST_M = 1e10
 """Beyond it lies no point: some 70 times as far as the sun [m]."""
 _SMALLEST_SCALE, _LARGEST_SCALE = 1e-12, 1e6
@@ -55,7 +55,7 @@ class LasWriter:
         self._file: Any = None
 
     def add(self, points: WrittenPoints) -> None:
-        """Write some more points; those that are not finite have no place in such a file and are left out.
+        """Write some more points; those that are not finite have no location in such a file and are left out.
 
         Raises:
             DataError: they lie too far from the first ones for the steps of such a file.
@@ -126,7 +126,7 @@ def read_las(path: Path) -> Cloud:
 
     What the header declares is held against the bytes of the file before anything is read: where the points begin, how
     many they are and how long each is, and how many records stand before and behind them. Points that reach
-    elsewhere than the header's bounds say are read, and the head of the cloud says so.
+    elsewhere than the header's bounds state are read, and the head of the cloud says so.
 
     Raises:
         DataError: the file is damaged or of another kind, or its header and its content do not agree.
@@ -151,8 +151,8 @@ def read_las(path: Path) -> Cloud:
             raise
         except Exception as error:
             # laspy and what unpacks LAZ for it raise what they met, of any kind
-            told = str(error) or type(error).__name__
-            raise DataError(path, "", f"cannot be read: {told}; expected a LAS file") from error
+            reported = str(error) or type(error).__name__
+            raise DataError(path, "", f"cannot be read: {reported}; expected a LAS file") from error
     _check_positions(path, columns, known.count)
     return Cloud(path, known.count, columns, MappingProxyType({**head, **_bounds(columns, known)}))
 
@@ -173,7 +173,7 @@ class _Header:
         point_format: number of the point format.
         point_length: of each point [bytes].
         count: of the points.
-        legacy_count: of the points, as versions before 1.4 say it.
+        legacy_count: of the points, as versions before 1.4 state it.
         scales, offsets: x, y, z [m].
         bounds: largest and smallest x, y, z, each axis for itself [m].
         waveforms_start: where packets of waveforms begin, 0 for none in this file [byte].
@@ -269,7 +269,7 @@ class _Header:
             ("scale", self.scales, _SMALLEST_SCALE, _LARGEST_SCALE),
             ("offset", self.offsets, 0.0, _FARTHEST_M),
         ):
-            for axis, value in zip(_PLACES, values, strict=True):
+            for axis, value in zip(_LOCATIONS, values, strict=True):
                 if not least <= abs(value) <= most:
                     problem = f"{name} of {axis} is {value}; expected a number from {least:g} to {most:g}"
                     raise DataError(path, "header", problem)
@@ -281,7 +281,9 @@ class _Header:
             check_unpacked(self.path, "points", size - self.points_start, content)
             return
         behind = [
-            place for place in (self.waveforms_start, self.extended_start * bool(self.extended)) if place
+            location
+            for location in (self.waveforms_start, self.extended_start * bool(self.extended))
+            if location
         ]
         there = min([size, *behind]) - self.points_start
         if content > there:
@@ -293,17 +295,21 @@ class _Header:
 
 def _check_records(path: Path, stream: BinaryIO, header: _Header, size: int) -> None:
     """Walk over the records before and behind the points, and look at what stands behind the last point."""
-    place = header.length
+    location = header.length
     for number in range(header.records):
-        place += _RECORD_HEAD + _number(stream, place + 20, "<H")
-        if place > header.points_start:
-            problem = f"ends at byte {place}; expected {header.points_start} at most, where the points begin"
+        location += _RECORD_HEAD + _number(stream, location + 20, "<H")
+        if location > header.points_start:
+            problem = (
+                f"ends at byte {location}; expected {header.points_start} at most, where the points begin"
+            )
             raise DataError(path, f"record {number}", problem)
-    place = header.extended_start
+    location = header.extended_start
     for number in range(header.extended):
-        place += _EXTENDED_HEAD + _number(stream, place + 20, "<Q") if place + 28 <= size else size
-        if place > size:
-            raise DataError(path, f"extended record {number}", f"ends at byte {place}; the file has {size}")
+        location += _EXTENDED_HEAD + _number(stream, location + 20, "<Q") if location + 28 <= size else size
+        if location > size:
+            raise DataError(
+                path, f"extended record {number}", f"ends at byte {location}; the file has {size}"
+            )
     if header.compressed:
         return
     stop = header.points_start + header.count * header.point_length
@@ -314,7 +320,7 @@ def _check_records(path: Path, stream: BinaryIO, header: _Header, size: int) -> 
 
 
 def _check_positions(path: Path, columns: dict[str, AnyArray], count: int) -> None:
-    for axis in _PLACES:
+    for axis in _LOCATIONS:
         if len(columns[axis]) != count:
             raise DataError(path, axis, f"{len(columns[axis])} points were read; the header declares {count}")
         far = np.flatnonzero(~(np.abs(columns[axis]) <= _FARTHEST_M))
@@ -324,49 +330,50 @@ def _check_positions(path: Path, columns: dict[str, AnyArray], count: int) -> No
 
 
 def _bounds(columns: dict[str, AnyArray], header: _Header) -> dict[str, Any]:
-    """In which axes the points reach elsewhere than the bounds of the header say, and how far from these."""
+    """In which axes the points reach elsewhere than the bounds of the header state, and how far from these."""
     if not header.count:
         return {}
-    told = []
-    for k, axis in enumerate(_PLACES):
+    reported = []
+    for k, axis in enumerate(_LOCATIONS):
         found = float(columns[axis].max()), float(columns[axis].min())
         apart = max(
             abs(there - declared) for there, declared in zip(found, header.bounds[2 * k :], strict=False)
         )
         if not apart <= 2 * abs(header.scales[k]) + 1e-9 * abs(header.offsets[k]):
-            told.append(f"{axis} by {apart:g} m")
-    return {"other_bounds": ", ".join(told)} if told else {}
+            reported.append(f"{axis} by {apart:g} m")
+    return {"other_bounds": ", ".join(reported)} if reported else {}
 
 
 def _check_chunks(path: Path, stream: BinaryIO, header: Any) -> None:
     """Refuse a table of chunks that says more than a file can hold: what unpacks LAZ ends the process over it.
 
-    Source: "LASzip: lossless compression of LiDAR data", Isenburg 2013: point data begin with the place of the table,
+    Source: "LASzip: lossless compression of LiDAR data", Isenburg 2013: point data begin with the position of the
+        table,
     -1 where that stands in the last bytes of the file; the table with its version and the number of chunks, each of
-    which begins with a point as it is. Chunks have as many points each, but for the last one, or say how many they
+    which begins with a point as it is. Chunks have as many points each, but for the last one, or state how many they
     have.
     """
     import lazrs
 
     size, before = path.stat().st_size, stream.tell()
-    place = _number(stream, int(header.offset_to_point_data), "<q")
-    if place == -1:
-        place = _number(stream, size - 8, "<q")
-    if not int(header.offset_to_point_data) <= place <= size - 8:
-        problem = f"the table of chunks is at byte {place}; the file has {size}: is it cut off?"
+    location = _number(stream, int(header.offset_to_point_data), "<q")
+    if location == -1:
+        location = _number(stream, size - 8, "<q")
+    if not int(header.offset_to_point_data) <= location <= size - 8:
+        problem = f"the table of chunks is at byte {location}; the file has {size}: is it cut off?"
         raise DataError(path, "points", problem)
-    count = _number(stream, place + 4, "<I")
+    count = _number(stream, location + 4, "<I")
     most = size // int(header.point_format.size) + 1
     if count > most:
         raise DataError(
-            path, f"byte {place + 4}", f"{count} chunks; expected {most} or fewer in {size} bytes"
+            path, f"byte {location + 4}", f"{count} chunks; expected {most} or fewer in {size} bytes"
         )
     stream.seek(int(header.offset_to_point_data))
     vlr = lazrs.LazVlr(header.vlrs.get("LasZipVlr")[0].record_data)
     chunks = lazrs.read_chunk_table(stream, vlr)
-    told = sum(length for _, length in chunks)
-    if told > size:
-        raise DataError(path, f"byte {place}", f"chunks of {told} bytes in all; the file has {size}")
+    reported = sum(length for _, length in chunks)
+    if reported > size:
+        raise DataError(path, f"byte {location}", f"chunks of {reported} bytes in all; the file has {size}")
     points, most_points = int(header.point_count), sum(number for number, _ in chunks)
     least_points = most_points if vlr.uses_variable_size_chunks() else most_points - vlr.chunk_size() + 1
     if not (least_points if chunks else 0) <= points <= most_points:
@@ -375,11 +382,11 @@ def _check_chunks(path: Path, stream: BinaryIO, header: Any) -> None:
     stream.seek(before)
 
 
-def _number(stream: BinaryIO, place: int, form: str) -> int:
-    stream.seek(place)
+def _number(stream: BinaryIO, location: int, form: str) -> int:
+    stream.seek(location)
     found = stream.read(struct.calcsize(form))
     if len(found) < struct.calcsize(form):
-        raise DataError(getattr(stream, "name", ""), f"byte {place}", "is beyond the end of the file")
+        raise DataError(getattr(stream, "name", ""), f"byte {location}", "is beyond the end of the file")
     return int(struct.unpack(form, found)[0])
 
 
@@ -404,7 +411,7 @@ def _head(header: Any) -> dict[str, Any]:
 
 def _columns(points: Any) -> dict[str, AnyArray]:
     """Every dimension by its name, positions in metres; bits of one byte are columns of their own."""
-    columns = {name: np.asarray(getattr(points, name), np.float64) for name in _PLACES}
+    columns = {name: np.asarray(getattr(points, name), np.float64) for name in _LOCATIONS}
     for name in points.point_format.dimension_names:
         if name not in {"X", "Y", "Z"}:
             columns["time" if name == "gps_time" else name] = np.ascontiguousarray(np.asarray(points[name]))

@@ -1,4 +1,4 @@
-"""The layout of points in files that do not say it themselves: names and types of the columns, in order."""
+"""The layout of points in files that do not state it themselves: names and types of the columns, in order."""
 
 import re
 from collections.abc import Sequence

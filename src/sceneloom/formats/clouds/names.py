@@ -8,7 +8,7 @@ from types import MappingProxyType
 from sceneloom.formats.clouds.points import UNITS_NS
 
 _NANOSECOND_DIGITS = 19
-"""So many digits, zeros before them included, are nanoseconds whatever they say: all of an int64 in order."""
+"""So many digits, zeros before them included, are nanoseconds whatever they state: all of an int64 in order."""
 
 _NUMBER = re.compile(r"(?P<number>(?:^-)?\d+(?:\.\d+)?)$", re.ASCII)
 _PAIR = re.compile(r"(?:^|\D)(?P<seconds>\d{9,10})[_.-](?P<nanoseconds>\d{9})$", re.ASCII)

@@ -48,7 +48,7 @@ def read_npz(path: Path, *, layout: FieldLayout | None = None) -> Cloud:
         raise DataError(
             path,
             "",
-            f"holds {_told(arrays)}; expected arrays of numbers with a row per point, of 1 or 2 dimensions",
+            f"holds {_reported(arrays)}; expected arrays of numbers with a row per point, of 1 or 2 dimensions",
         )
     lengths = {name: len(column) for name, column in columns.items()}
     count = next((lengths[name] for name in (*_PLAIN_COLUMNS, *POSITION_NAMES) if name in lengths), None)
@@ -56,7 +56,7 @@ def read_npz(path: Path, *, layout: FieldLayout | None = None) -> Cloud:
         count = max(lengths.values())
     check_count(path, "", count)
     _check_lengths(path, lengths, count)
-    # other arrays of other lengths say something of the file, not of its points
+    # other arrays of other lengths state something of the file, not of its points
     return Cloud(path, count, {name: column for name, column in columns.items() if len(column) == count})
 
 
@@ -71,7 +71,7 @@ def _check_new(path: Path, name: str, found: Mapping[str, AnyArray], columns: Ma
         raise DataError(path, name, problem)
 
 
-def _told(arrays: Mapping[str, AnyArray]) -> str:
+def _reported(arrays: Mapping[str, AnyArray]) -> str:
     return (
         ", ".join(f"{name} {getattr(array, 'shape', '')}".strip() for name, array in arrays.items())
         or "nothing"
@@ -116,14 +116,14 @@ def _check_sizes(path: Path, archive: zipfile.ZipFile, size: int) -> None:
             _check_size(path, entry.filename, file.read(_LONGEST_HEAD), entry.file_size)
 
 
-def _check_size(path: Path, place: str, head: bytes, size: int) -> None:
+def _check_size(path: Path, location: str, head: bytes, size: int) -> None:
     """Refuse an array that is not as long as the bytes behind its head.
 
     Source: "NPY format", numpy.lib.format: magic, version, length of the head, the head as a dictionary of Python.
 
     Args:
         path: for messages.
-        place: the array, for messages.
+        location: the array, for messages.
         head: how the array's bytes begin.
         size: how many bytes it has with its head.
 
@@ -136,14 +136,14 @@ def _check_size(path: Path, place: str, head: bytes, size: int) -> None:
     start, stop = (10, 10 + int.from_bytes(head[8:10], "little")) if head[6] == 1 else (
         12, 12 + int.from_bytes(head[8:12], "little")
     )  # fmt: skip
-    told = ast.literal_eval(head[start:stop].decode("latin-1").strip())
-    kind = np.lib.format.descr_to_dtype(told["descr"])
+    reported = ast.literal_eval(head[start:stop].decode("latin-1").strip())
+    kind = np.lib.format.descr_to_dtype(reported["descr"])
     if kind.hasobject:
         return
-    expected = math.prod(told["shape"]) * kind.itemsize
-    if min(told["shape"], default=0) < 0 or expected != size - stop:
-        problem = f"{size - stop} bytes; expected {expected} of shape {told['shape']} and type {kind}"
-        raise DataError(path, place, problem)
+    expected = math.prod(reported["shape"]) * kind.itemsize
+    if min(reported["shape"], default=0) < 0 or expected != size - stop:
+        problem = f"{size - stop} bytes; expected {expected} of shape {reported['shape']} and type {kind}"
+        raise DataError(path, location, problem)
 
 
 def _columns(path: Path, name: str, array: AnyArray, layout: FieldLayout | None) -> dict[str, AnyArray]:

@@ -27,13 +27,13 @@ from sceneloom.formats.ledger import Ledger
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.notices import NoticeKind
-from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import PointsFrame
+from sceneloom.scene.warnings import WarningKind
 
 DEFAULT_RATE_HZ = 10.0
-"""How fast most lidars turn: taken for files whose names are plain numbers."""
+"""How fast most lidars rotate: taken for files whose names are plain numbers."""
 
 _EGO_TRAJECTORY = "pose"
 
@@ -51,7 +51,7 @@ def open_clouds(path: Path, *, kind: CloudKind, options: CloudReading) -> Scene:
             _lidar(folder, kind, options, ledger, trajectories) for folder in find_folders(path, kind)
         )
     return Scene(
-        sensors, trajectories=trajectories, source=str(path), format=kind.name, notices=ledger.notices
+        sensors, trajectories=trajectories, source=str(path), format=kind.name, warnings=ledger.warnings
     )
 
 
@@ -80,10 +80,10 @@ def _lidar(
         extras=MappingProxyType({} if maximum is None else {"intensity_max": maximum}),
     )
     if origin is not None:
-        told = f"points lie {np.linalg.norm(origin):.0f} m from 0: the sensor is put there, the points count from it"
-        ledger.note(NoticeKind.ASSUMED, "cloud-origin", str(folder.files[0]), told)
-        at_origin = PosePath(
-            np.zeros(1, np.int64), read_only(origin[None]), np.array([[0.0, 0.0, 0.0, 1.0]]), endless=True
+        reported = f"points lie {np.linalg.norm(origin):.0f} m from 0: the sensor is put there, the points count from it"
+        ledger.note(WarningKind.ASSUMED, "cloud-origin", str(folder.files[0]), reported)
+        at_origin = Poses(
+            np.zeros(1, np.int64), read_only(origin[None]), np.array([[0.0, 0.0, 0.0, 1.0]]), static=True
         )
         return replace(sensor, poses=at_origin)
     return _placed(sensor, folder, reading, ledger, trajectories)
@@ -99,19 +99,23 @@ def _placed(
     """The sensor with the poses that stand beside its files, and the frame of its points."""
     frame = None if reading.points_frame is None else PointsFrame(reading.points_frame)
     if EGO_POSES in folder.beside and frame in {None, PointsFrame.EGO}:
-        way = trajectories.setdefault(_EGO_TRAJECTORY, _way(folder.beside[EGO_POSES], ledger))
-        return replace(sensor, poses=way.poses, points_frame=PointsFrame.EGO, mount=RigidTransform.identity())
+        trajectory = trajectories.setdefault(_EGO_TRAJECTORY, _trajectory(folder.beside[EGO_POSES], ledger))
+        return replace(
+            sensor, poses=trajectory.poses, points_frame=PointsFrame.EGO, mount=RigidTransform.identity()
+        )
     if SENSOR_POSES in folder.beside and frame in {None, PointsFrame.SENSOR}:
-        return replace(sensor, poses=_way(folder.beside[SENSOR_POSES], ledger).poses)
+        return replace(sensor, poses=_trajectory(folder.beside[SENSOR_POSES], ledger).poses)
     if frame is None:
-        told = "it is not said where the points are; taken as on the ego, `--points-frame` says another frame"
-        ledger.note(NoticeKind.ASSUMED, "cloud-frame-assumed", str(folder.place), told)
+        reported = (
+            "it is not stated where the points are; taken as on the ego, `--points-frame` says another frame"
+        )
+        ledger.note(WarningKind.ASSUMED, "cloud-frame-assumed", str(folder.location), reported)
     if frame is PointsFrame.WORLD:
         return replace(sensor, points_frame=frame)
     return replace(sensor, points_frame=frame or PointsFrame.SENSOR, mount=RigidTransform.identity())
 
 
-def _way(path: Path, ledger: Ledger) -> Trajectory:
+def _trajectory(path: Path, ledger: Ledger) -> Trajectory:
     from sceneloom.formats.trajectories.content import Reading
     from sceneloom.formats.trajectories.tum import FORM
 
@@ -142,9 +146,9 @@ def _frames(folder: CloudFolder, reading: CloudReading, ledger: Ledger) -> Cloud
     if len(repeated):
         k = int(repeated[0])
         names = [files[int(order[row])].name for row in (k - 1, k)]
-        told = f"{names[0]!r} and {names[1]!r} have the same time"
-        problem = f"{told}, {times[k] / 1e9:.9f} s; expected one file per time"
-        ledger.fault("repeated-times", DataError(folder.place, "", problem), count=len(repeated))
+        reported = f"{names[0]!r} and {names[1]!r} have the same time"
+        problem = f"{reported}, {times[k] / 1e9:.9f} s; expected one file per time"
+        ledger.fault("repeated-times", DataError(folder.location, "", problem), count=len(repeated))
         order, times = np.delete(order, repeated), np.delete(times, repeated)
     return CloudFrames(tuple(files[k] for k in order.tolist()), read_only(times))
 
@@ -165,11 +169,13 @@ def _times(folder: CloudFolder, reading: CloudReading, ledger: Ledger) -> tuple[
         rate_hz = reading.rate_hz or DEFAULT_RATE_HZ
         counted = numbers if numbers is not None else list(range(len(files)))
         if reading.rate_hz is None:
-            told = (
-                f"names tell no times: number k is taken as {1 / rate_hz:g} k s, "
-                "`--read-with rate_hz=HZ` says another rate"
+            reported = (
+                f"names report no times: number k is taken as {1 / rate_hz:g} k s, "
+                "`--input-option rate_hz=HZ` says another rate"
             )
-            ledger.note(NoticeKind.ASSUMED, "cloud-times-assumed", str(folder.place), told, count=len(files))
+            ledger.note(
+                WarningKind.ASSUMED, "cloud-times-assumed", str(folder.location), reported, count=len(files)
+            )
         return _counted_times(folder, counted, rate_hz), files
     return np.zeros(1, np.int64), files
 
@@ -177,7 +183,7 @@ def _times(folder: CloudFolder, reading: CloudReading, ledger: Ledger) -> tuple[
 def _counted_times(folder: CloudFolder, numbers: list[int], rate_hz: float) -> Int64Array:
     if max(numbers) / rate_hz > 9e9:
         raise DataError(
-            folder.place, "", f"number {max(numbers)} at {rate_hz:g} Hz is a time beyond the year 2255"
+            folder.location, "", f"number {max(numbers)} at {rate_hz:g} Hz is a time beyond the year 2255"
         )
     return np.array([round(number * 1e9 / rate_hz) for number in numbers], np.int64)
 
@@ -185,9 +191,9 @@ def _counted_times(folder: CloudFolder, numbers: list[int], rate_hz: float) -> I
 def _listed_times(
     listed: Path, files: tuple[Path, ...], ledger: Ledger
 ) -> tuple[Int64Array, tuple[Path, ...]]:
-    from sceneloom.formats.rig.times import line_stamps
+    from sceneloom.formats.rig.times import line_timestamps
 
-    times = line_stamps(listed, None)
+    times = line_timestamps(listed, None)
     if len(times) != len(files):
         problem = f"{len(times)} times for {len(files)} files; expected as many"
         ledger.fault("counts-disagree", DataError(listed, "", problem), count=abs(len(times) - len(files)))
@@ -203,21 +209,21 @@ def _with_mapping(
     """Settle what brightness and times mean, by the first files."""
     scale, name = scale_of(frames)
     if name is not None and scale is None:
-        told = f"column {name!r} fits no scale of brightness; kept as it is among the further values"
-        ledger.note(NoticeKind.SKIPPED, "intensity-not-used", str(folder.place), told)
+        reported = f"column {name!r} fits no scale of brightness; kept as it is among the further values"
+        ledger.note(WarningKind.SKIPPED, "intensity-not-used", str(folder.location), reported)
     if kind.layout and scale is not None and kind.name == "nuscenes-bin":
         scale = IntensityScale(max(scale.maximum, 255.0))
     first = frames.cloud(0)
     times = times_of(first, int(frames.timestamps_ns[0]))
     if times is not None and times.field != "offset_ns":
-        told = f"column {times.field!r} is taken for times of points: {times.unit} relative to the {times.relative_to}"
-        ledger.note(NoticeKind.ASSUMED, "point-times-assumed", str(folder.place), told)
+        reported = f"column {times.field!r} is taken for times of points: {times.unit} relative to the {times.relative_to}"
+        ledger.note(WarningKind.ASSUMED, "point-times-assumed", str(folder.location), reported)
     settled = replace(frames, mapping=PointMapping(scale=scale, times=times))
     return settled, None if scale is None else scale.maximum
 
 
 def _note_first(folder: CloudFolder, frames: CloudFrames, ledger: Ledger) -> None:
-    """Look at the first frame, and say what was left out of it."""
+    """Look at the first frame, and state what was left out of it."""
     frame = frames(0)
     notes: dict[str, tuple[str, Callable[[Any], int]]] = {
         "dropped_points": (
@@ -228,16 +234,20 @@ def _note_first(folder: CloudFolder, frames: CloudFrames, ledger: Ledger) -> Non
     }
     for name, (message, count) in notes.items():
         if name in frame.extras:
-            place = str(frames.files[0])
+            location = str(frames.files[0])
             ledger.note(
-                NoticeKind.SKIPPED, name.replace("_", "-"), place, message, count=count(frame.extras[name])
+                WarningKind.SKIPPED,
+                name.replace("_", "-"),
+                location,
+                message,
+                count=count(frame.extras[name]),
             )
     apart = frame.extras.get("head", {}).get("other_bounds")
     if apart:
-        told = f"the bounds in the header are not those of the points ({apart} off); the points are read as they are"
-        ledger.note(NoticeKind.ASSUMED, "other-bounds", str(frames.files[0]), told)
+        reported = f"the bounds in the header are not those of the points ({apart} off); the points are read as they are"
+        ledger.note(WarningKind.ASSUMED, "other-bounds", str(frames.files[0]), reported)
     others = frame.extras.get("head", {}).get("elements_left_out")
     if others:
         listed = ", ".join(f"{count} {name}" for name, count in others.items())
-        told = f"only vertices are points: {listed} left out of the first file"
-        ledger.note(NoticeKind.SKIPPED, "elements-left-out", str(folder.place), told)
+        reported = f"only vertices are points: {listed} left out of the first file"
+        ledger.note(WarningKind.SKIPPED, "elements-left-out", str(folder.location), reported)

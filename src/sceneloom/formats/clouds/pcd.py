@@ -191,23 +191,23 @@ def _read_compressed(path: Path, content: bytes, header: PcdHeader) -> dict[str,
     """Unfold the columns, which stand one after another where they are compressed."""
     from sceneloom.kernels.lzf import LARGEST_RATIO, unfold
 
-    place, body = f"byte {header.start}", header.start + 8
+    location, body = f"byte {header.start}", header.start + 8
     if len(content) < body:
-        raise DataError(path, place, f"{len(content) - header.start} bytes of points; the file breaks off")
+        raise DataError(path, location, f"{len(content) - header.start} bytes of points; the file breaks off")
     packed_size, size = np.frombuffer(content, "<u4", 2, header.start).tolist()
     if len(content) - body < packed_size:
         problem = f"{len(content) - body} compressed bytes; expected {packed_size}; the file breaks off"
-        raise DataError(path, place, problem)
+        raise DataError(path, location, problem)
     expected = header.count * header.dtype.itemsize
     if size != expected or size > packed_size * LARGEST_RATIO:
         problem = f"{packed_size} bytes that unfold to {size}; expected {expected} from {header.count} points"
-        raise DataError(path, place, problem)
+        raise DataError(path, location, problem)
     check_end(path, content[body + packed_size :], body + packed_size, f"{header.count} points")
     unpacked = np.empty(size, np.uint8)
     done = unfold(np.frombuffer(content, np.uint8, packed_size, body), unpacked)
     if done != size:
         raise DataError(
-            path, place, "the compressed points are damaged: they do not unfold to what the head says"
+            path, location, "the compressed points are damaged: they do not unfold to what the head says"
         )
     return _cut_columns(unpacked, header)
 

@@ -39,15 +39,15 @@ class PcdWriter:
         """Begin a file, which must not be there."""
         self._file: BinaryIO = path.open("xb")
         self._count = 0
-        self._places: tuple[int, ...] = ()
+        self._locations: tuple[int, ...] = ()
         self.origin_world: Float64Array = np.zeros(3)
 
     def add(self, points: WrittenPoints) -> None:
         """Write some more points."""
-        if not self._places:
+        if not self._locations:
             self._choose_origin(points)
         records = records_of(points, self._columns)
-        if not self._places:
+        if not self._locations:
             self._begin(records)
         self._file.write(records.tobytes())
         self._count += len(points)
@@ -92,14 +92,14 @@ class PcdWriter:
         self._file.write("\n".join([*lines, "WIDTH "]).encode())
         width = self._file.tell()
         self._file.write(b"0" * _DIGITS + b"\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS ")
-        self._places = (width, self._file.tell())
+        self._locations = (width, self._file.tell())
         self._file.write(b"0" * _DIGITS + b"\nDATA binary\n")
 
     def close(self) -> None:
         """Complete the file."""
-        if not self._places:
+        if not self._locations:
             self.add(WrittenPoints(np.zeros((0, 3))))
-        for place in self._places:
-            self._file.seek(place)
+        for location in self._locations:
+            self._file.seek(location)
             self._file.write(f"{self._count:0{_DIGITS}d}".encode())
         self._file.close()

@@ -111,7 +111,7 @@ def parse_header(path: Path, content: bytes) -> PlyHeader:
     drafts: list[tuple[str, int, list[Property]]] = []
     comments: list[str] = []
     for number, line in enumerate(lines[1:-1], 2):
-        words, place = line.split(), f"line {number}"
+        words, location = line.split(), f"line {number}"
         if not words or words[0] in {"comment", "obj_info"}:
             comments += [" ".join(words[1:])] if words[1:] else []
             continue
@@ -120,9 +120,9 @@ def parse_header(path: Path, content: bytes) -> PlyHeader:
         elif words[0] == "element" and len(words) == 3 and words[2].isascii() and words[2].isdigit():
             drafts.append((words[1], int(words[2][:20]), []))
         elif words[0] == "property" and drafts:
-            drafts[-1][2].append(_property(path, place, words))
+            drafts[-1][2].append(_property(path, location, words))
         else:
-            raise DataError(path, place, f"{line.strip()[:60]!r}; expected format, element or property")
+            raise DataError(path, location, f"{line.strip()[:60]!r}; expected format, element or property")
     if order is None:
         raise DataError(path, "", f"the head names no format; expected one of {', '.join(_ORDERS)}")
     elements = tuple(Element(name, count, tuple(properties)) for name, count, properties in drafts)
@@ -130,7 +130,7 @@ def parse_header(path: Path, content: bytes) -> PlyHeader:
     return PlyHeader(order, elements, end + 1, len(lines), tuple(comments))
 
 
-def _property(path: Path, place: str, words: list[str]) -> Property:
+def _property(path: Path, location: str, words: list[str]) -> Property:
     if len(words) == 3 and words[1] in _TYPES:
         return Property(words[2], _TYPES[words[1]])
     if (
@@ -141,7 +141,7 @@ def _property(path: Path, place: str, words: list[str]) -> Property:
     ):
         return Property(words[4], _TYPES[words[3]], _TYPES[words[2]])
     problem = f"{' '.join(words)[:60]!r}; expected `property TYPE NAME` or `property list TYPE TYPE NAME`"
-    raise DataError(path, place, f"{problem} with types out of {', '.join(_TYPES)}")
+    raise DataError(path, location, f"{problem} with types out of {', '.join(_TYPES)}")
 
 
 def _check_elements(path: Path, elements: tuple[Element, ...]) -> None:
@@ -175,8 +175,10 @@ def _check_rest(path: Path, content: bytes, start: int, header: PlyHeader) -> No
     others = header.elements[vertex + 1 :]
     if not any(element.has_lists for element in others):
         stop = start + sum(element.count * element.dtype(header.order).itemsize for element in others)
-        told = f"{header.elements[vertex].count} vertices"
-        check_end(path, content[stop:], stop, told if not others else f"{told} and of what follows them")
+        reported = f"{header.elements[vertex].count} vertices"
+        check_end(
+            path, content[stop:], stop, reported if not others else f"{reported} and of what follows them"
+        )
 
 
 def _check_bytes(path: Path, content: bytes, start: int, element: Element, size: int) -> None:

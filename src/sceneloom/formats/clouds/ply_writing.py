@@ -31,12 +31,12 @@ class PlyWriter:
     def __init__(self, path: Path) -> None:
         """Begin a file, which must not be there."""
         self._file: BinaryIO = path.open("xb")
-        self._count, self._place = 0, 0
+        self._count, self._location = 0, 0
 
     def add(self, points: WrittenPoints) -> None:
         """Write some more points."""
         records = records_of(points, _COLUMNS)
-        if not self._place:
+        if not self._location:
             self._begin(records)
         self._file.write(records.tobytes())
         self._count += len(points)
@@ -46,16 +46,16 @@ class PlyWriter:
             b"ply\nformat binary_little_endian 1.0\ncomment world coordinates in metres, times in seconds\n"
         )
         self._file.write(head + b"element vertex ")
-        self._place = self._file.tell()
+        self._location = self._file.tell()
         names = records.dtype.names or ()
         lines = [f"property {_TYPES[records.dtype[name].str[1:]]} {name}" for name in names]
         self._file.write(b"0" * _DIGITS + "\n".join(["", *lines, "end_header", ""]).encode())
 
     def close(self) -> None:
         """Complete the file."""
-        if not self._place:
+        if not self._location:
             self.add(WrittenPoints(np.zeros((0, 3))))
-        self._file.seek(self._place)
+        self._file.seek(self._location)
         # blanks behind the number would be words to strict readers, zeros before it are not
         self._file.write(f"{self._count:0{_DIGITS}d}".encode())
         self._file.close()

@@ -14,7 +14,7 @@ from sceneloom.formats.clouds.roles import find_roles
 from sceneloom.scene.clouds import LidarPoints
 
 FARTHEST_POINT_TIME_NS = 10_000_000_000
-"""A point that is farther than this from its file's stamp has another unit or another clock."""
+"""A point that is farther than this from its file's timestamp has another unit or another clock."""
 
 UNITS_NS: Mapping[str, int] = MappingProxyType(
     {"seconds": 1_000_000_000, "milliseconds": 1_000_000, "microseconds": 1_000, "nanoseconds": 1}
@@ -66,12 +66,13 @@ class PointTimes:
 
     Attributes:
         unit: one of `UNITS_NS`.
-        relative_to: "stamp", the file's own stamp; "start", the start of the sweep; "clock", the sensor's clock.
+        relative_to: "timestamp", the file's own timestamp; "start", the start of the sweep; "clock", the sensor's
+            clock.
         field: the column, or None for the one that is known by its name.
     """
 
     unit: str
-    relative_to: str = "stamp"
+    relative_to: str = "timestamp"
     field: str | None = None
 
 
@@ -80,7 +81,7 @@ class PointMapping:
     """What the columns of a lidar's files mean.
 
     Attributes:
-        named: column by role (x y z positions intensity ring red green blue colors), where the aliases do not tell.
+        named: column by role (x y z positions intensity ring red green blue colors), where the aliases do not report.
         scale: of the brightness; None: it is left aside.
         times: of the points, None where they have none or where they are not to be used.
     """
@@ -92,15 +93,15 @@ class PointMapping:
 
 @dataclass(frozen=True, slots=True)
 class SweepClock:
-    """The times that points can refer to [ns]: the file's stamp, the sweep's start, and the zero of its clock."""
+    """The times that points can refer to [ns]: the file's timestamp, the sweep's start, and the zero of its clock."""
 
-    stamp_ns: int
+    timestamp_ns: int
     start_ns: int
     zero_ns: int
 
     def base_ns(self, relative_to: str) -> int:
         """The time that `relative_to` names."""
-        return {"stamp": self.stamp_ns, "start": self.start_ns, "clock": self.zero_ns}[relative_to]
+        return {"timestamp": self.timestamp_ns, "start": self.start_ns, "clock": self.zero_ns}[relative_to]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -255,7 +256,7 @@ def _times(
         return None
     offsets = _nanoseconds(cloud, name, columns[name], UNITS_NS[times.unit])
     base_ns = clock.base_ns(times.relative_to)
-    far = np.abs(offsets + np.float64(base_ns - clock.stamp_ns)) > FARTHEST_POINT_TIME_NS
+    far = np.abs(offsets + np.float64(base_ns - clock.timestamp_ns)) > FARTHEST_POINT_TIME_NS
     if far.any():
         row = int(np.flatnonzero(far)[0])
         raise DataError(cloud.file, f"{name}[{row}]", _far_time(columns[name], row, times, clock))
@@ -280,19 +281,19 @@ def _integers(values: AnyArray, unit_ns: int) -> Int64Array:
 
 
 def _far_time(values: AnyArray, row: int, times: PointTimes, clock: SweepClock) -> str:
-    """Say how far a point's time is off, and which unit and reference would bring all of them near."""
+    """Report how far a point's time is off, and which unit and reference would bring all of them near."""
     near = [
         f'unit = "{unit}", relative_to = "{base}"'
         for unit, unit_ns in UNITS_NS.items()
-        for base in ("stamp", "clock")
-        if _span_fits(values.astype(np.float64) * unit_ns + float(clock.base_ns(base) - clock.stamp_ns))
+        for base in ("timestamp", "clock")
+        if _span_fits(values.astype(np.float64) * unit_ns + float(clock.base_ns(base) - clock.timestamp_ns))
     ]
     off = (
-        float(values[row]) * UNITS_NS[times.unit] + clock.base_ns(times.relative_to) - clock.stamp_ns
+        float(values[row]) * UNITS_NS[times.unit] + clock.base_ns(times.relative_to) - clock.timestamp_ns
     ) / 1e9
     hint = f"; these would fit: {' or '.join(near)}" if near else ""
     return (
-        f"{values[row]} {times.unit} relative to the {times.relative_to}: {off:.6g} s from the file's stamp; "
+        f"{values[row]} {times.unit} relative to the {times.relative_to}: {off:.6g} s from the file's timestamp; "
         f"expected within {FARTHEST_POINT_TIME_NS // 10**9} s{hint}"
     )
 

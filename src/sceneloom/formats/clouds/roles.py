@@ -45,7 +45,7 @@ def find_roles(columns: Mapping[str, AnyArray], named: Mapping[str, str]) -> dic
 
     Args:
         columns: of the file, by its own names.
-        named: column by role, where somebody said it; it may be one that the file does not have.
+        named: column by role, where somebody stated it; it may be one that the file does not have.
 
     Returns:
         Column by role, for the roles that the file has; `packed` stands for a packed colour.

@@ -27,14 +27,14 @@ from sceneloom.formats.clouds.spec import (
 from sceneloom.formats.default_poses import ego_in_world
 from sceneloom.formats.field_losses import field_losses
 from sceneloom.formats.file_names import file_stems
-from sceneloom.formats.loss import Fate, Loss, LossReport
+from sceneloom.formats.loss import Loss, LossReport, Support
 from sceneloom.formats.output import FolderKind, replacing
-from sceneloom.motion.ego_motion import is_computed, with_way_found
+from sceneloom.motion.ego_motion import is_computed, with_trajectory_estimated
 from sceneloom.motion.trajectories import IDENTITY
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.motion import OdometrySensor
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import is_on_ego, named_odometry, sensor_source
 from sceneloom.scene.span import scene_period_ns
@@ -44,7 +44,7 @@ _MOVES: Mapping[PointsFrame, Callable[..., Scene]] = MappingProxyType(
     {PointsFrame.SENSOR: to_sensor, PointsFrame.EGO: to_ego, PointsFrame.WORLD: to_world}
 )
 _WRITTEN = {"file", "dropped_points", "clipped_intensities"}
-"""Further fields of frames that only say from which file they were read, and how."""
+"""Further fields of frames that only state from which file they were read, and how."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +84,8 @@ def write_clouds(
     losses = list(_of_fields(scene, kind))
     asked = _chosen(scene, saving.lidar)
     if saving.frame is not None and any(lidar.points_frame != saving.frame for lidar in asked):
-        scene, told = _in_frame(scene, asked, PointsFrame(saving.frame), saving.trajectory)
-        losses += told
+        scene, reported = _in_frame(scene, asked, PointsFrame(saving.frame), saving.trajectory)
+        losses += reported
     elif saving.trajectory is not None:
         raise OptionError(
             f"trajectory {saving.trajectory!r}: the points stay in the frame that they are in, which needs none; "
@@ -97,7 +97,7 @@ def write_clouds(
         for lidar in scene.lidars
         if lidar not in lidars
     ]
-    write = partial(_write_frame, kind=kind, saving=saving, tell=losses.append)
+    write = partial(_write_frame, kind=kind, saving=saving, notify=losses.append)
     if path.name.lower().endswith(kind.endings[1:]):
         raise OptionError(
             f"{path}: written as {kind.endings[0]} only; {path.suffix} has one array and no names"
@@ -121,10 +121,10 @@ def _in_frame(
     others = [lidar for lidar in scene.lidars if lidar not in lidars]
     part = replace(scene, sensors=(*lidars, *odometries), annotations=())
     move, losses = _MOVES[frame], list[Loss]()
-    known = any(way.quaternions_xyzw is not None for way in scene.trajectories.values())
+    known = any(trajectory.quaternions_xyzw is not None for trajectory in scene.trajectories.values())
     if trajectory is not None or known or any(_needs_trajectory(part, lidar, frame) for lidar in lidars):
         ego, losses = ego_in_world(scene, name=trajectory)
-        part = with_way_found(part, ego) if is_computed(scene, ego.name) else part
+        part = with_trajectory_estimated(part, ego) if is_computed(scene, ego.name) else part
         by_default = trajectory is None and next(iter(part.trajectories), None) == ego.name
         part = move(part, trajectory=None if by_default else ego.name)
     else:
@@ -144,7 +144,7 @@ def _needs_trajectory(scene: Scene, lidar: LidarSensor, frame: PointsFrame) -> b
 
 
 def _by_own_poses(lidar: LidarSensor, frame: PointsFrame) -> LidarSensor:
-    """A lidar without the mounting, where its own poses in the world say more."""
+    """A lidar without the mounting, where its own poses in the world state more."""
     in_world = PointsFrame.WORLD in {frame, lidar.points_frame}
     return replace(lidar, mount=None) if in_world and lidar.poses is not None else lidar
 
@@ -157,11 +157,11 @@ def _of_fields(scene: Scene, kind: CloudKind) -> Iterator[Loss]:
     yield from field_losses(scene, table)
     for lidar in scene.lidars:
         if lidar.mount is not None and not np.array_equal(lidar.mount.matrix, np.eye(4)):
-            what = "left out: the poses beside the clouds say where they are in the world"
+            what = "left out: the poses beside the clouds state where they are in the world"
             yield Loss(field=f"sensors[{lidar.id}].mount", what=what)
         further = [name for name in lidar.extras if name != "intensity_max"]
         if further:
-            what = f"left out: files of points say nothing of the device: {', '.join(further)}"
+            what = f"left out: files of points state nothing of the device: {', '.join(further)}"
             yield Loss(field=f"sensors[{lidar.id}].extras", what=what)
 
 
@@ -188,14 +188,16 @@ def _write_file(
     lidar = next(one for one in lidars if len(one.frames))
     with replacing(path, overwrite=overwrite) as draft:
         write(lidar, 0, draft)
-    stamp_ns, place = int(lidar.frames.timestamps_ns[0]), f"sensors[{lidar.id}]"
-    if stamp_ns:
+    timestamp_ns, location = int(lidar.frames.timestamps_ns[0]), f"sensors[{lidar.id}]"
+    if timestamp_ns:
         losses.append(
-            Loss(field=f"{place}.frames.timestamp_ns", what="left out: a single file has a name of its own")
+            Loss(
+                field=f"{location}.frames.timestamp_ns", what="left out: a single file has a name of its own"
+            )
         )
     if lidar.poses is not None:
         losses.append(
-            Loss(field=f"{place}.poses", what="left out: a single file has no file of poses beside it")
+            Loss(field=f"{location}.poses", what="left out: a single file has no file of poses beside it")
         )
     losses += _of_names([lidar], alone=True)
 
@@ -239,7 +241,7 @@ def _folder_kind(kind: CloudKind) -> FolderKind:
 def _of_names(lidars: list[LidarSensor], *, alone: bool) -> list[Loss]:
     """The ids that reading gives differ from the scene's."""
     return [
-        Loss(field=f"sensors[{one.id}].id", what=f"read back as {found!r}", fate=Fate.CONVERTED)
+        Loss(field=f"sensors[{one.id}].id", what=f"read back as {found!r}", support=Support.CONVERTED)
         for one in lidars
         if one.id != (found := DEFAULT_ID if alone else str(one.id))
     ]
@@ -257,7 +259,7 @@ def _distinct_times(lidar: LidarSensor, losses: list[Loss]) -> Int64Array:
                 field=f"sensors[{lidar.id}].frames.timestamp_ns",
                 what="frames of one time put 1 ns apart, which their names need",
                 count=len(moved),
-                fate=Fate.APPROXIMATED,
+                support=Support.APPROXIMATED,
                 largest_error=float((distinct - times).max()),
             )
         )
@@ -265,16 +267,16 @@ def _distinct_times(lidar: LidarSensor, losses: list[Loss]) -> Int64Array:
 
 
 def _write_frame(
-    lidar: LidarSensor, k: int, path: Path, *, kind: CloudKind, saving: CloudSaving, tell: LossTaker
+    lidar: LidarSensor, k: int, path: Path, *, kind: CloudKind, saving: CloudSaving, notify: LossTaker
 ) -> None:
     frame = lidar.frames[k]
-    told = replace(
+    reported = replace(
         frame, extras={name: value for name, value in frame.extras.items() if name not in _WRITTEN}
     )
-    left_out(told, str(lidar.id), tell)
+    left_out(reported, str(lidar.id), notify)
     columns = frame_columns(frame, lidar.extras.get("intensity_max"))
     options = {"encoding": saving.encoding} if kind.name == "pcd" else {}
-    FRAME_WRITERS[kind.name](path, columns, f"sensors[{lidar.id}].frames.points", tell, **options)
+    FRAME_WRITERS[kind.name](path, columns, f"sensors[{lidar.id}].frames.points", notify, **options)
 
 
 def _write_poses(scene: Scene, lidar: LidarSensor, times: Int64Array, folder: Path) -> list[Loss]:
@@ -294,25 +296,28 @@ def _write_poses(scene: Scene, lidar: LidarSensor, times: Int64Array, folder: Pa
     name = EGO_POSES if lidar.points_frame is PointsFrame.EGO else SENSOR_POSES
     if known.any():
         _write_tum(
-            folder / name, PosePath(times[known], samples.positions[known], samples.quaternions_xyzw[known])
+            folder / name, Poses(times[known], samples.positions[known], samples.quaternions_xyzw[known])
         )
-    if path.endless or not np.array_equal(path.timestamps_ns, times[known]) or not known.all():
+    if path.static or not np.array_equal(path.timestamps_ns, times[known]) or not known.all():
         what = f"written in {name} at the times of the frames"
         lost = int((~known).sum())
         what = f"{what}; {lost} frames lie beyond them" if lost else what
-        return [Loss(field=field, what=what, count=len(path.timestamps_ns), fate=Fate.CONVERTED)]
+        return [Loss(field=field, what=what, count=len(path.timestamps_ns), support=Support.CONVERTED)]
     return []
 
 
-def _path(scene: Scene, lidar: LidarSensor) -> PosePath | None:
+def _path(scene: Scene, lidar: LidarSensor) -> Poses | None:
     """Where the frame of the points was over time; None where nothing says it."""
-    way = next((way for way in scene.trajectories.values() if way.quaternions_xyzw is not None), None)
+    trajectory = next(
+        (trajectory for trajectory in scene.trajectories.values() if trajectory.quaternions_xyzw is not None),
+        None,
+    )
     if lidar.points_frame is PointsFrame.EGO:
         odometry = named_odometry(scene, lidar)
-        return odometry.poses if odometry is not None else None if way is None else way.poses
+        return odometry.poses if odometry is not None else None if trajectory is None else trajectory.poses
     if lidar.poses is not None and lidar.coordinates is Coordinates.WORLD:
         return lidar.poses
-    ego = None if way is None else EgoMotion.of(way)
+    ego = None if trajectory is None else EgoMotion.of(trajectory)
     if is_on_ego(lidar):
         named_odometry(scene, lidar)
     try:
@@ -321,13 +326,13 @@ def _path(scene: Scene, lidar: LidarSensor) -> PosePath | None:
         return None
     times = source.path.timestamps_ns
     samples = source.at(times)
-    return PosePath(times, samples.positions, samples.quaternions_xyzw, endless=source.path.endless)
+    return Poses(times, samples.positions, samples.quaternions_xyzw, static=source.path.static)
 
 
-def _write_tum(path: Path, poses: PosePath) -> None:
+def _write_tum(path: Path, poses: Poses) -> None:
     from sceneloom.formats.trajectories.content import TrajectoryFile
     from sceneloom.formats.trajectories.tum import FORM
     from sceneloom.scene.poses import Trajectory
 
-    way = Trajectory("poses", poses.timestamps_ns, poses.positions, poses.quaternions_xyzw)
-    list(FORM.write(TrajectoryFile(way), path, path))
+    trajectory = Trajectory("poses", poses.timestamps_ns, poses.positions, poses.quaternions_xyzw)
+    list(FORM.write(TrajectoryFile(trajectory), path, path))

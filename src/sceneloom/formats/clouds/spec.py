@@ -50,7 +50,7 @@ class CloudReading:
     )
     points_frame: str | None = option(
         default=None,
-        help="Frame of the points: sensor, ego or world. By default the sensor's, unless poses say the ego's.",
+        help="Frame of the points: sensor, ego or world. By default the sensor's, unless poses state the ego's.",
     )
     rate_hz: float | None = option(
         default=None, help="Frames per second of files whose names are plain numbers; 10 by default."
@@ -72,14 +72,14 @@ class CloudKind:
         endings: of its files' names, in lower case.
         excluded: longer endings, which belong to another kind.
         begins: whether a file looks like one from its first bytes.
-        told: what a person recognises a file by.
-        layout: names of the columns of files that do not say them, for messages; "" for others.
+        reported: what a person recognises a file by.
+        layout: names of the columns of files that do not state them, for messages; "" for others.
     """
 
     name: str
     endings: tuple[str, ...]
     begins: Callable[[Path, bytes], bool]
-    told: str
+    reported: str
     excluded: tuple[str, ...] = ()
     layout: str = ""
 
@@ -109,17 +109,17 @@ def _is_las(path: Path, start: bytes) -> bool:
 
 
 def _is_bin(path: Path, start: bytes) -> bool:
-    """Whether the first records hold places around a sensor and brightness: many files end with `.bin`."""
+    """Whether the first records hold locations around a sensor and brightness: many files end with `.bin`."""
     columns = 5 if path.name.lower().endswith(".pcd.bin") else 4
     length = 4 * columns
     if not start or path.stat().st_size % length:
         return False
     count = min(len(start) // length, _FEW_POINTS)
     points = np.frombuffer(start, "<f4", count * columns).reshape(count, columns).astype(np.float64)
-    places, bright = points[:, :3], points[:, 3]
-    near = bool((np.abs(places) < _FARTHEST_M).all())
+    locations, bright = points[:, :3], points[:, 3]
+    near = bool((np.abs(locations) < _FARTHEST_M).all())
     # the smallest floats are what integers look like
-    tiny = bool(((places != 0) & (np.abs(places) < 1e-20)).any())
+    tiny = bool(((locations != 0) & (np.abs(locations) < 1e-20)).any())
     return near and not tiny and bool(((bright >= 0) & (bright <= _BRIGHTEST)).all())
 
 
@@ -193,7 +193,7 @@ def _holds_kind(path: Path, kind: CloudKind) -> bool:
 
 
 def _is_flat(folder: Path, kind: CloudKind) -> bool:
-    """Whether a folder has at least one file of a kind; of files of other kinds of clouds another format tells."""
+    """Whether a folder has at least one file of a kind; of files of other kinds of clouds another format reports."""
     # some names per ending: folders of many thousand files are looked at by every kind, and some may be torn
     samples: dict[str, list[Path]] = {}
     for entry in entries(folder):
@@ -213,10 +213,10 @@ def _ending(name: str) -> str:
 
 
 def _near_miss(path: Path, kind: CloudKind) -> str | None:
-    """Say what keeps a path that has files of a kind from being a folder of clouds."""
+    """Report what keeps a path that has files of a kind from being a folder of clouds."""
     if path.is_file():
-        told = kind.has_name(path.name) and not kind.recognises(path)
-        return _not_begun(path.name, kind) if told else None
+        reported = kind.has_name(path.name) and not kind.recognises(path)
+        return _not_begun(path.name, kind) if reported else None
     try:
         names = [(entry.name, entry.is_dir()) for entry in entries(path)] if path.is_dir() else []
     except OSError:
@@ -228,13 +228,14 @@ def _near_miss(path: Path, kind: CloudKind) -> str | None:
     if not others:
         return _not_begun(ours[0], kind)
     return (
-        f"it has {len(ours)} {kind.told}, but {others[0]!r}, too: read them with `--read-as {kind.name}`, or say "
+        f"it has {len(ours)} {kind.reported}, but {others[0]!r}, too: read them with `--input-format {kind.name}`, or "
+        f"state "
         "with a rig.toml what is what"
     )
 
 
 def _not_begun(name: str, kind: CloudKind) -> str:
-    return f"{name} ends as {kind.told} do, but does not begin so"
+    return f"{name} ends as {kind.reported} do, but does not begin so"
 
 
 _POINTS_ONLY = dropped("left out: files of points hold the frames of lidars only")
@@ -244,9 +245,10 @@ _LIDAR: Supports = {
     "sensors.lidar.poses": converted("a file of poses beside the clouds, at the times of the frames"),
     "sensors.lidar.mount": converted("part of the poses beside the clouds; without them only the identity is kept"),
     "sensors.lidar.coordinates": converted("the file of poses leads into the world"),
-    "sensors.lidar.points_frame": converted("told by the name of the file of poses beside the clouds, if there is one"),
-    "sensors.lidar.model": dropped("left out: files of points say nothing of the device"),
-    "sensors.lidar.parent_id": dropped("left out: files of points say nothing of the device"),
+    "sensors.lidar.points_frame": converted("reported by the name of the file of poses beside the clouds, if there is "
+    "one"),
+    "sensors.lidar.model": dropped("left out: files of points state nothing of the device"),
+    "sensors.lidar.parent_id": dropped("left out: files of points state nothing of the device"),
     "sensors.lidar.extras": converted("the scale of the brightness is seen in the files; others are dropped"),
     "sensors.lidar.frames.timestamp_ns": converted("the name of the file, in nanoseconds"),
     "sensors.lidar.frames.extras": converted("names of files are given anew; others are dropped"),
@@ -278,7 +280,7 @@ def _spec_of(kind: CloudKind) -> FormatSpec:
     return FormatSpec(
         name=kind.name,
         title=kind.name,
-        looks_like=f"{kind.told}: one, or a folder of them",
+        looks_like=f"{kind.reported}: one, or a folder of them",
         suffixes=kind.endings[:1],
         sniff=partial(_holds_kind, kind=kind),
         near_miss=partial(_near_miss, kind=kind),

@@ -26,7 +26,7 @@ from sceneloom.formats.clouds.table import read_cloud
 from sceneloom.scene.clouds import LidarFrame, white_where_unseen
 
 _LOOKED_AT = 10
-"""Files that are looked through for one that is bright enough to tell the scale of brightness."""
+"""Files that are looked through for one that is bright enough to report the scale of brightness."""
 
 _FARTHEST_EXACT = 4000.0
 """Farther from 0 than this [m], float32 is coarser than a quarter of a millimetre: points count from an origin."""
@@ -34,7 +34,7 @@ _FARTHEST_EXACT = 4000.0
 _RELATIVE = ("offset_ns", "nanoseconds")
 """The column of times that our files have, from the frame's time on, and its unit."""
 
-_WAYS: Mapping[str, tuple[PointTimes, ...]] = MappingProxyType(
+_TRAJECTORIES: Mapping[str, tuple[PointTimes, ...]] = MappingProxyType(
     {
         "f": (PointTimes("seconds"), PointTimes("seconds", "clock"), PointTimes("microseconds")),
         "u": (PointTimes("nanoseconds"), PointTimes("nanoseconds", "clock"), PointTimes("microseconds", "clock")),
@@ -44,7 +44,7 @@ _WAYS: Mapping[str, tuple[PointTimes, ...]] = MappingProxyType(
 """What columns of times can mean, by the kind of their numbers, the likeliest first."""
 
 _NEAR_NS = 2e9
-_NOTHING_SAID = PointMapping()
+_NOTHING_STATED = PointMapping()
 _FIRST_NS, _LAST_NS = 631_152_000e9, 4_102_444_800e9
 """The beginnings of the years 1990 and 2100."""
 
@@ -56,15 +56,15 @@ class CloudFrames:
     Attributes:
         files: of each frame.
         timestamps_ns: (N,) int64 [ns].
-        layout: columns of files that do not say them.
+        layout: columns of files that do not state them.
         mapping: what the columns mean.
-        origin: (3,) float64 [m], taken off the places in the files; None for nothing.
+        origin: (3,) float64 [m], taken off the locations in the files; None for nothing.
     """
 
     files: tuple[Path, ...]
     timestamps_ns: Int64Array
     layout: FieldLayout | None = None
-    mapping: PointMapping = _NOTHING_SAID
+    mapping: PointMapping = _NOTHING_STATED
     origin: Float64Array | None = None
 
     def __call__(self, k: int) -> LidarFrame:
@@ -73,8 +73,8 @@ class CloudFrames:
         Raises:
             DataError: its file is missing or wrong.
         """
-        cloud, stamp_ns = self.cloud(k), int(self.timestamps_ns[k])
-        read = points_of(cloud, self.mapping, SweepClock(stamp_ns, stamp_ns, 0))
+        cloud, timestamp_ns = self.cloud(k), int(self.timestamps_ns[k])
+        read = points_of(cloud, self.mapping, SweepClock(timestamp_ns, timestamp_ns, 0))
         kept = _kept_brightness(cloud, self.mapping, read.dropped)
         extras = {name: column for name, column in read.points.extras.items() if name != "camera_index"}
         cameras = read.points.extras.get("camera_index")
@@ -87,16 +87,16 @@ class CloudFrames:
             camera_index=cameras,
             extras=MappingProxyType({**extras, **kept}),
         )
-        told: dict[str, Any] = {
+        reported: dict[str, Any] = {
             "file": self.files[k].name,
             **({"head": dict(cloud.head)} if cloud.head else {}),
         }
         counts = {"dropped_points": read.dropped, "clipped_intensities": read.clipped}
-        told.update({name: count for name, count in counts.items() if count})
-        return LidarFrame(stamp_ns, points, MappingProxyType(told))
+        reported.update({name: count for name, count in counts.items() if count})
+        return LidarFrame(timestamp_ns, points, MappingProxyType(reported))
 
     def cloud(self, k: int) -> Cloud:
-        """Read the columns of frame `k`, places from the origin on."""
+        """Read the columns of frame `k`, locations from the origin on."""
         cloud = read_cloud(self.files[k], layout=self.layout)
         columns = _without_redundant(cloud.columns)
         if self.origin is not None:
@@ -111,7 +111,7 @@ class CloudFrames:
 
 
 def _without_redundant(columns: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
-    """Leave out the absolute times beside our own exact ones, and dimensions that say nothing."""
+    """Leave out the absolute times beside our own exact ones, and dimensions that state nothing."""
     found = dict(columns)
     if _RELATIVE[0] in found:
         found.pop("time", None)
@@ -125,11 +125,11 @@ LAS_DIMENSIONS = frozenset(
         "classification_flags", "user_data", "scan_angle", "scan_angle_rank", "point_source_id",
     }
 )  # fmt: skip
-"""What every point of a LAS file has a place for; all zero, nobody filled it in."""
+"""What every point of a LAS file has a location for; all zero, nobody filled it in."""
 
 
 def _kept_brightness(cloud: Cloud, mapping: PointMapping, dropped: int) -> dict[str, AnyArray]:
-    """The brightness as the file has it, where 0 to 255 do not say it all."""
+    """The brightness as the file has it, where 0 to 255 do not state it all."""
     name = find_roles(cloud.columns, mapping.named).get("intensity")
     if name is None or mapping.scale is None:
         return {}
@@ -147,11 +147,11 @@ def _returns(cloud: Cloud) -> AnyArray:
     """Which points are returns, as `points_of` has it."""
     roles = find_roles(cloud.columns, {})
     if "positions" in roles and any(axis not in roles for axis in "xyz"):
-        places = cloud.columns[roles["positions"]].astype(np.float32)
+        locations = cloud.columns[roles["positions"]].astype(np.float32)
     else:
         with np.errstate(over="ignore"):
-            places = np.stack([cloud.columns[roles[axis]].astype(np.float32) for axis in "xyz"], axis=1)
-    kept: AnyArray = np.isfinite(places).all(axis=1) & (places != 0).any(axis=1)
+            locations = np.stack([cloud.columns[roles[axis]].astype(np.float32) for axis in "xyz"], axis=1)
+    kept: AnyArray = np.isfinite(locations).all(axis=1) & (locations != 0).any(axis=1)
     return kept
 
 
@@ -160,8 +160,8 @@ def origin_of(cloud: Cloud) -> Float64Array | None:
     columns = [cloud.columns.get(axis) for axis in "xyz"]
     if any(column is None or column.dtype != np.float64 for column in columns):
         return None
-    places = np.stack([column for column in columns if column is not None], axis=1)
-    finite = places[np.isfinite(places).all(axis=1)]
+    locations = np.stack([column for column in columns if column is not None], axis=1)
+    finite = locations[np.isfinite(locations).all(axis=1)]
     if not len(finite) or np.abs(finite).max() <= _FARTHEST_EXACT:
         return None
     origin: Float64Array = np.floor(finite.mean(axis=0))
@@ -180,32 +180,32 @@ def scale_of(frames: CloudFrames) -> tuple[IntensityScale | None, str | None]:
     return None, None
 
 
-def times_of(cloud: Cloud, stamp_ns: int | None) -> PointTimes | None:
-    """What the times of a file's points mean, where they are told by a column and lie around its time.
+def times_of(cloud: Cloud, timestamp_ns: int | None) -> PointTimes | None:
+    """What the times of a file's points mean, where they are reported by a column and lie around its time.
 
     Args:
         cloud: the file.
-        stamp_ns: its time [ns], or None where it is not known.
+        timestamp_ns: its time [ns], or None where it is not known.
     """
     name = find_roles(cloud.columns, {}).get("time")
     if name is None or cloud.columns[name].ndim != 1 or not cloud.count:
         return None
     if name == _RELATIVE[0]:
-        return PointTimes(_RELATIVE[1], "stamp", name)
+        return PointTimes(_RELATIVE[1], "timestamp", name)
     values = cloud.columns[name].astype(np.float64)
     if not np.isfinite(values).all():
         return None
-    for way in _WAYS.get(cloud.columns[name].dtype.kind, ()):
-        if stamp_ns is None and way.relative_to == "clock":
+    for trajectory in _TRAJECTORIES.get(cloud.columns[name].dtype.kind, ()):
+        if timestamp_ns is None and trajectory.relative_to == "clock":
             continue
-        base_ns = float(stamp_ns or 0) if way.relative_to == "clock" else 0.0
-        if np.abs(values * UNITS_NS[way.unit] - base_ns).max() < _NEAR_NS:
-            return replace(way, field=name)
+        base_ns = float(timestamp_ns or 0) if trajectory.relative_to == "clock" else 0.0
+        if np.abs(values * UNITS_NS[trajectory.unit] - base_ns).max() < _NEAR_NS:
+            return replace(trajectory, field=name)
     return None
 
 
 def first_time_ns(cloud: Cloud) -> int | None:
-    """The time of the first point of a file [ns], where a column tells times of day; None where none does."""
+    """The time of the first point of a file [ns], where a column reports times of day; None where none does."""
     name = find_roles(cloud.columns, {}).get("time")
     if name is None or name == _RELATIVE[0] or cloud.columns[name].ndim != 1 or not cloud.count:
         return None

@@ -44,7 +44,7 @@ def read_cloud(path: Path, *, layout: FieldLayout | None = None) -> Cloud:
     """Read a file of points, column by column.
 
     Args:
-        layout: the columns of files that do not say them (`.bin`, and rows of numbers in `.npz` and `.npy`).
+        layout: the columns of files that do not state them (`.bin`, and rows of numbers in `.npz` and `.npy`).
 
     Raises:
         DataError: the file cannot be read, or its suffix is none of `CLOUD_SUFFIXES`.

@@ -46,7 +46,7 @@ def open_cloud_writer(path: Path, *, overwrite: bool = False) -> Iterator[CloudW
         try:
             yield writer
         except BaseException:
-            with suppress(Exception):  # the draft goes with its folder; what went wrong first is told
+            with suppress(Exception):  # the draft goes with its folder; what went wrong first is reported
                 writer.close()
             raise
         writer.close()

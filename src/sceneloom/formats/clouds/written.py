@@ -1,4 +1,4 @@
-"""Points on their way into a file, piece by piece, and the columns that every kind of file gives them."""
+"""Points on their trajectory into a file, piece by piece, and the columns that every kind of file gives them."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -9,12 +9,12 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array, UInt8Array, UInt16Array, check_array
 
 NO_LABEL = 65535
-"""In `labels`: nothing is said of the point."""
+"""In `labels`: nothing is stated for the point."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WrittenPoints:
-    """Some points of a cloud; all pieces of one file have the same columns.
+    """Some points of a cloud; all chunks of one file have the same columns.
 
     Attributes:
         positions_world: (N, 3) float64 [m].

@@ -1,7 +1,7 @@
 """The three files of a COLMAP model, as text and as bytes.
 
 Source: "Output Format" of COLMAP's documentation; the numbers of the models stand in its `sensor/models.h`. Poses take
-the world into the camera, quaternions have w first, and (0, 0) is the corner of the picture's first pixel.
+the world into the camera, quaternions have w first, and (0, 0) is the corner of the image's first pixel.
 """
 
 import struct
@@ -14,8 +14,8 @@ from typing import TextIO
 import numpy as np
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.formats.posed_pictures.lenses import coefficients
-from sceneloom.formats.posed_pictures.map_points import MapPoints
+from sceneloom.formats.posed_images.camera_models import coefficients
+from sceneloom.formats.posed_images.map_points import MapPoints
 from sceneloom.geometry.rigid import RigidTransform
 
 MODEL_NUMBERS: Mapping[str, int] = MappingProxyType(
@@ -31,7 +31,7 @@ _PARAMETERS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 """What follows fx, fy, cx, cy."""
 
-LENS_MODELS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+CAMERA_MODEL_MODELS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"pinhole": (), "brown_conrady": ("lx", "ly", "s1", "s2", "s3", "s4", "tx", "ty"), "fisheye": ()}
 )
 """Our models that COLMAP has, and the coefficients of each that it does not have."""
@@ -41,7 +41,7 @@ _CORNER = 0.5
 
 @dataclass(frozen=True, slots=True)
 class ColmapCamera:
-    """A lens in COLMAP's words."""
+    """A camera model in COLMAP's words."""
 
     number: int
     model: str
@@ -52,7 +52,7 @@ class ColmapCamera:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColmapImage:
-    """A posed picture in COLMAP's words."""
+    """A posed image in COLMAP's words."""
 
     number: int
     camera: int
@@ -61,7 +61,7 @@ class ColmapImage:
 
 
 def colmap_camera(number: int, camera: Camera) -> ColmapCamera:
-    """Say a lens of one of `LENS_MODELS`: in the model with the fewest parameters that holds it."""
+    """Report a camera model of one of `CAMERA_MODEL_MODELS`: in the model with the fewest parameters that holds it."""
     named = {} if camera.model == "pinhole" else coefficients(camera)
     if camera.model == "fisheye":
         model = "OPENCV_FISHEYE"
@@ -101,8 +101,8 @@ def _write_points_text(file: TextIO, points: MapPoints) -> None:
     file.write("# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n")
     rows = zip(points.positions.tolist(), points.colors.tolist(), strict=True)
     file.writelines(
-        f"{number} {place[0]:.6f} {place[1]:.6f} {place[2]:.6f} {color[0]} {color[1]} {color[2]} 0\n"
-        for number, (place, color) in enumerate(rows, 1)
+        f"{number} {location[0]:.6f} {location[1]:.6f} {location[2]:.6f} {color[0]} {color[1]} {color[2]} 0\n"
+        for number, (location, color) in enumerate(rows, 1)
     )
 
 
@@ -128,9 +128,9 @@ def write_binary(
 def _points_bytes(points: MapPoints) -> bytes:
     count = len(points.positions)
     record = np.dtype(
-        [("number", "<u8"), ("place", "<f8", 3), ("color", "u1", 3), ("error", "<f8"), ("track", "<u8")]
+        [("number", "<u8"), ("location", "<f8", 3), ("color", "u1", 3), ("error", "<f8"), ("track", "<u8")]
     )
     records = np.zeros(count, record)
     records["number"] = np.arange(1, count + 1)
-    records["place"], records["color"] = points.positions, points.colors
+    records["location"], records["color"] = points.positions, points.colors
     return struct.pack("<Q", count) + bytes(records.tobytes())

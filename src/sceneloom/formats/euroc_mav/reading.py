@@ -1,4 +1,4 @@
-"""A drive of the EuRoC layout as a scene: cameras, IMUs, what was measured of the way, and a map."""
+"""A drive of the EuRoC layout as a scene: cameras, IMUs, what was measured of the trajectory, and a map."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -12,11 +12,11 @@ from sceneloom.errors import DataError
 from sceneloom.formats.clouds.points import PointMapping, SweepClock, points_of
 from sceneloom.formats.clouds.table import read_cloud
 from sceneloom.formats.default_poses import default_poses
-from sceneloom.formats.euroc_mav.sensor_yaml import body_from_sensor, lens, read_sensor_yaml
+from sceneloom.formats.euroc_mav.sensor_yaml import body_from_sensor, camera_model, read_sensor_yaml
 from sceneloom.formats.euroc_mav.spec import DESCRIPTION, TABLE, mav_folder
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.csv_files import Table, read_table
-from sceneloom.formats.rig.pictures import PictureReader, picture_size
+from sceneloom.formats.rig.images import ImageReader, image_size
 from sceneloom.formats.trajectories.content import Reading
 from sceneloom.formats.trajectories.euroc import FORM
 from sceneloom.geometry.rigid import RigidTransform
@@ -25,12 +25,12 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import PointsSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import ImuSensor, VectorSamples
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.warnings import WarningKind
 
-WAYS = {"state_groundtruth_estimate0": "groundTruth", "vicon0": "vicon0", "leica0": "leica0"}
+TRAJECTORIES = {"state_groundtruth_estimate0": "groundTruth", "vicon0": "vicon0", "leica0": "leica0"}
 """Folders of trajectories, the best first, and what these are called."""
 
 _MAP = "pointcloud0"
@@ -48,18 +48,18 @@ def read_euroc(path: Path, *, lenient: bool = False) -> Scene:
     if folder is None:
         raise DataError(path, "", f"has neither cam0/{TABLE} nor imu0/{TABLE}, in itself or in mav0/")
     with ledger.telling():
-        ways = _ways(folder, ledger)
-        poses = default_poses(ways, str(path), ledger)
+        trajectories = _trajectories(folder, ledger)
+        poses = default_poses(trajectories, str(path), ledger)
         sensors: list[Sensor] = [_camera(one, poses, ledger) for one in _sensor_folders(folder, "cam")]
         sensors += [_imu(one, ledger) for one in _sensor_folders(folder, "imu")]
         sensors += _maps(folder, ledger)
         _note_others(folder, ledger)
     return Scene(
         tuple(sensors),
-        trajectories=MappingProxyType(ways),
+        trajectories=MappingProxyType(trajectories),
         source=str(path),
         format="euroc-mav",
-        notices=ledger.notices,
+        warnings=ledger.warnings,
     )
 
 
@@ -70,29 +70,29 @@ def _description(folder: Path) -> tuple[Path, dict[str, Any]]:
     return path, read_sensor_yaml(path)
 
 
-def _camera(folder: Path, world_from_body: PosePath | None, ledger: Ledger) -> CameraSensor:
-    place, description = _description(folder)
+def _camera(folder: Path, world_from_body: Poses | None, ledger: Ledger) -> CameraSensor:
+    location, description = _description(folder)
     table = read_table(folder / TABLE)
     times, rows = _ordered(table, ledger)
     if not len(rows):
-        raise DataError(folder / TABLE, "", "names no pictures")
+        raise DataError(folder / TABLE, "", "names no images")
     names = tuple(_file_name(table, row) for row in rows)
     if ledger.lenient:
         times, names = _those_there(folder, times, names, ledger)
     files = tuple(folder / "data" / name for name in names)
-    size = _size_of_first(files, ledger) if files else _told_size(place, description)
-    camera = lens(place, description, size)
-    mount = body_from_sensor(place, description)
+    size = _size_of_first(files, ledger) if files else _reported_size(location, description)
+    camera = camera_model(location, description, size)
+    mount = body_from_sensor(location, description)
     poses = None
     if world_from_body is not None and mount is not None:
         path = world_from_body
         samples = PoseSource(path, mount).at(path.timestamps_ns)
-        poses = PosePath(path.timestamps_ns, samples.positions, samples.quaternions_xyzw)
+        poses = Poses(path.timestamps_ns, samples.positions, samples.quaternions_xyzw)
     rate = description.get("rate_hz")
     return CameraSensor(
         folder.name,
         camera,
-        LazyFrames(times, PictureReader(files, names, times, camera)),
+        LazyFrames(times, ImageReader(files, names, times, camera)),
         poses=poses,
         mount=mount,
         fps=float(rate) if isinstance(rate, int | float) and 0 < rate < 1e9 else None,
@@ -101,7 +101,7 @@ def _camera(folder: Path, world_from_body: PosePath | None, ledger: Ledger) -> C
 
 
 def _file_name(table: Table, row: int) -> str:
-    """The name of a picture's file, which stays in its folder."""
+    """The name of an image's file, which stays in its folder."""
     name = table.rows[row][-1]
     if not name or name in {".", ".."} or "/" in name or "\\" in name:
         raise DataError(table.path, f"line {table.lines[row]}", f"{name[:60]!r}; expected the name of a file")
@@ -111,32 +111,36 @@ def _file_name(table: Table, row: int) -> str:
 def _those_there(
     folder: Path, times: Int64Array, names: tuple[str, ...], ledger: Ledger
 ) -> tuple[Int64Array, tuple[str, ...]]:
-    """Leave out the pictures whose files are not there, and count them."""
+    """Leave out the images whose files are not there, and count them."""
     is_there = np.array([(folder / "data" / name).is_file() for name in names], bool)
     missing = [name for name, there in zip(names, is_there.tolist(), strict=True) if not there]
     if missing:
-        fault = DataError(folder / "data" / missing[0], "", "is not there; expected the picture of a row")
+        fault = DataError(folder / "data" / missing[0], "", "is not there; expected the image of a row")
         ledger.fault("files-missing", fault, count=len(missing))
     kept = tuple(name for name, there in zip(names, is_there.tolist(), strict=True) if there)
     return read_only(times[is_there]), kept
 
 
-def _told_size(place: Path, description: dict[str, Any]) -> tuple[int, int]:
-    """Width and height of pictures of which none is there [px]."""
-    told = description.get("resolution")
-    if isinstance(told, list) and len(told) == 2 and all(isinstance(one, int) and one > 0 for one in told):
-        return told[0], told[1]
-    raise DataError(place, "resolution", f"{told!r}, and no picture is there; expected [width, height]")
+def _reported_size(location: Path, description: dict[str, Any]) -> tuple[int, int]:
+    """Width and height of images of which none is there [px]."""
+    reported = description.get("resolution")
+    if (
+        isinstance(reported, list)
+        and len(reported) == 2
+        and all(isinstance(one, int) and one > 0 for one in reported)
+    ):
+        return reported[0], reported[1]
+    raise DataError(location, "resolution", f"{reported!r}, and no image is there; expected [width, height]")
 
 
 def _size_of_first(files: tuple[Path, ...], ledger: Ledger) -> tuple[int, int]:
-    """Width and height of the first picture that can be read [px]; in a lenient reading those before it count."""
+    """Width and height of the first image that can be read [px]; in a lenient reading those before it count."""
     for path in files[:-1]:
         try:
-            return picture_size(path)
+            return image_size(path)
         except DataError as error:
             ledger.fault("unreadable-files", error)
-    return picture_size(files[-1])
+    return image_size(files[-1])
 
 
 def _comment(description: dict[str, Any]) -> Any:
@@ -145,12 +149,12 @@ def _comment(description: dict[str, Any]) -> Any:
 
 def _ordered(table: Table, ledger: Ledger) -> tuple[Int64Array, list[int]]:
     """The times of a table in order, each once, and the rows that have them."""
-    stamps = table.stamps(0, "nanoseconds")
-    order = np.argsort(stamps, kind="stable")
+    timestamps = table.timestamps(0, "nanoseconds")
+    order = np.argsort(timestamps, kind="stable")
     if (order[1:] < order[:-1]).any():
-        told = "rows run backwards in time; sorted by time"
-        ledger.note(NoticeKind.REPAIRED, "rows-sorted", str(table.path), told)
-    times = stamps[order]
+        reported = "rows run backwards in time; sorted by time"
+        ledger.note(WarningKind.REPAIRED, "rows-sorted", str(table.path), reported)
+    times = timestamps[order]
     repeated = np.flatnonzero(np.diff(times) == 0) + 1
     if len(repeated):
         row = int(order[repeated[0]])
@@ -171,8 +175,8 @@ def _imu(folder: Path, ledger: Ledger) -> ImuSensor:
     description = read_sensor_yaml(folder / DESCRIPTION) if (folder / DESCRIPTION).is_file() else {}
     mount = body_from_sensor(folder / DESCRIPTION, description) or RigidTransform.identity()
     if np.abs(mount.translation).max() > 0:
-        told = "it is not at the body's origin: what the lever arm adds to accelerations stays in them"
-        ledger.note(NoticeKind.ASSUMED, "imu-lever-arm", str(folder), told)
+        reported = "it is not at the body's origin: what the lever arm adds to accelerations stays in them"
+        ledger.note(WarningKind.ASSUMED, "imu-lever-arm", str(folder), reported)
     streams = {}
     for name, columns in _IMU_COLUMNS.items():
         values = mount.rotate(table.numbers(columns)[rows]) if len(rows) else np.zeros((0, 3))
@@ -182,16 +186,16 @@ def _imu(folder: Path, ledger: Ledger) -> ImuSensor:
     return ImuSensor(folder.name, MappingProxyType(streams), extras=MappingProxyType(extras))
 
 
-def _ways(folder: Path, ledger: Ledger) -> dict[str, Trajectory]:
+def _trajectories(folder: Path, ledger: Ledger) -> dict[str, Trajectory]:
     found: dict[str, Trajectory] = {}
-    for name, called in WAYS.items():
+    for name, called in TRAJECTORIES.items():
         table = folder / name / TABLE
         if not table.is_file():
             continue
         content = FORM.read(table, Reading(name=called), ledger)
         if content.columns:
-            told = f"velocities and biases beside the poses are not read: {', '.join(content.columns)}"
-            ledger.note(NoticeKind.SKIPPED, "states-not-read", str(table), told)
+            reported = f"velocities and biases beside the poses are not read: {', '.join(content.columns)}"
+            ledger.note(WarningKind.SKIPPED, "states-not-read", str(table), reported)
         description = folder / name / DESCRIPTION
         mount = (
             body_from_sensor(description, read_sensor_yaml(description)) if description.is_file() else None
@@ -200,18 +204,24 @@ def _ways(folder: Path, ledger: Ledger) -> dict[str, Trajectory]:
     return found
 
 
-def _of_body(way: Trajectory, mount: RigidTransform | None, place: str, ledger: Ledger) -> Trajectory:
-    """The way of the body that carries what was measured, `world_from_body`."""
+def _of_body(
+    trajectory: Trajectory, mount: RigidTransform | None, location: str, ledger: Ledger
+) -> Trajectory:
+    """The trajectory of the body that carries what was measured, `world_from_body`."""
     if mount is None or np.array_equal(mount.matrix, np.eye(4)):
-        return way
-    if way.quaternions_xyzw is None:
-        told = f"positions are those of a marker at {np.round(mount.translation, 4).tolist()} m of the body"
-        ledger.note(NoticeKind.ASSUMED, "marker-positions", place, told)
-        return way
+        return trajectory
+    if trajectory.quaternions_xyzw is None:
+        reported = (
+            f"positions are those of a marker at {np.round(mount.translation, 4).tolist()} m of the body"
+        )
+        ledger.note(WarningKind.ASSUMED, "marker-positions", location, reported)
+        return trajectory
     sensor_from_body = mount.inverse()
-    positions = rotate_vectors(way.quaternions_xyzw, sensor_from_body.translation) + way.positions
-    turns = multiply_quaternions(way.quaternions_xyzw, sensor_from_body.quaternion_xyzw)
-    return replace(way, positions=read_only(positions), quaternions_xyzw=read_only(turns))
+    positions = (
+        rotate_vectors(trajectory.quaternions_xyzw, sensor_from_body.translation) + trajectory.positions
+    )
+    rotations = multiply_quaternions(trajectory.quaternions_xyzw, sensor_from_body.quaternion_xyzw)
+    return replace(trajectory, positions=read_only(positions), quaternions_xyzw=read_only(rotations))
 
 
 def _maps(folder: Path, ledger: Ledger) -> list[PointsSensor]:
@@ -228,8 +238,8 @@ def _maps(folder: Path, ledger: Ledger) -> list[PointsSensor]:
 
 
 def _note_others(folder: Path, ledger: Ledger) -> None:
-    """Tell of folders that are not read."""
-    known = {*WAYS, _MAP}
+    """Report of folders that are not read."""
+    known = {*TRAJECTORIES, _MAP}
     others = sorted(
         one.name
         for one in folder.iterdir()
@@ -239,8 +249,8 @@ def _note_others(folder: Path, ledger: Ledger) -> None:
         and not (one.name.startswith(("cam", "imu")) and (one / TABLE).is_file())
     )
     if others:
-        told = f"folders that are not known: {', '.join(others)}"
-        ledger.note(NoticeKind.SKIPPED, "folders-not-read", str(folder), told, count=len(others))
+        reported = f"folders that are not known: {', '.join(others)}"
+        ledger.note(WarningKind.SKIPPED, "folders-not-read", str(folder), reported, count=len(others))
 
 
 def _sensor_folders(folder: Path, kind: str) -> list[Path]:

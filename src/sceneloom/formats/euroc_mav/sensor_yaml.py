@@ -83,15 +83,15 @@ def _scalar(text: str) -> Any:
 
 
 def body_from_sensor(path: Path, description: dict[str, Any]) -> RigidTransform | None:
-    """The place of a sensor on the body, `T_BS`; None where it is not said.
+    """The location of a sensor on the body, `T_BS`; None where it is not stated.
 
     Raises:
         DataError: it is no rigid transform.
     """
-    told = description.get("T_BS")
-    if told is None:
+    reported = description.get("T_BS")
+    if reported is None:
         return None
-    data = told.get("data") if isinstance(told, dict) else told
+    data = reported.get("data") if isinstance(reported, dict) else reported
     try:
         transform, error = RigidTransform.nearest(np.array(data, np.float64).reshape(4, 4))
     except (SceneloomError, ValueError, TypeError) as fault:
@@ -101,8 +101,8 @@ def body_from_sensor(path: Path, description: dict[str, Any]) -> RigidTransform 
     return transform
 
 
-def lens(path: Path, description: dict[str, Any], size: tuple[int, int]) -> Camera:
-    """The lens of a camera, for pictures of a size: pixels are counted from the centre of the first one.
+def camera_model(path: Path, description: dict[str, Any], size: tuple[int, int]) -> Camera:
+    """The camera model of a camera, for images of a size: pixels are counted from the centre of the first one.
 
     Raises:
         DataError: it is missing, wrong, or of a model that is not known.
@@ -124,10 +124,10 @@ def lens(path: Path, description: dict[str, Any], size: tuple[int, int]) -> Came
         known = ", ".join(f"{name} with {count}" for name, count in _MODELS)
         problem = f"{kind!r} with {len(coefficients)} coefficients; expected one of {known}"
         raise DataError(path, "distortion_model", problem)
-    said = _numbers(path, description, "resolution") if "resolution" in description else list(size)
+    stated = _numbers(path, description, "resolution") if "resolution" in description else list(size)
     try:
         fx, fy, cx, cy = intrinsics
-        camera = Camera(model, int(said[0]), int(said[1]), fx, fy, cx, cy, tuple(coefficients))
+        camera = Camera(model, int(stated[0]), int(stated[1]), fx, fy, cx, cy, tuple(coefficients))
         return camera if (camera.width, camera.height) == size else camera.resized(*size)
     except (SceneloomError, IndexError) as error:
         raise DataError(path, "intrinsics, resolution", str(error)) from error

@@ -27,7 +27,7 @@ def _holds_sensors(folder: Path) -> bool:
 
 
 def _near_miss(path: Path) -> str | None:
-    """Say what keeps a folder with a `mav0` from being a drive."""
+    """Report what keeps a folder with a `mav0` from being a drive."""
     if not (path / _MAV).is_dir() or mav_folder(path) is not None:
         return None
     return f"it has a {_MAV}/, but neither {_MAV}/cam0/{TABLE} nor {_MAV}/imu0/{TABLE}"
@@ -47,5 +47,5 @@ FORMAT = FormatSpec(
     reader="sceneloom.formats.euroc_mav.reading:read_euroc",
     read_options=("lenient",),
     instead="a EuRoC folder is only read; write a scene file (drive.sfs), a recording (a folder), or its trajectory "
-    "(way.csv)",
+    "(trajectory.csv)",
 )

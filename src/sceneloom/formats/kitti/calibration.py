@@ -32,7 +32,7 @@ OPTICAL_FROM_BODY = RigidTransform(
 )
 """Takes a frame that looks forward, left and up into the camera's: right, down, forward."""
 
-PICTURE_SIZES: Mapping[float, tuple[int, int]] = MappingProxyType(
+IMAGE_SIZES: Mapping[float, tuple[int, int]] = MappingProxyType(
     {
         721.5377: (1242, 375),
         707.0493: (1224, 370),
@@ -41,9 +41,9 @@ PICTURE_SIZES: Mapping[float, tuple[int, int]] = MappingProxyType(
         707.0912: (1226, 370),
     }
 )
-"""Width and height of rectified pictures by focal length [px], one for each day of the recordings.
+"""Width and height of rectified images by focal length [px], one for each day of the recordings.
 
-Source: the sizes of the benchmarks' own pictures.
+Source: the sizes of the benchmarks' own images.
 """
 
 
@@ -64,11 +64,11 @@ class KittiCalibration:
     entries: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))
 
     def camera(self, number: int, size_wh: tuple[int, int]) -> Camera:
-        """The lens of a rectified camera.
+        """The camera model of a rectified camera.
 
         Args:
             number: of the camera.
-            size_wh: of its pictures [px].
+            size_wh: of its images [px].
         """
         p = self.projections[number]
         return Camera("pinhole", *size_wh, float(p[0, 0]), float(p[1, 1]), float(p[0, 2]), float(p[1, 2]))
@@ -83,17 +83,17 @@ class KittiCalibration:
         return RigidTransform(np.eye(3), shift) @ self.rectified_from_lidar
 
     def usual_size(self, number: int) -> tuple[int, int] | None:
-        """Width and height of the pictures of KITTI's cameras with this focal length [px]; None for others."""
+        """Width and height of the images of KITTI's cameras with this focal length [px]; None for others."""
         focal = float(self.projections[number][0, 0])
-        return next((size for known, size in PICTURE_SIZES.items() if abs(known - focal) < 1e-3), None)
+        return next((size for known, size in IMAGE_SIZES.items() if abs(known - focal) < 1e-3), None)
 
 
 def read_calibration(path: Path, *, needs_lidar: bool = True) -> KittiCalibration:
     """Read a calibration file.
 
     Args:
-        needs_lidar: refuse a file that does not say where the lidar is; else the lidar's frame is then that of
-            the rectified camera 0, turned forward, left and up.
+        needs_lidar: refuse a file that does not state where the lidar is; else the lidar's frame is then that of
+            the rectified camera 0, rotated forward, left and up.
 
     Raises:
         DataError: an entry is missing, there twice, or its numbers are no projection or no rigid transform.

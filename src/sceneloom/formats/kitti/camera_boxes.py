@@ -10,7 +10,7 @@ from sceneloom.arrays import Float64Array
 from sceneloom.geometry.rigid import RigidTransform
 
 CENTRE_TO_CORNER = 0.5
-"""KITTI counts pixels from the centre of the first one, boxes here from the picture's own corner [px]."""
+"""KITTI counts pixels from the centre of the first one, boxes here from the image's own corner [px]."""
 
 
 def lidar_boxes(
@@ -37,11 +37,11 @@ def lidar_boxes(
     centers = bottoms - np.array([0.0, 0.5, 0.0]) * sizes_hwl[:, :1]
     headings = np.column_stack([np.cos(rotations_y), np.zeros(len(rotations_y)), -np.sin(rotations_y)])
     lidar_from_rectified = rectified_from_lidar.inverse()
-    turned = lidar_from_rectified.rotate(headings)
+    rotated = lidar_from_rectified.rotate(headings)
     return (
         lidar_from_rectified.apply(centers),
         sizes_hwl[:, ::-1].copy(),
-        np.arctan2(turned[:, 1], turned[:, 0]),
+        np.arctan2(rotated[:, 1], rotated[:, 0]),
     )
 
 
@@ -57,8 +57,8 @@ def rectified_boxes(
     """
     bottoms = rectified_from_lidar.apply(centers) + np.array([0.0, 0.5, 0.0]) * sizes_lwh[:, 2:]
     headings = np.column_stack([np.cos(yaws), np.sin(yaws), np.zeros(len(yaws))])
-    turned = rectified_from_lidar.rotate(headings)
-    return sizes_lwh[:, ::-1].copy(), bottoms, np.arctan2(-turned[:, 2], turned[:, 0])
+    rotated = rectified_from_lidar.rotate(headings)
+    return sizes_lwh[:, ::-1].copy(), bottoms, np.arctan2(-rotated[:, 2], rotated[:, 0])
 
 
 def observation_angles(bottoms: Float64Array, rotations_y: Float64Array) -> Float64Array:

@@ -7,12 +7,12 @@ from sceneloom.errors import OptionError
 
 
 def sequences_called(sequences: Iterable[str], wanted: str) -> list[str]:
-    """Those of some sequences that a name means; its leading zeros need not be said."""
+    """Those of some sequences that a name means; its leading zeros need not be stated."""
     return [name for name in sequences if wanted and wanted.lstrip("0") == name.lstrip("0")]
 
 
 def choose_sequence(path: Path, sequences: tuple[str, ...], wanted: str | None) -> str:
-    """The only sequence, or the wanted one; leading zeros need not be said.
+    """The only sequence, or the wanted one; leading zeros need not be stated.
 
     Raises:
         OptionError: there are several and none was chosen, or the chosen one is not there.

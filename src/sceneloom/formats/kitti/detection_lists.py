@@ -1,6 +1,6 @@
 """Lists of detections of whole sequences: lines of numbers with commas, a frame's number first.
 
-Lists of boxes in pictures have one file for each class and sequence (`Car/0000.txt`); those of boxes in space name the
+Lists of boxes in images have one file for each class and sequence (`Car/0000.txt`); those of boxes in space name the
 class by a number in each line, too. A file may be empty: then nothing was found.
 """
 
@@ -15,7 +15,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.kitti.number_lines import Line, Parser, as_table, read_lines, sound_rows
 from sceneloom.formats.ledger import Ledger
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.warnings import WarningKind
 
 COLUMNS_2D = ("frame", "x1", "y1", "x2", "y2", "score")
 COLUMNS_3D = (
@@ -67,11 +67,11 @@ def empty_list(columns: Sequence[str]) -> DetectionList:
 
 
 def read_boxes_2d_list(path: Path, label: str | None, ledger: Ledger) -> DetectionList:
-    """Read a list of boxes in pictures: `frame,x1,y1,x2,y2,score`.
+    """Read a list of boxes in images: `frame,x1,y1,x2,y2,score`.
 
     Args:
         label: class of all of them.
-        ledger: told of boxes without an area, which are left out, and in a lenient reading of faulty lines.
+        ledger: reported boxes without an area, which are left out, and in a lenient reading of faulty lines.
 
     Raises:
         DataError: a line has another number of values, one is no number, or a score is no probability.
@@ -85,7 +85,7 @@ def read_boxes_2d_list(path: Path, label: str | None, ledger: Ledger) -> Detecti
             continue
         if row[3] <= row[1] or row[4] <= row[2]:
             ledger.note(
-                NoticeKind.SKIPPED,
+                WarningKind.SKIPPED,
                 "boxes-without-area",
                 f"{path}: line {line.number}",
                 "boxes without an area",
@@ -101,8 +101,8 @@ def read_boxes_3d_list(path: Path, label: str | None, ledger: Ledger) -> Detecti
     """Read a list of boxes in space: `frame,type,x1,y1,x2,y2,score,h,w,l,x,y,z,ry,alpha`.
 
     Args:
-        label: class of all of them; None, or no word of KITTI's, where the numbers in the lines tell.
-        ledger: told in a lenient reading of faulty lines.
+        label: class of all of them; None, or no word of KITTI's, where the numbers in the lines report.
+        ledger: reported in a lenient reading of faulty lines.
 
     Raises:
         DataError: a line has another number of values, one is no number, a size is not above 0, or the type is unknown,

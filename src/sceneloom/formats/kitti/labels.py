@@ -20,7 +20,7 @@ NUMBERS = (
 """The numbers behind the class of an object; a score may follow."""
 
 NO_TRACK = -1
-"""The track of an object of which none is told."""
+"""The track of an object of which none is reported."""
 
 DONT_CARE = "DontCare"
 """The class of regions in which nothing counts."""
@@ -34,11 +34,11 @@ class KittiLabels:
         frames: (N,) int64.
         track_ids: (N,) int64, `NO_TRACK` where there is none.
         types: N classes.
-        truncations: (N,) float64: how much of the object leaves the picture; -1 where nothing is told.
-        occlusions: (N,) int64: 0 seen whole, 1 partly, 2 largely hidden, 3 unknown; -1 where nothing is told.
-        alphas: (N,) float64 [rad], observation angle; -10 where nothing is told.
+        truncations: (N,) float64: how much of the object leaves the image; -1 where nothing is reported.
+        occlusions: (N,) int64: 0 seen whole, 1 partly, 2 largely hidden, 3 unknown; -1 where nothing is reported.
+        alphas: (N,) float64 [rad], observation angle; -10 where nothing is reported.
         corners_xyxy: (N, 4) float64 [px], left, top, right, bottom.
-        sizes_hwl: (N, 3) float64 [m], height, width, length; not above 0 where nothing is told.
+        sizes_hwl: (N, 3) float64 [m], height, width, length; not above 0 where nothing is reported.
         bottoms: (N, 3) float64 [m], middle of the box's bottom.
         rotations_y: (N,) float64 [rad], about the camera's y axis.
         scores: (N,) float64, or None for labels.
@@ -76,14 +76,14 @@ class KittiLabels:
         return len(self.frames)
 
     @property
-    def have_place(self) -> BoolArray:
-        """(N,) bool, whether a box in space is told."""
+    def have_position(self) -> BoolArray:
+        """(N,) bool, whether a box in space is reported."""
         have: BoolArray = np.all(self.sizes_hwl > 0, axis=1)
         return have
 
     @property
     def have_outline(self) -> BoolArray:
-        """(N,) bool, whether it is told where a picture shows the object."""
+        """(N,) bool, whether it is reported where an image shows the object."""
         have: BoolArray = np.any(self.corners_xyxy != NO_OUTLINE, axis=1)
         return have
 
@@ -169,7 +169,7 @@ def _values(line: Line, first: int) -> list[float]:
     for name, value in zip(NUMBERS[7:10], values[7:10], strict=True):
         if value <= 0 and value not in (-1.0, -1000.0):
             raise line.fault(
-                f"{name} {value:g}; expected a size above 0, or -1 or -1000 where it is not told"
+                f"{name} {value:g}; expected a size above 0, or -1 or -1000 where it is not reported"
             )
     if values[1] != int(values[1]):
         raise line.fault(f"occluded {values[1]:g}; expected a whole number")

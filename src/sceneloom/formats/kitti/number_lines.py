@@ -37,7 +37,7 @@ class Line:
     words: tuple[str, ...]
 
     def fault(self, problem: str) -> DataError:
-        """What is wrong with it, told with its place."""
+        """What is wrong with it, reported with its location."""
         return DataError(self.path, f"line {self.number}", problem)
 
     def check_count(self, counts: Sequence[int], meaning: str) -> None:
@@ -116,8 +116,8 @@ def sound_rows(
 
     Args:
         parse: gives the numbers of a line.
-        ledger: told of faults.
-        code: of the notice about them.
+        ledger: reported faults.
+        code: of the warning about them.
 
     Raises:
         DataError: a line is faulty, and the reading is not lenient.

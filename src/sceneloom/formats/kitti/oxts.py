@@ -1,4 +1,4 @@
-"""OXTS: what KITTI's GNSS and inertial unit measured, a line of 30 numbers for each picture, without times."""
+"""OXTS: what KITTI's GNSS and inertial unit measured, a line of 30 numbers for each image, without times."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from sceneloom.errors import DataError
 from sceneloom.formats.kitti.number_lines import as_table, read_lines
 from sceneloom.geometry.geodesy import enu_from_geodetic
 from sceneloom.geometry.rotations import multiply_quaternions
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 
 FIELDS = (
     *("lat", "lon", "alt", "roll", "pitch", "yaw"),
@@ -20,27 +20,30 @@ FIELDS = (
 """The numbers of a line. Source: `dataformat.txt` of KITTI's raw data."""
 
 
-def read_oxts(path: Path, timestamps_ns: Int64Array | None = None) -> PosePath:
-    """Read the way of the unit: metres east, north and up of its first fix, and x forward, y left, z up.
+def read_oxts(path: Path, timestamps_ns: Int64Array | None = None) -> Poses:
+    """Read the trajectory of the unit: metres east, north and up of its first fix, and x forward, y left, z up.
 
     Args:
         timestamps_ns: of the lines [ns], at least as many; None for ten a second from 0 on.
 
     Raises:
-        DataError: a line has not 30 numbers, a place is none on earth, or there is no line.
+        DataError: a line has not 30 numbers, a location is none on earth, or there is no line.
 
     Source: `dataformat.txt` of KITTI's raw data: yaw is 0 to the east and counter-clockwise; the rotation is
     Rz(yaw) Ry(pitch) Rx(roll).
     """
     values = read_fields(path)
     times = np.arange(len(values), dtype=np.int64) * PERIOD_NS if timestamps_ns is None else timestamps_ns
-    return way_of(values, times[: len(values)].copy())
+    return trajectory_of(values, times[: len(values)].copy())
 
 
-def way_of(values: Float64Array, timestamps_ns: Int64Array) -> PosePath:
-    """The way of the unit, of lines (N, 30) in the order of `FIELDS` and their times (N,) [ns], as `read_oxts`."""
+def trajectory_of(values: Float64Array, timestamps_ns: Int64Array) -> Poses:
+    """The trajectory of the unit, of lines (N, 30) in the order of `FIELDS` and their times (N,) [ns].
+
+    As `read_oxts`.
+    """
     positions = enu_from_geodetic(values[:, :3], values[0, :3])
-    return PosePath(timestamps_ns, positions, _quaternions(values[:, 3:6]))
+    return Poses(timestamps_ns, positions, _quaternions(values[:, 3:6]))
 
 
 PERIOD_NS = 100_000_000
@@ -67,10 +70,10 @@ def read_fields(path: Path) -> Float64Array:
 
 def _quaternions(roll_pitch_yaw: Float64Array) -> Float64Array:
     halves = roll_pitch_yaw / 2
-    turns = []
+    rotations = []
     for axis in range(3):
-        turn = np.zeros((len(halves), 4))
-        turn[:, axis], turn[:, 3] = np.sin(halves[:, axis]), np.cos(halves[:, axis])
-        turns.append(turn)
-    roll, pitch, yaw = turns
+        rotation = np.zeros((len(halves), 4))
+        rotation[:, axis], rotation[:, 3] = np.sin(halves[:, axis]), np.cos(halves[:, axis])
+        rotations.append(rotation)
+    roll, pitch, yaw = rotations
     return multiply_quaternions(yaw, multiply_quaternions(pitch, roll))

@@ -12,7 +12,7 @@ from types import MappingProxyType
 from sceneloom.formats.loss import KEPT, Supports, approximated, converted, dropped
 from sceneloom.formats.spec import FormatSpec
 
-PICTURES = (".png", ".jpg", ".jpeg")
+IMAGES = (".png", ".jpg", ".jpeg")
 SWEEPS = (".bin",)
 TEXTS = (".txt",)
 LABELS = (".label",)
@@ -95,17 +95,17 @@ def _raw_near_miss(path: Path) -> str | None:
 PARTS = ("training", "testing")
 
 OBJECT_CAMERAS = {2: "image_2", 3: "image_3"}
-"""Folders of the pictures of the object benchmark, by the camera's number."""
+"""Folders of the images of the object benchmark, by the camera's number."""
 
 TRACKING_CAMERAS = {2: "image_02", 3: "image_03"}
-"""Folders of the pictures of the tracking benchmark, by the camera's number: a folder for each sequence in them."""
+"""Folders of the images of the tracking benchmark, by the camera's number: a folder for each sequence in them."""
 
 _TRACKING_NAME = re.compile(r"\d{4}")
 _OF_FOLDERS = ("velodyne", *TRACKING_CAMERAS.values())
 _OF_TEXTS = ("label_02", "oxts")
 
 
-def _places(path: Path) -> Iterator[Path]:
+def _locations(path: Path) -> Iterator[Path]:
     """The folder itself, then its parts."""
     yield path
     yield from (path / part for part in PARTS)
@@ -113,13 +113,13 @@ def _places(path: Path) -> Iterator[Path]:
 
 def object_folders(path: Path) -> list[Path]:
     """The folders with sensors of the object benchmark: files of frames, named by their numbers."""
-    return [folder for folder in _places(path) if _has_frames(folder)]
+    return [folder for folder in _locations(path) if _has_frames(folder)]
 
 
 def _has_frames(folder: Path) -> bool:
-    has_pictures = any(_has_numbered(folder / name, PICTURES) for name in OBJECT_CAMERAS.values())
+    has_images = any(_has_numbered(folder / name, IMAGES) for name in OBJECT_CAMERAS.values())
     has_sweeps = _has_numbered(folder / "velodyne", SWEEPS) and not (folder / "times.txt").is_file()
-    return has_pictures or has_sweeps or (_has_labels(folder) and _has_calibrations(folder))
+    return has_images or has_sweeps or (_has_labels(folder) and _has_calibrations(folder))
 
 
 def _has_labels(folder: Path) -> bool:
@@ -137,7 +137,7 @@ def _is_object(path: Path) -> bool:
 def _object_near_miss(path: Path) -> str | None:
     if not path.is_dir() or _is_object(path):
         return None
-    for folder in _places(path):
+    for folder in _locations(path):
         expected = f"expected {folder.name}/calib/000000.txt for each frame"
         if _has_frames(folder) and not (folder / "times.txt").is_file():
             return f"frames of KITTI's object benchmark without calibration: {expected}"
@@ -150,7 +150,7 @@ def tracking_folders(path: Path) -> list[Path]:
     """The folders with sequences of the tracking benchmark of which more than a calibration is there."""
     return [
         folder
-        for folder in _places(path)
+        for folder in _locations(path)
         if any(_tracking_names(folder / kind) for kind in (*_OF_FOLDERS, *_OF_TEXTS))
     ]
 
@@ -198,7 +198,7 @@ def _tracking_drives(path: Path) -> tuple[str, ...]:
 # Odometry benchmark: `sequences/00`, with `poses/00.txt` beside the former.
 
 ODOMETRY_CAMERAS = {number: f"image_{number}" for number in range(4)}
-"""Folders of the pictures of the odometry benchmark, by the camera's number."""
+"""Folders of the images of the odometry benchmark, by the camera's number."""
 
 _ODOMETRY_NAME = re.compile(r"\d{2}")
 
@@ -238,7 +238,7 @@ def _is_odometry_sequence(folder: Path) -> bool:
     """Whether a folder has sensors of the odometry benchmark, beside the calibration or the times of all."""
     has_text = (folder / "calib.txt").is_file() or (folder / "times.txt").is_file()
     return has_text and (
-        any(_has_numbered(folder / name, PICTURES) for name in ODOMETRY_CAMERAS.values())
+        any(_has_numbered(folder / name, IMAGES) for name in ODOMETRY_CAMERAS.values())
         or _has_numbered(folder / "velodyne", SWEEPS)
         or _has_numbered(folder / "labels", LABELS)
     )
@@ -266,21 +266,21 @@ def _odometry_drives(path: Path) -> tuple[Path, ...]:
 
 # Supported fields: what all of them have in common, and what each has besides.
 
-_NO_PLACE = dropped("the folder has no place for it")
+_NO_POSITION = dropped("the folder has no field for it")
 _NUMBERED = converted("cameras are numbered 0 to 3, the lidar is `velodyne`")
 _BY_NAME = dropped("it is given anew from where files are")
 _TEXT = converted("decimals of text, all digits")
-_LABEL = approximated("six decimals of text; boxes go with pictures that are resampled")
+_LABEL = approximated("six decimals of text; boxes go with images that are resampled")
 _FRAMES = approximated("numbers of frames, whose times count")
-_ALONG = approximated("along the ego's way with the mounting, at the frames' times")
+_ALONG = approximated("along the ego trajectory with the mounting, at the frames' times")
 _FROM_LIDAR = approximated("as seen from the lidar: no file says where the ego is")
 
 _SENSORS: Supports = MappingProxyType(
     {
-        "": _NO_PLACE,
+        "": _NO_POSITION,
         "sensors.order": converted("the lidar, then cameras by number"),
         "sensors.lidar.id": _NUMBERED,
-        "sensors.lidar.poses": converted("along the ego's way with the mounting"),
+        "sensors.lidar.poses": converted("along the ego trajectory with the mounting"),
         "sensors.lidar.coordinates": converted("poses lead into the world"),
         "sensors.lidar.mount": _TEXT,
         "sensors.lidar.points_frame": converted("points are in the lidar's own frame"),
@@ -290,15 +290,15 @@ _SENSORS: Supports = MappingProxyType(
         "sensors.lidar.frames.points.timestamps_ns": dropped("points have no times"),
         "sensors.lidar.frames.extras": _BY_NAME,
         "sensors.camera.id": _NUMBERED,
-        "sensors.camera.poses": converted("along the ego's way with the mounting"),
+        "sensors.camera.poses": converted("along the ego trajectory with the mounting"),
         "sensors.camera.coordinates": converted("poses lead into the world"),
         "sensors.camera.mount": _TEXT,
-        "sensors.camera.camera": approximated("pinholes; pictures of other lenses are resampled"),
-        "sensors.camera.video": converted("decoded, a PNG for each picture"),
-        "sensors.camera.pictures.timestamp_ns": KEPT,
-        "sensors.camera.pictures.rgb": KEPT,
-        "sensors.camera.pictures.encoded": converted("decoded, a PNG for each picture"),
-        "sensors.camera.pictures.extras": _BY_NAME,
+        "sensors.camera.camera": approximated("pinholes; images of other camera models are resampled"),
+        "sensors.camera.video": converted("decoded, a PNG for each image"),
+        "sensors.camera.images.timestamp_ns": KEPT,
+        "sensors.camera.images.rgb": KEPT,
+        "sensors.camera.images.encoded": converted("decoded, a PNG for each image"),
+        "sensors.camera.images.extras": _BY_NAME,
         "metadata": dropped("only what was read from such a folder is written again"),
     }
 )
@@ -311,14 +311,14 @@ _MOTION: Supports = MappingProxyType(
         "sensors.imu.streams.other": approximated(
             "those of the OXTS unit, of its own lines; others are dropped"
         ),
-        "sensors.imu.streams.other.file_seconds": _NO_PLACE,
-        "sensors.imu.streams.accelerometer.file_seconds": _NO_PLACE,
-        "sensors.imu.streams.gyroscope.file_seconds": _NO_PLACE,
+        "sensors.imu.streams.other.file_seconds": _NO_POSITION,
+        "sensors.imu.streams.accelerometer.file_seconds": _NO_POSITION,
+        "sensors.imu.streams.gyroscope.file_seconds": _NO_POSITION,
         "sensors.gnss.id": converted("it is `gnss`"),
         "sensors.gnss.timestamps_ns": approximated("a fix for each line"),
-        "sensors.gnss.positions_lla": approximated("the places of the ego's way"),
+        "sensors.gnss.positions_lla": approximated("the locations of the ego trajectory"),
         "sensors.gnss.accuracies": approximated("an accuracy for each line"),
-        "sensors.odometry.poses": approximated("a pose for each line, where no trajectory is told"),
+        "sensors.odometry.poses": approximated("a pose for each line, where no trajectory is reported"),
         "trajectories.name": converted("it is `oxts`"),
         "trajectories.timestamps_ns": approximated("a pose for each line"),
         "trajectories.positions": converted("latitude, longitude and altitude"),
@@ -331,7 +331,7 @@ _BOXES: Supports = MappingProxyType(
         "annotations.order": converted("by frame, then as they were"),
         "annotations.cuboid.label": converted("a word without blanks"),
         "annotations.cuboid.path.timestamps_ns": _FRAMES,
-        "annotations.cuboid.path.values": approximated("upright boxes in frames whose pictures show them"),
+        "annotations.cuboid.path.values": approximated("upright boxes in frames whose images show them"),
         "annotations.cuboid.attributes": approximated(
             "truncated, occluded, alpha and score; others are dropped"
         ),
@@ -353,7 +353,7 @@ _RAW_SUPPORTS: Supports = MappingProxyType(
     {
         **_SENSORS,
         **_MOTION,
-        "sensors.lidar.frames.points.timestamps_ns": approximated("told by directions, where that holds"),
+        "sensors.lidar.frames.points.timestamps_ns": approximated("reported by directions, where that holds"),
         "sensors.camera.camera": approximated("brown_conrady's k1 k2 p1 p2 k3 in `extract`, else pinholes"),
         "annotations.order": KEPT,
         "annotations.cuboid.id": dropped("tracklets have none"),
@@ -374,7 +374,7 @@ _TRACKING_SUPPORTS: Supports = MappingProxyType(
         "sensors.lidar.poses": _ALONG,
         "sensors.camera.poses": _ALONG,
         "sensors.lidar.frames.timestamp_ns": _ONE_TIME,
-        "sensors.camera.pictures.timestamp_ns": _ONE_TIME,
+        "sensors.camera.images.timestamp_ns": _ONE_TIME,
         "annotations.cuboid.id": converted("numbers of tracks"),
         "annotations.box_2d.id": converted("numbers of tracks"),
     }
@@ -389,9 +389,9 @@ _OBJECT_SUPPORTS: Supports = MappingProxyType(
         "sensors.lidar.poses": dropped("every frame's world is its own lidar's frame"),
         "sensors.camera.poses": dropped("every frame's world is its own lidar's frame"),
         "sensors.lidar.frames.timestamp_ns": _NO_TIME,
-        "sensors.camera.pictures.timestamp_ns": _NO_TIME,
-        "sensors.camera.pictures.camera": converted("a calibration for each frame"),
-        "sensors.camera.pictures.mount": _FROM_LIDAR,
+        "sensors.camera.images.timestamp_ns": _NO_TIME,
+        "sensors.camera.images.camera": converted("a calibration for each frame"),
+        "sensors.camera.images.mount": _FROM_LIDAR,
         "annotations.cuboid.id": dropped("frames know nothing of each other"),
         "annotations.box_2d.id": dropped("frames know nothing of each other"),
     }
@@ -403,10 +403,10 @@ _ODOMETRY_SUPPORTS: Supports = MappingProxyType(
         "sensors.lidar.poses": _ALONG,
         "sensors.camera.poses": _ALONG,
         "sensors.lidar.frames.timestamp_ns": _ONE_TIME,
-        "sensors.camera.pictures.timestamp_ns": _ONE_TIME,
+        "sensors.camera.images.timestamp_ns": _ONE_TIME,
         "sensors.lidar.mount": _FROM_LIDAR,
         "sensors.camera.mount": _FROM_LIDAR,
-        "sensors.odometry.poses": approximated("a pose for each frame, where no trajectory is told"),
+        "sensors.odometry.poses": approximated("a pose for each frame, where no trajectory is reported"),
         "trajectories.name": converted("it is `groundTruth`"),
         "trajectories.timestamps_ns": approximated("a pose for each frame"),
         "trajectories.positions": converted("of camera 0, seen from its first pose"),
@@ -419,7 +419,7 @@ _ODOMETRY_SUPPORTS: Supports = MappingProxyType(
             "points of sweeps whose class has a number"
         ),
         "annotations.labeled_points.labeled_points.sensor_id": _NUMBERED,
-        "annotations.labeled_points.labeled_points.extras": _NO_PLACE,
+        "annotations.labeled_points.labeled_points.extras": _NO_POSITION,
     }
 )
 

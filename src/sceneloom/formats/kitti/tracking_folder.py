@@ -25,17 +25,17 @@ from sceneloom.formats.kitti.detection_lists import (
 )
 from sceneloom.formats.kitti.oxts import PERIOD_NS, read_fields, read_oxts
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.rig.times import line_stamps
+from sceneloom.formats.rig.times import line_timestamps
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
-from sceneloom.scene.notices import Notice, NoticeKind
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 CAMERA_ID, LIDAR_ID = "camera2", "velodyne"
 """What the sensors of a sequence are called."""
 
 CAMERA = 2
-"""The number of the camera in whose pictures detections and labels are."""
+"""The number of the camera in whose images detections and labels are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,14 +45,14 @@ class KittiSequence:
     Attributes:
         name: of the sequence, "0000".
         frame_count: one more than the last frame of which anything is known.
-        camera: the lens of camera 2.
+        camera: the camera model of camera 2.
         camera_from_lidar: into the frame of camera 2 (`KittiCalibration.camera_from_lidar`).
         rectified_from_lidar: into the frame of labels and results.
         lidar_from_imu: None where it is not known.
-        world_from_ego: the way of the OXTS unit: east, north, up of its first fix; None where it is not known.
-        timestamps_ns: (frame_count,) int64 [ns] of the sweeps, and of the pictures.
+        world_from_ego: the trajectory of the OXTS unit: east, north, up of its first fix; None where it is not known.
+        timestamps_ns: (frame_count,) int64 [ns] of the sweeps, and of the images.
         detections_2d, detections_3d: what the detectors found; None where there is no detector's list.
-        notices: what was assumed or is missing.
+        warnings: what was assumed or is missing.
     """
 
     name: str
@@ -61,18 +61,18 @@ class KittiSequence:
     camera_from_lidar: RigidTransform
     rectified_from_lidar: RigidTransform
     lidar_from_imu: RigidTransform | None
-    world_from_ego: PosePath | None
+    world_from_ego: Poses | None
     timestamps_ns: Int64Array
     detections_2d: DetectionList | None
     detections_3d: DetectionList | None
-    notices: tuple[Notice, ...] = ()
+    warnings: tuple[DataWarning, ...] = ()
 
     def __len__(self) -> int:
         return self.frame_count
 
     @property
     def classes_2d(self) -> frozenset[str]:
-        """Classes of which there are lists of boxes in pictures, be they empty."""
+        """Classes of which there are lists of boxes in images, be they empty."""
         return frozenset() if self.detections_2d is None else self.detections_2d.classes
 
     @property
@@ -81,7 +81,7 @@ class KittiSequence:
         return frozenset() if self.detections_3d is None else self.detections_3d.classes
 
     def boxes_2d(self, frame: int) -> Boxes2D:
-        """What the detector of pictures found in a frame, all classes; its pixels count from the picture's corner."""
+        """What the detector of images found in a frame, all classes; its pixels count from the image's corner."""
         time_ns = int(self.timestamps_ns[frame])
         if self.detections_2d is None:
             return Boxes2D.empty(time_ns, sensor_id=CAMERA_ID)
@@ -109,7 +109,7 @@ class KittiTracking:
         sequences: names of those that have a calibration.
         detector_2d, detector_3d: the folders of their lists; None where there is none.
         lenient: whether faulty lines of lists are left out and counted.
-        notices: what is missing for all of them.
+        warnings: what is missing for all of them.
     """
 
     path: Path
@@ -117,10 +117,10 @@ class KittiTracking:
     detector_2d: Path | None
     detector_3d: Path | None
     lenient: bool = False
-    notices: tuple[Notice, ...] = ()
+    warnings: tuple[DataWarning, ...] = ()
 
     def chosen(self, names: Iterable[str]) -> tuple[str, ...]:
-        """The sequences that are meant, each once: leading zeros need not be said, and no names mean all.
+        """The sequences that are meant, each once: leading zeros need not be stated, and no names mean all.
 
         Raises:
             OptionError: there is none of a name.
@@ -149,7 +149,7 @@ def open_tracking_folder(
     """Open a folder with `calib/`, and `oxts/`, `det2d_*/` and `det3d_*/` as far as there are, or the one above.
 
     Args:
-        detector_2d, detector_3d: the folder of lists of boxes in pictures and in space, where there are several.
+        detector_2d, detector_3d: the folder of lists of boxes in images and in space, where there are several.
         lenient: leave out faulty lines of lists and count them.
 
     Raises:
@@ -177,17 +177,17 @@ def open_tracking_folder(
         )
     for prefix, detector in found.items():
         if detector is None:
-            kind = {"det2d_": "boxes of pictures", "det3d_": "boxes of sweeps"}[prefix]
+            kind = {"det2d_": "boxes of images", "det3d_": "boxes of sweeps"}[prefix]
             ledger.note(
-                NoticeKind.SKIPPED, "no-detector", str(folder), f"no folder {prefix}*: goes without {kind}"
+                WarningKind.SKIPPED, "no-detector", str(folder), f"no folder {prefix}*: goes without {kind}"
             )
-    return KittiTracking(folder, sequences, found["det2d_"], found["det3d_"], lenient, ledger.notices)
+    return KittiTracking(folder, sequences, found["det2d_"], found["det3d_"], lenient, ledger.warnings)
 
 
 def is_tracking_folder(path: Path) -> bool:
     """Whether a folder looks like one of KITTI's tracking benchmark, with or without detections.
 
-    One with detections and no calibration does, too, so that opening it tells what is missing.
+    One with detections and no calibration does, too, so that opening it reports what is missing.
     """
     return any(
         any(
@@ -216,25 +216,25 @@ def _read_sequence(tracking: KittiTracking, name: str, ledger: Ledger) -> KittiS
     frame_count, poses = _frame_count(folder, name, (boxes_2d, boxes_3d), ledger)
     times = frame_times(folder, name, frame_count)
     oxts = folder / "oxts" / f"{name}.txt"
-    way = None
+    trajectory = None
     if poses and calibration.lidar_from_imu is not None:
-        way = read_oxts(oxts, times)
+        trajectory = read_oxts(oxts, times)
     elif poses:
-        place = str(folder / "calib" / f"{name}.txt")
-        message = "no Tr_imu_velo: the way of the OXTS unit cannot be used"
-        ledger.note(NoticeKind.SKIPPED, "no-imu-mounting", place, message)
+        location = str(folder / "calib" / f"{name}.txt")
+        message = "no Tr_imu_velo: the trajectory of the OXTS unit cannot be used"
+        ledger.note(WarningKind.SKIPPED, "no-imu-mounting", location, message)
     return KittiSequence(
         name=name,
         frame_count=frame_count,
-        camera=calibration.camera(CAMERA, picture_size(folder, name, calibration, ledger)),
+        camera=calibration.camera(CAMERA, image_size(folder, name, calibration, ledger)),
         camera_from_lidar=calibration.camera_from_lidar(CAMERA),
         rectified_from_lidar=calibration.rectified_from_lidar,
         lidar_from_imu=calibration.lidar_from_imu,
-        world_from_ego=way,
+        world_from_ego=trajectory,
         timestamps_ns=times,
         detections_2d=boxes_2d,
         detections_3d=boxes_3d,
-        notices=ledger.notices,
+        warnings=ledger.warnings,
     )
 
 
@@ -258,12 +258,12 @@ def _detections(
     for file, _ in files:
         if not file.is_file():
             ledger.note(
-                NoticeKind.SKIPPED, "no-detections", str(file), "no such list: goes without its boxes"
+                WarningKind.SKIPPED, "no-detections", str(file), "no such list: goes without its boxes"
             )
     lists = [read(file, label, ledger) for file, label in files if file.is_file()]
     if not files:
         ledger.note(
-            NoticeKind.SKIPPED,
+            WarningKind.SKIPPED,
             "no-detections",
             str(detector),
             "no folders named after classes in it: goes without its boxes",
@@ -274,39 +274,42 @@ def _detections(
 def _note_lonely_classes(
     tracking: KittiTracking, name: str, found: Sequence[DetectionList | None], ledger: Ledger
 ) -> None:
-    """Tell of classes for which one of both detectors has no folder; of a missing list in one it was told before."""
+    """Report of classes for which one of both detectors has no folder.
+
+    Of a missing list in one it was reported before.
+    """
     boxes_2d, boxes_3d = found
     if boxes_2d is None or boxes_3d is None or tracking.detector_2d is None or tracking.detector_3d is None:
         return
     for own, other, folder, kind in (
-        (boxes_2d, boxes_3d, tracking.detector_3d, "pictures"),
+        (boxes_2d, boxes_3d, tracking.detector_3d, "images"),
         (boxes_3d, boxes_2d, tracking.detector_2d, "sweeps"),
     ):
         folders = {class_word(child.name) for child in folder.iterdir()}
         for label in sorted(own.classes - other.classes - folders):
             message = f"{label} has a list of boxes of {kind} only: followed by these alone"
-            ledger.note(NoticeKind.SKIPPED, "one-detector", f"{name}: {label}", message)
+            ledger.note(WarningKind.SKIPPED, "one-detector", f"{name}: {label}", message)
 
 
 def _frame_count(
     folder: Path, name: str, lists: Sequence[DetectionList | None], ledger: Ledger
 ) -> tuple[int, int]:
-    """How many frames a sequence has, and of how many the OXTS unit tells."""
+    """How many frames a sequence has, and of how many the OXTS unit reports."""
     oxts = folder / "oxts" / f"{name}.txt"
     poses = len(read_fields(oxts)) if oxts.is_file() and read_bytes(oxts).strip() else 0
-    pictures = sum(1 for _ in (folder / PICTURES / name).glob("*.png"))
+    images = sum(1 for _ in (folder / IMAGES / name).glob("*.png"))
     found = max((one.frame_count for one in lists if one is not None), default=0)
     if poses == 0:
-        message = "no poses: the ego's way is not known"
-        ledger.note(NoticeKind.SKIPPED, "no-oxts", str(oxts), message)
-    elif poses < max(pictures, found):
-        message = f"{poses} lines for {max(pictures, found)} frames; the way ends before the frames do"
-        ledger.note(NoticeKind.ASSUMED, "oxts-short", str(oxts), message)
-    return max(poses, pictures, found), poses
+        message = "no poses: the ego trajectory is not known"
+        ledger.note(WarningKind.SKIPPED, "no-oxts", str(oxts), message)
+    elif poses < max(images, found):
+        message = f"{poses} lines for {max(images, found)} frames; the trajectory ends before the frames do"
+        ledger.note(WarningKind.ASSUMED, "oxts-short", str(oxts), message)
+    return max(poses, images, found), poses
 
 
-PICTURES = "image_02"
-"""The folder of the left colour camera's pictures, where it is there."""
+IMAGES = "image_02"
+"""The folder of the left colour camera's images, where it is there."""
 
 
 def frame_times(folder: Path, name: str, frame_count: int) -> Int64Array:
@@ -318,7 +321,7 @@ def frame_times(folder: Path, name: str, frame_count: int) -> Int64Array:
     file = folder / "times" / f"{name}.txt"
     if not file.is_file():
         return np.arange(frame_count, dtype=np.int64) * PERIOD_NS
-    times = line_stamps(file, "seconds")
+    times = line_timestamps(file, "seconds")
     if len(times) < frame_count:
         raise DataError(file, "", f"{len(times)} times for {frame_count} frames; expected as many")
     back = np.flatnonzero(np.diff(times) <= 0)
@@ -329,10 +332,10 @@ def frame_times(folder: Path, name: str, frame_count: int) -> Int64Array:
     return times[:frame_count].copy()
 
 
-def picture_size(folder: Path, name: str, calibration: KittiCalibration, ledger: Ledger) -> tuple[int, int]:
-    """Width and height of a sequence's pictures: of the first one, else by the focal length or the lens."""
-    for picture in sorted((folder / PICTURES / name).glob("*.png"))[:1]:
-        with file_faults(picture), open_file(picture) as file:
+def image_size(folder: Path, name: str, calibration: KittiCalibration, ledger: Ledger) -> tuple[int, int]:
+    """Width and height of a sequence's images: of the first one, else by the focal length or the camera model."""
+    for image in sorted((folder / IMAGES / name).glob("*.png"))[:1]:
+        with file_faults(image), open_file(image) as file:
             head = file.read(24)
         if len(head) == 24 and head[:8] == b"\x89PNG\r\n\x1a\n":
             return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
@@ -341,6 +344,6 @@ def picture_size(folder: Path, name: str, calibration: KittiCalibration, ledger:
         return known
     p = calibration.projections[CAMERA]
     size = max(round(2 * float(p[0, 2]) + 1), 1), max(round(2 * float(p[1, 2]) + 1), 1)
-    message = f"no picture tells its size: taken as {size[0]}x{size[1]}, twice the way to the principal point"
-    ledger.note(NoticeKind.ASSUMED, "picture-size", str(folder / "calib" / f"{name}.txt"), message)
+    message = f"no image reports its size: taken as {size[0]}x{size[1]}, twice the way to the principal point"
+    ledger.note(WarningKind.ASSUMED, "image-size", str(folder / "calib" / f"{name}.txt"), message)
     return size

@@ -1,4 +1,4 @@
-"""Messages of Foxglove's schemas from their bytes, protobuf or JSON, and what they say; large fields are not copied.
+"""Messages of Foxglove's schemas from their bytes, protobuf or JSON, and what they state; large fields are not copied.
 
 Source: the Foxglove schemas, package foxglove-schemas-protobuf 0.4.
 """
@@ -23,13 +23,13 @@ from sceneloom.formats.topics.records import (
     Box3D,
     Boxes2DRecord,
     Boxes3DRecord,
+    CameraModelRecord,
     CloudRecord,
+    CompressedImageRecord,
     FixRecord,
     ImageRecord,
     Kind,
-    LensRecord,
     PackedField,
-    PictureRecord,
     PoseRecord,
     SampleRecord,
     TransformRecord,
@@ -54,7 +54,7 @@ def _vector(vector: Any) -> Float64Array:
     return np.array([vector.x, vector.y, vector.z])
 
 
-def _turn(quaternion: Any) -> Float64Array:
+def _rotation(quaternion: Any) -> Float64Array:
     return np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
 
 
@@ -66,7 +66,7 @@ def _transforms(parsed: Parsed) -> Iterable[TransformRecord]:
             transform.parent_frame_id,
             transform.child_frame_id,
             _vector(transform.translation),
-            _turn(transform.rotation),
+            _rotation(transform.rotation),
         )
 
 
@@ -91,7 +91,7 @@ def _cloud(parsed: Parsed) -> Sequence[CloudRecord]:
 
 
 def _rigid(pose: Any) -> RigidTransform | None:
-    quaternion = _turn(pose.orientation)
+    quaternion = _rotation(pose.orientation)
     with np.errstate(over="ignore", invalid="ignore"):
         length = np.linalg.norm(quaternion)
     if not 0 < length < math.inf:
@@ -105,16 +105,16 @@ def _image(parsed: Parsed) -> Sequence[ImageRecord]:
     return [ImageRecord(time_ns(message.timestamp), message.frame_id, *size, data)]
 
 
-def _picture(parsed: Parsed) -> Sequence[PictureRecord]:
+def _compressed_image(parsed: Parsed) -> Sequence[CompressedImageRecord]:
     message, data = parsed
     form = message.format.lower().removeprefix("image/").replace("jpg", "jpeg")
-    return [PictureRecord(time_ns(message.timestamp), message.frame_id, form, data)]
+    return [CompressedImageRecord(time_ns(message.timestamp), message.frame_id, form, data)]
 
 
-def _lens(parsed: Parsed) -> Sequence[LensRecord]:
+def _camera_model(parsed: Parsed) -> Sequence[CameraModelRecord]:
     message = parsed[0]
     return [
-        LensRecord(
+        CameraModelRecord(
             time_ns(message.timestamp),
             message.frame_id,
             message.width,
@@ -130,12 +130,12 @@ def _lens(parsed: Parsed) -> Sequence[LensRecord]:
 def _poses(parsed: Parsed) -> Iterable[PoseRecord]:
     message = parsed[0]
     for pose in getattr(message, "poses", None) or [message.pose]:
-        told = pose.HasField("orientation")
+        reported = pose.HasField("orientation")
         yield PoseRecord(
             time_ns(message.timestamp),
             message.frame_id,
             _vector(pose.position),
-            _turn(pose.orientation) if told else None,
+            _rotation(pose.orientation) if reported else None,
             getattr(message, "body_frame_id", ""),
         )
 
@@ -155,20 +155,20 @@ def _fixes(parsed: Parsed) -> Iterable[FixRecord]:
 
 def read_sample(content: Mapping[str, Any]) -> Sequence[SampleRecord]:
     """Read a measurement of ours."""
-    stamp = content["timestamp"]
+    timestamp = content["timestamp"]
     values = {name: tuple(map(float, row)) for name, row in content["values"].items()}
-    timestamp_ns = int(stamp["sec"]) * 1_000_000_000 + int(stamp["nsec"])
+    timestamp_ns = int(timestamp["sec"]) * 1_000_000_000 + int(timestamp["nsec"])
     return [SampleRecord(timestamp_ns, str(content["frame_id"]), values)]
 
 
-def _told(pairs: Iterable[Any]) -> dict[str, str]:
+def _reported(pairs: Iterable[Any]) -> dict[str, str]:
     return {pair.key: pair.value for pair in pairs}
 
 
-def _pick(told: dict[str, str], keys: Iterable[str]) -> str | None:
+def _pick(reported: dict[str, str], keys: Iterable[str]) -> str | None:
     """Take out what the first of the keys says."""
-    name = next((key for key in keys if key in told), None)
-    return None if name is None else told.pop(name)
+    name = next((key for key in keys if key in reported), None)
+    return None if name is None else reported.pop(name)
 
 
 def _boxes_3d(parsed: Parsed) -> Sequence[Boxes3DRecord]:
@@ -176,30 +176,30 @@ def _boxes_3d(parsed: Parsed) -> Sequence[Boxes3DRecord]:
     boxes: list[Box3D] = []
     others = 0
     for entity in message.entities:
-        drawn = sum(len(getattr(entity, name)) for name in _OTHER_DRAWINGS)
+        drawn = sum(len(getattr(entity, name)) for name in _OTHER_PLOTS)
         others += drawn + (not entity.cubes)
         for k, cube in enumerate(entity.cubes):
-            told = _told(entity.metadata)
-            label = _pick(told, LABEL_KEYS)
+            reported = _reported(entity.metadata)
+            label = _pick(reported, LABEL_KEYS)
             boxes.append(
                 Box3D(
                     entity.id if len(entity.cubes) == 1 else f"{entity.id}/{k}",
                     entity.frame_id,
                     _vector(cube.pose.position),
-                    _turn(cube.pose.orientation),
+                    _rotation(cube.pose.orientation),
                     _vector(cube.size),
                     label
                     if label is not None
                     else next((text.text for text in entity.texts if text.text), None),
-                    MappingProxyType(told),
+                    MappingProxyType(reported),
                 )
             )
-    stamps = [*message.entities, *message.deletions]
+    timestamps = [*message.entities, *message.deletions]
     gone = tuple(deletion.id for deletion in message.deletions if deletion.type == _MATCHING_ID)
-    return [Boxes3DRecord(time_ns(stamps[0].timestamp), tuple(boxes), gone, others)] if stamps else []
+    return [Boxes3DRecord(time_ns(timestamps[0].timestamp), tuple(boxes), gone, others)] if timestamps else []
 
 
-_OTHER_DRAWINGS = ("arrows", "spheres", "cylinders", "lines", "triangles", "models")
+_OTHER_PLOTS = ("arrows", "spheres", "cylinders", "lines", "triangles", "models")
 
 
 def _boxes_2d(parsed: Parsed) -> Iterable[Boxes2DRecord]:
@@ -212,15 +212,15 @@ def _boxes_2d(parsed: Parsed) -> Iterable[Boxes2DRecord]:
         if box is None:
             others += 1
             continue
-        told = _told(drawing.metadata)
-        identifier, label = _pick(told, ID_KEYS), _pick(told, LABEL_KEYS)
+        reported = _reported(drawing.metadata)
+        identifier, label = _pick(reported, ID_KEYS), _pick(reported, LABEL_KEYS)
         by_time.setdefault(time_ns(drawing.timestamp), []).append(
-            Box2D(identifier or "", box, label, MappingProxyType(told))
+            Box2D(identifier or "", box, label, MappingProxyType(reported))
         )
     if not by_time and others:
         by_time[time_ns(message.timestamp)] = []
-    for number, (stamp_ns, boxes) in enumerate(by_time.items()):
-        yield Boxes2DRecord(stamp_ns, "", tuple(boxes), 0 if number else others)
+    for number, (timestamp_ns, boxes) in enumerate(by_time.items()):
+        yield Boxes2DRecord(timestamp_ns, "", tuple(boxes), 0 if number else others)
 
 
 def _upright(points: Float64Array) -> tuple[float, float, float, float] | None:
@@ -242,9 +242,9 @@ READERS: Mapping[str, tuple[Kind, Reader]] = MappingProxyType(
         "foxglove.FrameTransforms": (Kind.TRANSFORM, _transforms),
         "foxglove.PointCloud": (Kind.CLOUD, _cloud),
         "foxglove.RawImage": (Kind.IMAGE, _image),
-        "foxglove.CompressedImage": (Kind.PICTURE, _picture),
-        "foxglove.CompressedVideo": (Kind.VIDEO, _picture),
-        "foxglove.CameraCalibration": (Kind.LENS, _lens),
+        "foxglove.CompressedImage": (Kind.COMPRESSED_IMAGE, _compressed_image),
+        "foxglove.CompressedVideo": (Kind.VIDEO, _compressed_image),
+        "foxglove.CameraCalibration": (Kind.CAMERA_MODEL, _camera_model),
         "foxglove.PoseInFrame": (Kind.POSE, _poses),
         "foxglove.PosesInFrame": (Kind.POSE, _poses),
         "foxglove.Odometry": (Kind.POSE, _poses),
@@ -254,7 +254,7 @@ READERS: Mapping[str, tuple[Kind, Reader]] = MappingProxyType(
         "foxglove.ImageAnnotations": (Kind.BOXES_2D, _boxes_2d),
     }
 )
-"""The schemas that are read, by name: what they say, and what reads them."""
+"""The schemas that are read, by name: what they state, and what reads them."""
 
 
 _DATA = "data"
@@ -338,7 +338,7 @@ def _split(schema: str, content: memoryview) -> Parsed:
     if large is not None:
         fields = wire_fields(content, 0, len(content))
         if fields is None:
-            raise ValueError(f"no {schema}: its fields cannot be told apart")
+            raise ValueError(f"no {schema}: its fields cannot be distinguished")
         kept = []
         for field in fields:
             if field.number == large.number and field.type == LENGTH_TYPE:
@@ -353,52 +353,52 @@ def _split(schema: str, content: memoryview) -> Parsed:
     return message, data
 
 
-def head_stamp(head: bytes) -> int | None:
-    """The time of a message of one of the large kinds, from how it begins [ns]; None where it is not said there.
+def head_timestamp(head: bytes) -> int | None:
+    """The time of a message of one of the large kinds, from how it begins [ns]; None where it is not stated there.
 
     In all of them it is the first field.
     """
-    place, stop = 0, len(head)
-    while place < stop:
-        number, kind, start, end = _next_field(head, place)
+    location, stop = 0, len(head)
+    while location < stop:
+        number, kind, start, end = _next_field(head, location)
         if end > stop:
             return None
         if number == 1 and kind == LENGTH_TYPE:
-            return _stamp(head[start:end])
-        place = end
+            return _timestamp(head[start:end])
+        location = end
     return None
 
 
-def _next_field(content: bytes, place: int) -> tuple[int, int, int, int]:
-    tag, place = _varint(content, place)
+def _next_field(content: bytes, location: int) -> tuple[int, int, int, int]:
+    tag, location = _varint(content, location)
     kind = tag & 7
     if kind == LENGTH_TYPE:
-        length, start = _varint(content, place)
+        length, start = _varint(content, location)
         return tag >> 3, kind, start, start + length
     if kind == 0:
-        return tag >> 3, kind, place, _varint(content, place)[1]
-    return tag >> 3, kind, place, place + {1: 8, 5: 4}.get(kind, len(content) + 1)
+        return tag >> 3, kind, location, _varint(content, location)[1]
+    return tag >> 3, kind, location, location + {1: 8, 5: 4}.get(kind, len(content) + 1)
 
 
-def _varint(content: bytes, place: int) -> tuple[int, int]:
+def _varint(content: bytes, location: int) -> tuple[int, int]:
     number = shift = 0
-    while place < len(content) and shift < 70:
-        byte = content[place]
+    while location < len(content) and shift < 70:
+        byte = content[location]
         number |= (byte & 0x7F) << shift
-        place, shift = place + 1, shift + 7
+        location, shift = location + 1, shift + 7
         if byte < 0x80:
-            return number, place
+            return number, location
     return 0, len(content) + 1
 
 
-def _stamp(content: bytes) -> int | None:
+def _timestamp(content: bytes) -> int | None:
     """A protobuf Timestamp: seconds are field 1, nanoseconds field 2; negative ones fill ten bytes."""
-    place, parts = 0, {1: 0, 2: 0}
-    while place < len(content):
-        number, kind, start, end = _next_field(content, place)
+    location, parts = 0, {1: 0, 2: 0}
+    while location < len(content):
+        number, kind, start, end = _next_field(content, location)
         if kind != 0 or end > len(content):
             return None
         value = _varint(content, start)[0]
         parts[number] = value - (1 << 64) if value >= 1 << 63 else value
-        place = end
+        location = end
     return parts[1] * _NANOSECONDS + parts[2]

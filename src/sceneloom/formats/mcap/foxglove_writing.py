@@ -1,4 +1,4 @@
-"""Records as messages of Foxglove's schemas: their bytes in pieces, so that large fields are not copied.
+"""Records as messages of Foxglove's schemas: their bytes in chunks, so that large fields are not copied.
 
 Source: the Foxglove schemas, package foxglove-schemas-protobuf 0.4.
 """
@@ -16,11 +16,11 @@ from sceneloom.formats.topics.records import (
     AnyRecord,
     Boxes2DRecord,
     Boxes3DRecord,
+    CameraModelRecord,
     CloudRecord,
+    CompressedImageRecord,
     FixRecord,
     ImageRecord,
-    LensRecord,
-    PictureRecord,
     PoseRecord,
     SampleRecord,
     TransformRecord,
@@ -111,13 +111,13 @@ def _image(record: ImageRecord) -> tuple[str, Parts]:
     )
 
 
-def _picture(record: PictureRecord) -> tuple[str, Parts]:
+def _compressed_image(record: CompressedImageRecord) -> tuple[str, Parts]:
     schema = "foxglove.CompressedVideo" if record.form in _VIDEOS else "foxglove.CompressedImage"
     head = {"timestamp": _time(record.timestamp_ns), "frame_id": record.frame_id, "format": record.form}
     return _message(schema, record.data, **head)
 
 
-def _lens(record: LensRecord) -> tuple[str, Parts]:
+def _camera_model(record: CameraModelRecord) -> tuple[str, Parts]:
     return _message(
         "foxglove.CameraCalibration",
         timestamp=_time(record.timestamp_ns),
@@ -170,7 +170,7 @@ def _boxes_3d(record: Boxes3DRecord) -> tuple[str, Parts]:
             "frame_id": box.frame_id,
             "id": box.id,
             "frame_locked": True,
-            "metadata": _pairs({**({} if box.label is None else {"label": box.label}), **box.told}),
+            "metadata": _pairs({**({} if box.label is None else {"label": box.label}), **box.reported}),
             "cubes": [
                 {
                     "pose": {"position": _xyz(box.center), "orientation": _xyzw(box.quaternion_xyzw)},
@@ -190,7 +190,7 @@ def _boxes_2d(record: Boxes2DRecord) -> tuple[str, Parts]:
     for box in record.boxes:
         left, top, width, height = box.box_ltwh
         corners = ((left, top), (left + width, top), (left + width, top + height), (left, top + height))
-        told = {"id": box.id, **({} if box.label is None else {"label": box.label}), **box.told}
+        reported = {"id": box.id, **({} if box.label is None else {"label": box.label}), **box.reported}
         points.append(
             {
                 "timestamp": time,
@@ -198,14 +198,14 @@ def _boxes_2d(record: Boxes2DRecord) -> tuple[str, Parts]:
                 "points": [{"x": x, "y": y} for x, y in corners],
                 "outline_color": _EDGES,
                 "thickness": 2.0,
-                "metadata": _pairs(told),
+                "metadata": _pairs(reported),
             }
         )
     return _message("foxglove.ImageAnnotations", points=points)
 
 
-def _pairs(told: Mapping[str, str]) -> list[dict[str, str]]:
-    return [{"key": key, "value": value} for key, value in told.items()]
+def _pairs(reported: Mapping[str, str]) -> list[dict[str, str]]:
+    return [{"key": key, "value": value} for key, value in reported.items()]
 
 
 _WRITERS: Mapping[type[Any], Callable[[Any], tuple[str, Parts]]] = MappingProxyType(
@@ -213,8 +213,8 @@ _WRITERS: Mapping[type[Any], Callable[[Any], tuple[str, Parts]]] = MappingProxyT
         TransformRecord: _transform,
         CloudRecord: _cloud,
         ImageRecord: _image,
-        PictureRecord: _picture,
-        LensRecord: _lens,
+        CompressedImageRecord: _compressed_image,
+        CameraModelRecord: _camera_model,
         PoseRecord: _pose,
         FixRecord: _fix,
         SampleRecord: _sample,

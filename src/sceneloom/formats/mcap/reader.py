@@ -10,7 +10,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.mcap.foxglove_reading import READERS, head_stamp, parse_json, parse_protobuf
+from sceneloom.formats.mcap.foxglove_reading import READERS, head_timestamp, parse_json, parse_protobuf
 from sceneloom.formats.mcap.index import McapIndex, read_index
 from sceneloom.formats.mcap.schemas import NOTES, NOTES_KEY, SAMPLE_SCHEMA
 from sceneloom.formats.topics.chunks import Entries
@@ -18,7 +18,7 @@ from sceneloom.formats.topics.file_bytes import FileBytes
 from sceneloom.formats.topics.log import Topic
 from sceneloom.formats.topics.records import AnyRecord, Kind
 from sceneloom.formats.topics.scene_from_topics import scene_from_topics
-from sceneloom.scene.assumed_lenses import with_assumed_models
+from sceneloom.scene.assumed_camera_models import with_assumed_models
 from sceneloom.scene.scene import Scene
 
 _HEAD_BYTES = 512
@@ -33,31 +33,31 @@ def open_mcap(
     *,
     lenient: bool = False,
     assume_model: bool = False,
-    stamps: str | None = None,
+    timestamps: str | None = None,
     ego: str | None = None,
     world: str | None = None,
 ) -> Scene:
-    """Open a file: its index and all small messages are read, pictures and points when they are asked for.
+    """Open a file: its index and all small messages are read, images and points when they are asked for.
 
     Args:
         path: of the file; or its URL.
         lenient: read what is whole of a file that was not finished, is cut off or damaged; leave out topics and
-            messages that are at fault; go by receive times where stamps are of another clock.
-        assume_model: allow computing with lenses whose formulas nothing confirms.
-        stamps: which time of a message counts: "header", what it says itself, or "receive", when it was recorded;
+            messages that are at fault; go by receive times where timestamps are of another clock.
+        assume_model: allow computing with camera models whose formulas nothing confirms.
+        timestamps: which time of a message counts: "header", what it says itself, or "receive", when it was recorded;
             None: what it says itself.
         ego, world: names of the frames that are to be the ego and the world; None: chosen from the transforms.
 
     Raises:
         DataError: the file is damaged, or a message is wrong.
-        OptionError: a frame is not there, or `stamps` is none of the two.
+        OptionError: a frame is not there, or `timestamps` is none of the two.
     """
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
         log = _open_log(path, ledger)
-        told = {"profile": log.index.profile, "library": log.index.library}
+        reported = {"profile": log.index.profile, "library": log.index.library}
         scene = scene_from_topics(
-            log, ledger, form="mcap", metadata=told, stamps=stamps, ego=ego, world=world
+            log, ledger, form="mcap", metadata=reported, timestamps=timestamps, ego=ego, world=world
         )
     return with_assumed_models(scene) if assume_model else scene
 
@@ -90,31 +90,31 @@ class McapLog:
         """When each message was recorded, (N,) int64 [ns]."""
         return self.entries[topic.number].log_times_ns
 
-    def stamps(self, topic: Topic) -> tuple[Int64Array, bool]:
+    def timestamps(self, topic: Topic) -> tuple[Int64Array, bool]:
         """The time that each message says itself.
 
-        In compressed chunks some messages are looked at. Where all of these say the time that the index has, so do
+        In compressed chunks some messages are looked at. Where all of these state the time that the index has, so do
         the others; else all are.
         """
         entries = self.entries[topic.number]
         if len(entries) > _LOOKED_AT and self.index.messages.compressed(entries).any():
             rows = np.unique(np.linspace(0, len(entries) - 1, _LOOKED_AT).astype(np.int64))
-            if np.array_equal(self._stamps_of(topic, rows), entries.log_times_ns[rows]):
+            if np.array_equal(self._timestamps_of(topic, rows), entries.log_times_ns[rows]):
                 return entries.log_times_ns, False
-        return self._stamps_of(topic, np.arange(len(entries))), True
+        return self._timestamps_of(topic, np.arange(len(entries))), True
 
-    def _stamps_of(self, topic: Topic, rows: Int64Array) -> Int64Array:
+    def _timestamps_of(self, topic: Topic, rows: Int64Array) -> Int64Array:
         entries = self.entries[topic.number]
         json = self._encoding(topic) != "protobuf"
         found: list[int | None] = (
             [None] * len(rows)
             if json
-            else [head_stamp(head) for head in self.index.messages.heads(entries, rows, _HEAD_BYTES)]
+            else [head_timestamp(head) for head in self.index.messages.heads(entries, rows, _HEAD_BYTES)]
         )
         return np.array(
             [
-                self.read(topic, row)[0].timestamp_ns if stamp is None else stamp
-                for row, stamp in zip(rows.tolist(), found, strict=True)
+                self.read(topic, row)[0].timestamp_ns if timestamp is None else timestamp
+                for row, timestamp in zip(rows.tolist(), found, strict=True)
             ],
             np.int64,
         )

@@ -24,7 +24,7 @@ from sceneloom.formats.topics.names import topic_part
 from sceneloom.formats.topics.records import AnyRecord
 from sceneloom.formats.topics.scene_streams import SceneStreams
 from sceneloom.formats.topics.streams import merged
-from sceneloom.formats.topics.written_pictures import check_pictures
+from sceneloom.formats.topics.written_images import check_images
 from sceneloom.scene.scene import Scene
 from sceneloom.version import __version__
 
@@ -34,7 +34,7 @@ DIALECT = Dialect(
     ego="ego",
     part=topic_part,
     fisheye="kannala_brandt",
-    lens_topic="calibration",
+    camera_model_topic="calibration",
     sample_topics=MappingProxyType({"": "imu"}),
     videos=True,
     covariances=False,
@@ -75,7 +75,7 @@ class FoxgloveWriter:
 
 
 def write_mcap(
-    scene: Scene, path: Path, *, overwrite: bool = False, compression: str = "none", pictures: str = "copy"
+    scene: Scene, path: Path, *, overwrite: bool = False, compression: str = "none", images: str = "copy"
 ) -> LossReport:
     """Write a scene; one message is in memory at a time.
 
@@ -84,21 +84,21 @@ def write_mcap(
         path: of the file.
         overwrite: whether a file that is there may be replaced.
         compression: of chunks: "none", "lz4" or "zstd".
-        pictures: "copy" hands on videos packet by packet and JPEG files as they are, and encodes the rest as JPEG;
-            "jpeg", "png" and "raw" write all pictures in one form.
+        images: "copy" hands on videos packet by packet and JPEG files as they are, and encodes the rest as JPEG;
+            "jpeg", "png" and "raw" write all images in one form.
 
     Raises:
-        OptionError: there is no such compression, or way of writing pictures.
+        OptionError: there is no such compression, or way of writing images.
         OutputError: the file exists, or cannot be written.
     """
-    check_pictures(pictures)
+    check_images(images)
     with replacing(path, overwrite=overwrite) as draft, draft.open("wb") as stream:
-        return _write(scene, stream, compression, pictures)
+        return _write(scene, stream, compression, images)
 
 
-def _write(scene: Scene, stream: BinaryIO, compression: str, pictures: str) -> LossReport:
+def _write(scene: Scene, stream: BinaryIO, compression: str, images: str) -> LossReport:
     writer = McapWriter(stream, library=f"sceneloom {__version__}", compression=compression, large_apart=True)
-    plan = SceneStreams(scene, DIALECT, pictures=pictures)
+    plan = SceneStreams(scene, DIALECT, images=images)
     shift_ns = max(0, -plan.start_ns)
     records = FoxgloveWriter(writer, shift_ns)
     for time_ns, topic, record in merged(plan.streams):

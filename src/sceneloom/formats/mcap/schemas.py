@@ -51,7 +51,7 @@ def foxglove_type(schema: str) -> type[Any]:
 
 
 NOTES = "sceneloom"
-"""Name of the metadata record that holds what no message has a place for."""
+"""Name of the metadata record that holds what no message has a location for."""
 
 NOTES_KEY = "scene"
 
@@ -81,7 +81,7 @@ SAMPLE_JSON = MappingProxyType(
 """Source: MCAP format registry, schema encoding "jsonschema"."""
 
 LABEL_KEYS = ("label", "class", "class_name", "category", "type")
-"""Metadata of drawings that name the class of an object, the likeliest first."""
+"""Metadata of plots that name the class of an object, the likeliest first."""
 
 ID_KEYS = ("id", "track_id", "instance_id", "object_id")
-"""Metadata of drawings that name an object, the likeliest first."""
+"""Metadata of plots that name an object, the likeliest first."""

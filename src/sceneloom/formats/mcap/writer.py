@@ -51,11 +51,11 @@ class _Chunk:
     """What will be written at once.
 
     Attributes:
-        parts: its bytes, in pieces.
+        parts: its bytes, in chunks.
         size: of all of them.
         times_ns: first and last time of its messages [ns], None where it has none.
         index: log times of the messages of each channel and their offsets, packed one after another.
-        described: channels that were described in this chunk, or one before that was written in its place.
+        described: channels that were described in this chunk, or one before that was written in its location.
     """
 
     def __init__(self) -> None:
@@ -150,7 +150,7 @@ class McapWriter:
         Args:
             channel_id: its stream.
             log_time_ns: when it was recorded [ns], not negative.
-            parts: its bytes, in pieces that stay as they are until the chunk is written.
+            parts: its bytes, in chunks that stay as they are until the chunk is written.
             publish_time_ns: when it was published [ns]; None for the same.
 
         Raises:

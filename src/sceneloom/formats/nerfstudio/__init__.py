@@ -1,1 +1,1 @@
-"""nerfstudio: transforms.json with posed pictures, as programs of radiance fields take them."""
+"""nerfstudio: transforms.json with posed images, as programs of radiance fields take them."""

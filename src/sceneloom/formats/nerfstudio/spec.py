@@ -1,6 +1,6 @@
 """Folders of nerfstudio: images with their poses, and points. Only written."""
 
-from sceneloom.formats.posed_pictures.spec import ONLY_WRITTEN, SUPPORTS, PosedSettings
+from sceneloom.formats.posed_images.spec import ONLY_WRITTEN, SUPPORTS, PosedSettings
 from sceneloom.formats.spec import FormatSpec
 
 FORMAT = FormatSpec(

@@ -20,10 +20,15 @@ from sceneloom.formats.clouds.frame_files import write_ply
 from sceneloom.formats.field_losses import field_losses
 from sceneloom.formats.loss import Loss, LossReport
 from sceneloom.formats.output import FolderKind, replacing
-from sceneloom.formats.posed_pictures.lenses import Models, ToldLens, coefficients, told_lens
-from sceneloom.formats.posed_pictures.map_points import MapPoints, map_points
-from sceneloom.formats.posed_pictures.spec import SUPPORTS, PosedSettings
-from sceneloom.formats.posed_pictures.views import PosedScene, View
+from sceneloom.formats.posed_images.camera_models import (
+    Models,
+    StatedCameraModel,
+    coefficients,
+    stated_camera_model,
+)
+from sceneloom.formats.posed_images.map_points import MapPoints, map_points
+from sceneloom.formats.posed_images.spec import SUPPORTS, PosedSettings
+from sceneloom.formats.posed_images.views import PosedScene, View
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier
 
@@ -50,21 +55,21 @@ def write_nerfstudio(
     """Write a folder with `transforms.json`, `images` and `points.ply`.
 
     Raises:
-        OptionError: the scene has no pictures.
+        OptionError: the scene has no images.
         PoseError: it is not known where a camera was.
-        DataError: a picture or a sweep cannot be read.
-        CalibrationError: nerfstudio has no model for a lens.
+        DataError: an image or a sweep cannot be read.
+        CalibrationError: nerfstudio has no model for a camera model.
         OutputError: the folder exists, or cannot be written.
     """
     posed = PosedScene.of(scene, options)
-    lenses = _Lenses(_camera_model(scene), posed)
+    camera_models = _CameraModels(_camera_model(scene), posed)
     with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
         frames = []
         for view in posed.views():
-            posed.save_picture(view, draft / "images")
-            frames.append(_frame(view, lenses.camera(view)))
+            posed.save_image(view, draft / "images")
+            frames.append(_frame(view, camera_models.camera(view)))
         content: dict[str, Any] = {
-            "camera_model": lenses.model,
+            "camera_model": camera_models.model,
             "applied_transform": posed.origin_world.inverse().matrix[:3].tolist(),
             "frames": frames,
         }
@@ -93,8 +98,11 @@ def _frame(view: View, camera: Camera) -> dict[str, Any]:
 
 
 def _camera_model(scene: Scene) -> str:
-    """The one model that all pictures are told in: the first that holds all lenses, else the one that is less off."""
-    cameras = [camera for camera in scene.cameras if len(camera.pictures)]
+    """The one model that all images are reported in: the first that holds all camera models.
+
+    Else the one that is less off.
+    """
+    cameras = [camera for camera in scene.cameras if len(camera.images)]
     costs: dict[str, float] = {}
     for name, models in CAMERA_MODELS.items():
         costs[name] = sum(_cost(one.camera, models, one.id) for one in cameras)
@@ -104,30 +112,30 @@ def _camera_model(scene: Scene) -> str:
 
 
 def _cost(camera: Camera, models: Models, sensor_id: Identifier) -> float:
-    """How bad a lens is told by some models: 0 where it is exact, the worst error [px] otherwise."""
+    """How bad a camera model is known by some models: 0 where it is exact, the worst error [px] otherwise."""
     try:
-        told = told_lens(camera, models, sensor_id)
+        reported = stated_camera_model(camera, models, sensor_id)
     except CalibrationError:
         return np.inf
-    return 0.0 if told.loss is None else 1.0 + float(told.loss.largest_error or 0.0)
+    return 0.0 if reported.loss is None else 1.0 + float(reported.loss.largest_error or 0.0)
 
 
-class _Lenses:
-    """The lenses of the pictures seen so far."""
+class _CameraModels:
+    """The camera models of the images seen so far."""
 
     def __init__(self, model: str, posed: PosedScene) -> None:
         self.model = model
         self._posed = posed
-        self._told: dict[Camera, ToldLens] = {}
+        self._reported: dict[Camera, StatedCameraModel] = {}
 
     def camera(self, view: View) -> Camera:
-        """The lens of a picture in the model of all."""
-        exact = view.picture.camera
-        if exact not in self._told:
-            self._told[exact] = told_lens(exact, CAMERA_MODELS[self.model], view.sensor_id)
-            loss = self._told[exact].loss
+        """The camera model of an image in the model of all."""
+        exact = view.image.camera
+        if exact not in self._reported:
+            self._reported[exact] = stated_camera_model(exact, CAMERA_MODELS[self.model], view.sensor_id)
+            loss = self._reported[exact].loss
             self._posed.losses += [] if loss is None else [loss]
-        return self._told[exact].camera
+        return self._reported[exact].camera
 
 
 def _write_points(path: Path, points: MapPoints) -> None:

@@ -1,4 +1,4 @@
-"""The boxes of a scene of nuScenes as cuboids: one for each object, with what is said about it at each sample."""
+"""The boxes of a scene of nuScenes as cuboids: one for each object, with what is stated about it at each sample."""
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -26,15 +26,17 @@ def build_cuboids(tables: SceneTables, ledger: Ledger) -> tuple[CuboidAnnotation
     Raises:
         DataError: a table is missing or wrong, a token leads nowhere, or a box has no size.
     """
-    place = tables.place
+    location = tables.location
     for name in _TABLES:
-        if not (place.tables / f"{name}.json").is_file():
+        if not (location.tables / f"{name}.json").is_file():
             problem = "missing; expected the tables of boxes, be they empty"
-            ledger.fault("table-missing", DataError(place.tables, f"{name}.json", problem))
+            ledger.fault("table-missing", DataError(location.tables, f"{name}.json", problem))
             return ()
-    rows = [row for row in iter_rows(place.tables, "sample_annotation") if row.sample_token in tables.samples]
-    instances = rows_by_token(place, "instance", (row.instance_token for row in rows))
-    names = {name: rows_by_token(place, name) for name in ("category", "attribute", "visibility")}
+    rows = [
+        row for row in iter_rows(location.tables, "sample_annotation") if row.sample_token in tables.samples
+    ]
+    instances = rows_by_token(location, "instance", (row.instance_token for row in rows))
+    names = {name: rows_by_token(location, name) for name in ("category", "attribute", "visibility")}
     tracks: dict[str, list[AnnotationRow]] = {}
     for row in rows:
         fault = _dangling(tables, row, instances, names)
@@ -52,16 +54,16 @@ def _dangling(
     names: Mapping[str, Mapping[str, Any]],
 ) -> DataError | None:
     """What is wrong with the tokens of a row."""
-    place, table = tables.place, "sample_annotation"
+    location, table = tables.location, "sample_annotation"
     if row.instance_token not in instances:
-        return dangling(place, table, row.token, "instance", row.instance_token)
+        return dangling(location, table, row.token, "instance", row.instance_token)
     category = instances[row.instance_token].category_token
     if category not in names["category"]:
-        return dangling(place, "instance", row.instance_token, "category", category)
+        return dangling(location, "instance", row.instance_token, "category", category)
     if row.visibility_token and row.visibility_token not in names["visibility"]:
-        return dangling(place, table, row.token, "visibility", row.visibility_token)
+        return dangling(location, table, row.token, "visibility", row.visibility_token)
     lost = next((token for token in row.attribute_tokens if token not in names["attribute"]), None)
-    return None if lost is None else dangling(place, table, row.token, "attribute", lost)
+    return None if lost is None else dangling(location, table, row.token, "attribute", lost)
 
 
 def _cuboid(
@@ -71,8 +73,8 @@ def _cuboid(
     names: Mapping[str, Mapping[str, Any]],
 ) -> CuboidAnnotation:
     rows = sorted(track, key=lambda row: tables.samples[row.sample_token].timestamp)
-    stamps = [tables.samples[row.sample_token].timestamp for row in rows]
-    timestamps_ns = np.array(stamps, np.int64) * MICROSECOND
+    timestamps = [tables.samples[row.sample_token].timestamp for row in rows]
+    timestamps_ns = np.array(timestamps, np.int64) * MICROSECOND
     category: CategoryRow = names["category"][instance.category_token]
     return CuboidAnnotation(
         id=instance.token,
@@ -94,7 +96,7 @@ def _values(tables: SceneTables, rows: Sequence[AnnotationRow]) -> Float64Array:
     if wrong.any():
         row = rows[int(np.argmax(wrong))]
         problem = f"size {list(row.size)}, rotation {list(row.rotation)}; expected sizes above 0, length 1"
-        raise DataError(tables.place.tables / "sample_annotation.json", f"row {row.token}", problem)
+        raise DataError(tables.location.tables / "sample_annotation.json", f"row {row.token}", problem)
     angles = CuboidAngles().from_quaternions(quaternions_wxyz[:, [1, 2, 3, 0]])
     positions = np.array([row.translation for row in rows])
     return np.concatenate([sizes_wlh[:, [1, 0, 2]], positions, angles], axis=1)
@@ -103,8 +105,8 @@ def _values(tables: SceneTables, rows: Sequence[AnnotationRow]) -> Float64Array:
 def _attributes(
     rows: Sequence[AnnotationRow], timestamps_ns: Int64Array, names: Mapping[str, Mapping[str, Any]]
 ) -> tuple[AttributePath, ...]:
-    """What is said at each sample; of the visibility nothing, where nothing is said at any."""
-    said: dict[str, tuple[Any, ...]] = {
+    """What is stated at each sample; of the visibility nothing, where nothing is stated at any."""
+    stated: dict[str, tuple[Any, ...]] = {
         "attributes": tuple(
             tuple(names["attribute"][token].name for token in row.attribute_tokens) for row in rows
         ),
@@ -113,5 +115,5 @@ def _attributes(
     }
     levels = [names["visibility"].get(row.visibility_token) for row in rows]
     if any(levels):
-        said["visibility"] = tuple("" if level is None else level.level for level in levels)
-    return tuple(AttributePath(name, values, timestamps_ns) for name, values in said.items())
+        stated["visibility"] = tuple("" if level is None else level.level for level in levels)
+    return tuple(AttributePath(name, values, timestamps_ns) for name, values in stated.items())

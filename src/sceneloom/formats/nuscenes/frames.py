@@ -1,4 +1,4 @@
-"""Sweeps, radar cycles and pictures of nuScenes, each read when it is asked for."""
+"""Sweeps, radar cycles and images of nuScenes, each read when it is asked for."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,13 +14,13 @@ from sceneloom.formats.clouds.bin import read_bin
 from sceneloom.formats.clouds.cloud import Cloud
 from sceneloom.formats.clouds.layout import NUSCENES
 from sceneloom.formats.clouds.pcd import read_pcd
-from sceneloom.formats.rig.pictures import PictureFile, is_jpeg
+from sceneloom.formats.rig.images import ImageFile, is_jpeg
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.cameras import Picture
+from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.clouds import LidarFrame, LidarPoints, RadarFrame, RadarPoints
 
 Facts = tuple[tuple[str, Any], ...]
-"""What the tables say about a file, as pairs of name and value."""
+"""What the tables state about a file, as pairs of name and value."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,12 +37,12 @@ class FrameFiles:
     timestamps_ns: Int64Array
     facts: tuple[Facts, ...]
 
-    def stamp(self, k: int) -> int:
+    def timestamp(self, k: int) -> int:
         """The time of frame `k` [ns]."""
         return int(self.timestamps_ns[k])
 
     def extras(self, k: int) -> MappingProxyType[str, Any]:
-        """What the tables say about frame `k`."""
+        """What the tables state about frame `k`."""
         return MappingProxyType(dict(self.facts[k]))
 
 
@@ -58,7 +58,9 @@ class SweepFiles:
         Raises:
             DataError: the file is missing, cut off or no cloud.
         """
-        return LidarFrame(self.frames.stamp(k), _lidar_points(self.frames.files[k]), self.frames.extras(k))
+        return LidarFrame(
+            self.frames.timestamp(k), _lidar_points(self.frames.files[k]), self.frames.extras(k)
+        )
 
 
 def _lidar_points(file: Path) -> LidarPoints:
@@ -110,7 +112,7 @@ class CycleFiles:
         directions, lengths = _velocities(cloud, positions)
         further = {name: read_only(c) for name, c in cloud.columns.items() if name not in "xyz"}
         points = RadarPoints(positions, directions, lengths, extras=MappingProxyType(further))
-        return RadarFrame(self.frames.stamp(k), points, self.frames.extras(k))
+        return RadarFrame(self.frames.timestamp(k), points, self.frames.extras(k))
 
 
 def _returns(cloud: Cloud) -> Cloud:
@@ -143,23 +145,28 @@ def _velocities(cloud: Cloud, positions: Float32Array) -> tuple[Float32Array | N
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PictureFiles:
-    """Reads the pictures of a camera.
+class ImageFiles:
+    """Reads the images of a camera.
 
     Attributes:
-        cameras: lens of each picture.
-        mounts: `ego_from_camera` of each picture, None where it is the camera's.
+        cameras: camera model of each image.
+        mounts: `ego_from_camera` of each image, None where it is the camera's.
     """
 
     frames: FrameFiles
     cameras: tuple[Camera, ...]
     mounts: tuple[RigidTransform | None, ...]
 
-    def __call__(self, k: int) -> Picture:
-        """Make picture `k` without decoding it."""
+    def __call__(self, k: int) -> CameraImage:
+        """Make image `k` without decoding it."""
         camera = self.cameras[k]
-        file = PictureFile(self.frames.files[k], camera.width, camera.height)
+        file = ImageFile(self.frames.files[k], camera.width, camera.height)
         encoded = file.encoded if is_jpeg(file.path) else None
-        return Picture(
-            self.frames.stamp(k), camera, file, self.mounts[k], extras=self.frames.extras(k), encoded=encoded
+        return CameraImage(
+            self.frames.timestamp(k),
+            camera,
+            file,
+            self.mounts[k],
+            extras=self.frames.extras(k),
+            encoded=encoded,
         )

@@ -1,4 +1,4 @@
-"""Fields that a scene has beside those of nuScenes, which its tables have no place for."""
+"""Fields that a scene has beside those of nuScenes, which its tables have no field for."""
 
 from collections.abc import Iterable, Iterator
 
@@ -17,24 +17,24 @@ _OF_BOXES = frozenset({"tokens"})
 _OF_CLASSES = frozenset({"index"})
 _OF_SCENES = frozenset({"nuscenes", "sceneloom"})
 
-_WHAT = "the tables have no place for"
+_WHAT = "the tables have no field for"
 
 
 def further_fields(scene: Scene) -> Iterator[Loss]:
-    """Name those of sensors, annotations and of the scene itself; of frames the writer tells."""
+    """Name those of sensors, annotations and of the scene itself; of frames the writer reports."""
     for sensor in scene.sensors:
         if isinstance(sensor, LidarSensor | RadarSensor | CameraSensor):
-            yield from told(f"{KINDS[type(sensor)]}.extras", sensor.extras, OF_SENSORS)
+            yield from reported(f"{KINDS[type(sensor)]}.extras", sensor.extras, OF_SENSORS)
     for annotation in scene.annotations:
         kind = KINDS[type(annotation)]
         if isinstance(annotation, CuboidAnnotation):
-            yield from told(f"{kind}.path.extras", annotation.path.extras, _OF_BOXES)
+            yield from reported(f"{kind}.path.extras", annotation.path.extras, _OF_BOXES)
         elif isinstance(annotation, LabeledPointsAnnotation):
-            yield from told(f"{kind}.extras", annotation.extras, _OF_CLASSES)
-    yield from told("metadata", scene.metadata, _OF_SCENES)
+            yield from reported(f"{kind}.extras", annotation.extras, _OF_CLASSES)
+    yield from reported("metadata", scene.metadata, _OF_SCENES)
 
 
-def told(field: str, names: Iterable[str], known: frozenset[str]) -> Iterator[Loss]:
+def reported(field: str, names: Iterable[str], known: frozenset[str]) -> Iterator[Loss]:
     """The loss of fields of other names than those that are known."""
     further = sorted(set(names) - known)
     if further:

@@ -25,15 +25,15 @@ _SECOND = 1_000_000_000
 _MICROSECOND = 1000
 
 
-def stamps_of(sensor: Written) -> Int64Array:
+def timestamps_of(sensor: Written) -> Int64Array:
     """The times of a sensor's frames [ns]."""
-    return (sensor.pictures if isinstance(sensor, CameraSensor) else sensor.frames).timestamps_ns
+    return (sensor.images if isinstance(sensor, CameraSensor) else sensor.frames).timestamps_ns
 
 
-def microseconds(stamps_ns: Int64Array) -> Int64Array:
+def microseconds(timestamps_ns: Int64Array) -> Int64Array:
     """Times [ns] as the tables have them [µs]; halves go to the even one."""
-    whole: Int64Array = np.rint(stamps_ns % _SECOND / _MICROSECOND).astype(np.int64)
-    return stamps_ns // _SECOND * 1_000_000 + whole
+    whole: Int64Array = np.rint(timestamps_ns % _SECOND / _MICROSECOND).astype(np.int64)
+    return timestamps_ns // _SECOND * 1_000_000 + whole
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,25 +52,27 @@ class Samples:
 
     def key_rows(self, sensor: Written) -> BoolArray:
         """(N,) bool: which frames of a sensor are key frames: the nearest one of each sample, at most one each."""
-        stamps = stamps_of(sensor)
+        timestamps = timestamps_of(sensor)
         known = sensor.extras.get(KEY_FRAMES)
         if isinstance(known, list | tuple):
-            return np.isin(microseconds(stamps), np.array(known, np.int64))
-        chosen = np.zeros(len(stamps), np.bool_)
+            return np.isin(microseconds(timestamps), np.array(known, np.int64))
+        chosen = np.zeros(len(timestamps), np.bool_)
         for time in self.timestamps_ns.tolist():
-            after = int(np.searchsorted(stamps, time))
-            near = [row for row in (after - 1, after) if 0 <= row < len(stamps) and not chosen[row]]
-            best = min(near, key=lambda row: abs(int(stamps[row]) - time), default=None)
-            if best is not None and abs(int(stamps[best]) - time) <= self.reach_ns:
+            after = int(np.searchsorted(timestamps, time))
+            near = [row for row in (after - 1, after) if 0 <= row < len(timestamps) and not chosen[row]]
+            best = min(near, key=lambda row: abs(int(timestamps[row]) - time), default=None)
+            if best is not None and abs(int(timestamps[best]) - time) <= self.reach_ns:
                 chosen[best] = True
         return chosen
 
     def numbers(self, sensor: Written, is_key: BoolArray) -> Int64Array:
         """(N,) int64: the sample that each frame belongs to: of key frames the nearest, else the next one."""
-        stamps = stamps_of(sensor)
-        after = np.minimum(np.searchsorted(self.timestamps_ns, stamps), len(self.timestamps_ns) - 1)
+        timestamps = timestamps_of(sensor)
+        after = np.minimum(np.searchsorted(self.timestamps_ns, timestamps), len(self.timestamps_ns) - 1)
         before = np.maximum(after - 1, 0)
-        nearer = np.abs(stamps - self.timestamps_ns[before]) < np.abs(stamps - self.timestamps_ns[after])
+        nearer = np.abs(timestamps - self.timestamps_ns[before]) < np.abs(
+            timestamps - self.timestamps_ns[after]
+        )
         return np.where(is_key & nearer, before, after).astype(np.int64)
 
 
@@ -86,26 +88,26 @@ def choose_samples(scene: Scene, sensors: list[Written], *, rate_hz: float | Non
     Raises:
         DataError: no sensor has a frame.
     """
-    framed = [sensor for sensor in sensors if len(stamps_of(sensor))]
+    framed = [sensor for sensor in sensors if len(timestamps_of(sensor))]
     if not framed:
-        raise DataError(scene.source, "", "holds no sweep, radar cycle or picture that nuScenes could hold")
+        raise DataError(scene.source, "", "holds no sweep, radar cycle or image that nuScenes could hold")
     reference = next((sensor for sensor in framed if isinstance(sensor, LidarSensor)), framed[0])
-    stamps = np.sort(stamps_of(reference))
+    timestamps = np.sort(timestamps_of(reference))
     if rate_hz is None:
-        read = _samples_read(scene.metadata.get("nuscenes"), stamps)
+        read = _samples_read(scene.metadata.get("nuscenes"), timestamps)
         if read is not None:
             return read
-    chosen = _spread(stamps, _SECOND / (rate_hz or RATE_HZ))
+    chosen = _spread(timestamps, _SECOND / (rate_hz or RATE_HZ))
     tokens = tuple(token_of("sample", name, time) for time in chosen.tolist())
     return Samples(tokens, chosen, round(_SECOND / (rate_hz or RATE_HZ) / 2))
 
 
-def _samples_read(about: Any, stamps_ns: Int64Array) -> Samples | None:
+def _samples_read(about: Any, timestamps_ns: Int64Array) -> Samples | None:
     """The samples that the scene was read with, as far as the reference still has their frames."""
     rows = about.get("samples") if isinstance(about, Mapping) else None
     if not isinstance(rows, list | tuple):
         return None
-    there = set(microseconds(stamps_ns).tolist())
+    there = set(microseconds(timestamps_ns).tolist())
     kept = [(str(token), int(time)) for token, time in rows if int(time) in there]
     if not kept:
         return None
@@ -113,12 +115,12 @@ def _samples_read(about: Any, stamps_ns: Int64Array) -> Samples | None:
     return Samples(tuple(token for token, _ in kept), times, round(_SECOND / RATE_HZ / 2))
 
 
-def _spread(stamps_ns: Int64Array, period_ns: float) -> Int64Array:
-    """Stamps that are a period apart, as nearly as there are."""
-    slack = float(np.median(np.diff(stamps_ns))) / 2 if len(stamps_ns) > 1 else 0.0
+def _spread(timestamps_ns: Int64Array, period_ns: float) -> Int64Array:
+    """Timestamps that are a period apart, as nearly as there are."""
+    slack = float(np.median(np.diff(timestamps_ns))) / 2 if len(timestamps_ns) > 1 else 0.0
     chosen: list[int] = []
-    due = float(stamps_ns[0])
-    for time in stamps_ns.tolist():
+    due = float(timestamps_ns[0])
+    for time in timestamps_ns.tolist():
         if time >= due - slack and (not chosen or time > chosen[-1]):
             chosen.append(time)
             due = max(due + period_ns, time + period_ns / 2)

@@ -28,7 +28,7 @@ def build_labelled_points(tables: SceneTables, ledger: Ledger) -> tuple[LabeledP
     Raises:
         DataError: a file is missing or of another length than its sweep, or a class is in no row of category.json.
     """
-    folder = tables.place.tables
+    folder = tables.location.tables
     if not (folder / "lidarseg.json").is_file():
         return ()
     frames = {
@@ -63,9 +63,9 @@ def build_labelled_points(tables: SceneTables, ledger: Ledger) -> tuple[LabeledP
 def _labels(
     tables: SceneTables, row: LidarsegRow, data: SensorData, k: int, categories: Mapping[int, CategoryRow]
 ) -> UInt8Array:
-    file = file_of(tables.place, "lidarseg", row.token, row.filename)
+    file = file_of(tables.location, "lidarseg", row.token, row.filename)
     labels = np.frombuffer(read_bytes(file), np.uint8)
-    cloud = file_of(tables.place, "sample_data", row.sample_data_token, data.rows[k].filename)
+    cloud = file_of(tables.location, "sample_data", row.sample_data_token, data.rows[k].filename)
     points = _points_in(cloud)
     if len(labels) != points:
         raise DataError(

@@ -9,13 +9,13 @@ import msgspec
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.nuscenes.cuboids import build_cuboids
 from sceneloom.formats.nuscenes.lidarseg import build_labelled_points
-from sceneloom.formats.nuscenes.selection import SceneTables, find_place, select
+from sceneloom.formats.nuscenes.selection import SceneTables, find_location, select
 from sceneloom.formats.nuscenes.sensors import build_sensors, trajectory_of
 from sceneloom.formats.option_values import as_flag
 from sceneloom.geometry.euler import AngleUnit
 from sceneloom.scene.annotations.annotation import Annotation
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.scene import Scene
+from sceneloom.scene.warnings import WarningKind
 
 _LEFT_OUT = (
     ("map.json", "maps", "maps are left out"),
@@ -29,7 +29,7 @@ _EMPTY_TABLE = 4
 def open_nuscenes(
     path: Path, *, sequence: str | None = None, keyframes: bool | str = False, lenient: bool = False
 ) -> Scene:
-    """Open one scene; pictures and points are read when asked for, boxes and classes of points at once.
+    """Open one scene; images and points are read when asked for, boxes and classes of points at once.
 
     Args:
         path: the folder of the data set, or that of its tables.
@@ -41,10 +41,10 @@ def open_nuscenes(
         DataError: a table or a file is missing or wrong.
         OptionError: there is no such scene, or none was chosen of several.
     """
-    place = find_place(path)
+    location = find_location(path)
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
-        tables = select(place, sequence, ledger, keyframes=as_flag("keyframes", keyframes))
+        tables = select(location, sequence, ledger, keyframes=as_flag("keyframes", keyframes))
         trajectory = trajectory_of(tables, ledger)
         sensors = build_sensors(tables, ledger)
         annotations: tuple[Annotation, ...] = (
@@ -59,27 +59,27 @@ def open_nuscenes(
         metadata=_about(tables),
         source=f"{path}/{tables.scene.name}" if tables.others else str(path),
         format="nuscenes",
-        notices=ledger.notices,
+        warnings=ledger.warnings,
     )
 
 
 def _note_left_out(tables: SceneTables, ledger: Ledger) -> None:
     for name, code, message in _LEFT_OUT:
-        file = tables.place.tables / name
+        file = tables.location.tables / name
         if file.is_file() and file.stat().st_size > _EMPTY_TABLE:
-            ledger.note(NoticeKind.SKIPPED, f"{code}-left-out", str(file), message)
+            ledger.note(WarningKind.SKIPPED, f"{code}-left-out", str(file), message)
     if tables.others:
-        place = str(tables.place.tables / "scene.json")
+        location = str(tables.location.tables / "scene.json")
         ledger.note(
-            NoticeKind.SKIPPED, "other-scenes", place, "further scenes are left out", count=tables.others
+            WarningKind.SKIPPED, "other-scenes", location, "further scenes are left out", count=tables.others
         )
 
 
 def _about(tables: SceneTables) -> MappingProxyType[str, Any]:
-    """What the tables say that the model has no other place for, and how the angles of the boxes are meant."""
+    """What the tables state that the model has no other location for, and how the angles of the boxes are meant."""
     rows = {"scene": tables.scene, "log": tables.log}
     about: dict[str, Any] = {
-        "version": tables.place.tables.name,
+        "version": tables.location.tables.name,
         **{name: msgspec.structs.asdict(row) for name, row in rows.items() if row is not None},
         "samples": [[row.token, row.timestamp] for row in tables.samples.values()],
     }

@@ -25,7 +25,7 @@ _MOST_NAMES = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class Location:
     """Where a data set is.
 
     Attributes:
@@ -37,7 +37,7 @@ class Place:
     tables: Path
 
 
-def find_place(path: Path) -> Place:
+def find_location(path: Path) -> Location:
     """Find the tables of a data set.
 
     Raises:
@@ -54,7 +54,7 @@ def find_place(path: Path) -> Place:
     if missing:
         expected = ", ".join(f"{name}.json" for name in NEEDED)
         raise DataError(folders[0], ", ".join(missing), f"missing; expected the tables {expected}")
-    return Place(folders[0].parent, folders[0])
+    return Location(folders[0].parent, folders[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ class SensorData:
 
     Attributes:
         sensor: name and kind.
-        rows: pictures, sweeps or cycles.
+        rows: images, sweeps or cycles.
         poses: of the ego at each of them.
         calibrations: of the sensor at each of them; usually one for all.
     """
@@ -76,10 +76,10 @@ class SensorData:
 
 @dataclass(frozen=True, slots=True)
 class SceneTables:
-    """What the tables say about one scene.
+    """What the tables state about one scene.
 
     Attributes:
-        place: where they are.
+        location: where they are.
         scene: its row.
         log: that of the recording, if there is one.
         samples: by token, in the order of time.
@@ -87,7 +87,7 @@ class SceneTables:
         others: how many further scenes the tables have.
     """
 
-    place: Place
+    location: Location
     scene: SceneRow
     log: LogRow | None
     samples: Mapping[str, SampleRow]
@@ -95,11 +95,13 @@ class SceneTables:
     others: int = 0
 
 
-def select(place: Place, sequence: str | None, ledger: Ledger, *, keyframes: bool = False) -> SceneTables:
+def select(
+    location: Location, sequence: str | None, ledger: Ledger, *, keyframes: bool = False
+) -> SceneTables:
     """Read the rows of one scene.
 
     Args:
-        place: the data set.
+        location: the data set.
         sequence: name or token of the scene; None where there is one only.
         ledger: takes what a lenient reading leaves out.
         keyframes: leave out what was taken between the samples.
@@ -108,19 +110,19 @@ def select(place: Place, sequence: str | None, ledger: Ledger, *, keyframes: boo
         DataError: a table is wrong, or a token leads nowhere.
         OptionError: there is no such scene, or none was chosen of several.
     """
-    scenes = list(iter_rows(place.tables, "scene"))
-    scene = _chosen(place, scenes, sequence)
-    found = [row for row in iter_rows(place.tables, "sample") if row.scene_token == scene.token]
+    scenes = list(iter_rows(location.tables, "scene"))
+    scene = _chosen(location, scenes, sequence)
+    found = [row for row in iter_rows(location.tables, "sample") if row.scene_token == scene.token]
     samples = {row.token: row for row in sorted(found, key=lambda row: row.timestamp)}
     if not samples:
-        raise DataError(place.tables / "sample.json", f"scene {scene.name}", "has no sample")
-    _check_count(place, scene, len(samples), ledger)
+        raise DataError(location.tables / "sample.json", f"scene {scene.name}", "has no sample")
+    _check_count(location, scene, len(samples), ledger)
     return SceneTables(
-        place,
+        location,
         scene,
-        _log(place, scene, ledger),
+        _log(location, scene, ledger),
         samples,
-        _sensors(place, samples, ledger, keyframes=keyframes),
+        _sensors(location, samples, ledger, keyframes=keyframes),
         len(scenes) - 1,
     )
 
@@ -132,10 +134,10 @@ def scene_names(path: Path) -> tuple[str, ...]:
         DataError: a table is missing or wrong.
         OptionError: there are several sets of tables.
     """
-    return tuple(row.name for row in iter_rows(find_place(path).tables, "scene"))
+    return tuple(row.name for row in iter_rows(find_location(path).tables, "scene"))
 
 
-def _chosen(place: Place, scenes: list[SceneRow], sequence: str | None) -> SceneRow:
+def _chosen(location: Location, scenes: list[SceneRow], sequence: str | None) -> SceneRow:
     names = [row.name for row in scenes]
     shown = ", ".join(
         [*names[:_MOST_NAMES], *([f"… ({len(names)} in all)"] if len(names) > _MOST_NAMES else [])]
@@ -143,63 +145,65 @@ def _chosen(place: Place, scenes: list[SceneRow], sequence: str | None) -> Scene
     if sequence is not None:
         match = [row for row in scenes if sequence in (row.name, row.token)]
         if len(match) != 1:
-            raise OptionError(f"{place.tables}: no scene {sequence!r}; it has {shown or 'none'}")
+            raise OptionError(f"{location.tables}: no scene {sequence!r}; it has {shown or 'none'}")
         return match[0]
     if not scenes:
-        raise DataError(place.tables / "scene.json", "", "no row; expected one scene at least")
+        raise DataError(location.tables / "scene.json", "", "no row; expected one scene at least")
     if len(scenes) > 1:
-        raise OptionError(f"{place.tables}: {len(scenes)} scenes; choose one with `--sequence NAME`: {shown}")
+        raise OptionError(
+            f"{location.tables}: {len(scenes)} scenes; choose one with `--sequence NAME`: {shown}"
+        )
     return scenes[0]
 
 
-def _check_count(place: Place, scene: SceneRow, count: int, ledger: Ledger) -> None:
+def _check_count(location: Location, scene: SceneRow, count: int, ledger: Ledger) -> None:
     if scene.nbr_samples not in (0, count):
         problem = f"{count} samples; scene.json says {scene.nbr_samples}: is the table cut off?"
         ledger.fault(
-            "samples-missing", DataError(place.tables / "sample.json", f"scene {scene.name}", problem)
+            "samples-missing", DataError(location.tables / "sample.json", f"scene {scene.name}", problem)
         )
 
 
-def _log(place: Place, scene: SceneRow, ledger: Ledger) -> LogRow | None:
-    if not (place.tables / "log.json").is_file():
-        ledger.fault("table-missing", DataError(place.tables, "log.json", "missing"))
+def _log(location: Location, scene: SceneRow, ledger: Ledger) -> LogRow | None:
+    if not (location.tables / "log.json").is_file():
+        ledger.fault("table-missing", DataError(location.tables, "log.json", "missing"))
         return None
-    log = next((row for row in iter_rows(place.tables, "log") if row.token == scene.log_token), None)
+    log = next((row for row in iter_rows(location.tables, "log") if row.token == scene.log_token), None)
     if log is None:
-        ledger.fault("dangling-tokens", dangling(place, "scene", scene.token, "log", scene.log_token))
+        ledger.fault("dangling-tokens", dangling(location, "scene", scene.token, "log", scene.log_token))
     return log
 
 
-def dangling(place: Place, table: str, token: str, other: str, wanted: str) -> DataError:
+def dangling(location: Location, table: str, token: str, other: str, wanted: str) -> DataError:
     """The fault of a row that names a row of another table which is not there."""
     problem = f"{other}_token {wanted!r} leads to no row of {other}.json"
-    return DataError(place.tables / f"{table}.json", f"row {token}", problem)
+    return DataError(location.tables / f"{table}.json", f"row {token}", problem)
 
 
-def rows_by_token(place: Place, table: str, wanted: Iterable[str] | None = None) -> dict[str, Any]:
+def rows_by_token(location: Location, table: str, wanted: Iterable[str] | None = None) -> dict[str, Any]:
     """The rows of a table with these tokens, or all of them."""
     if wanted is None:
-        return {row.token: row for row in iter_rows(place.tables, table)}
+        return {row.token: row for row in iter_rows(location.tables, table)}
     tokens = set(wanted)
-    return {row.token: row for row in iter_rows(place.tables, table) if row.token in tokens}
+    return {row.token: row for row in iter_rows(location.tables, table) if row.token in tokens}
 
 
 def _sensors(
-    place: Place, samples: Mapping[str, SampleRow], ledger: Ledger, *, keyframes: bool
+    location: Location, samples: Mapping[str, SampleRow], ledger: Ledger, *, keyframes: bool
 ) -> tuple[SensorData, ...]:
     rows = [
         row
-        for row in iter_rows(place.tables, "sample_data")
+        for row in iter_rows(location.tables, "sample_data")
         if row.sample_token in samples and (row.is_key_frame or not keyframes)
     ]
     rows.sort(key=lambda row: row.timestamp)
-    poses = rows_by_token(place, "ego_pose", (row.ego_pose_token for row in rows))
-    calibrations = rows_by_token(place, "calibrated_sensor")
-    sensors = rows_by_token(place, "sensor")
+    poses = rows_by_token(location, "ego_pose", (row.ego_pose_token for row in rows))
+    calibrations = rows_by_token(location, "calibrated_sensor")
+    sensors = rows_by_token(location, "sensor")
     by_channel: dict[str, list[SampleDataRow]] = {}
     for row in rows:
-        sensor = _followed(place, row, poses, calibrations, sensors, ledger)
-        if sensor is not None and _is_there(place, row, ledger):
+        sensor = _followed(location, row, poses, calibrations, sensors, ledger)
+        if sensor is not None and _is_there(location, row, ledger):
             by_channel.setdefault(sensor.token, []).append(row)
     if len({key_of(sensors[token].id) for token in by_channel}) < len(by_channel):
         for sensor in sensors.values():
@@ -216,7 +220,7 @@ def _sensors(
 
 
 def _followed(
-    place: Place,
+    location: Location,
     row: SampleDataRow,
     poses: Mapping[str, EgoPoseRow],
     calibrations: Mapping[str, CalibratedSensorRow],
@@ -227,20 +231,20 @@ def _followed(
     calibration = calibrations.get(row.calibrated_sensor_token)
     fault = None
     if row.ego_pose_token not in poses:
-        fault = dangling(place, "sample_data", row.token, "ego_pose", row.ego_pose_token)
+        fault = dangling(location, "sample_data", row.token, "ego_pose", row.ego_pose_token)
     elif calibration is None:
         wanted = row.calibrated_sensor_token
-        fault = dangling(place, "sample_data", row.token, "calibrated_sensor", wanted)
+        fault = dangling(location, "sample_data", row.token, "calibrated_sensor", wanted)
     elif calibration.sensor_token not in sensors:
-        fault = dangling(place, "calibrated_sensor", calibration.token, "sensor", calibration.sensor_token)
+        fault = dangling(location, "calibrated_sensor", calibration.token, "sensor", calibration.sensor_token)
     if fault is not None or calibration is None:
         ledger.fault("dangling-tokens", fault or SceneloomError())
         return None
     return sensors[calibration.sensor_token]
 
 
-def _is_there(place: Place, row: SampleDataRow, ledger: Ledger) -> bool:
-    file = file_of(place, "sample_data", row.token, row.filename)
+def _is_there(location: Location, row: SampleDataRow, ledger: Ledger) -> bool:
+    file = file_of(location, "sample_data", row.token, row.filename)
     if file.is_file():
         return True
     hint = (
@@ -250,7 +254,7 @@ def _is_there(place: Place, row: SampleDataRow, ledger: Ledger) -> bool:
     return False
 
 
-def file_of(place: Place, table: str, token: str, name: str) -> Path:
+def file_of(location: Location, table: str, token: str, name: str) -> Path:
     """The path of a file that a table names.
 
     Raises:
@@ -259,8 +263,8 @@ def file_of(place: Place, table: str, token: str, name: str) -> Path:
     parts = PurePosixPath(name).parts
     if not parts or PurePosixPath(name).is_absolute() or ".." in parts:
         problem = f"filename {name!r}; expected one inside the folder of the data set"
-        raise DataError(place.tables / f"{table}.json", f"row {token}", problem)
-    return place.root.joinpath(*parts)
+        raise DataError(location.tables / f"{table}.json", f"row {token}", problem)
+    return location.root.joinpath(*parts)
 
 
 _KINDS = ("lidar", "radar", "camera")

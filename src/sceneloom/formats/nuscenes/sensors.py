@@ -10,26 +10,26 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.nuscenes.frames import CycleFiles, FrameFiles, PictureFiles, SweepFiles
+from sceneloom.formats.nuscenes.frames import CycleFiles, FrameFiles, ImageFiles, SweepFiles
 from sceneloom.formats.nuscenes.keyframes import KEY_FRAMES
 from sceneloom.formats.nuscenes.selection import SceneTables, SensorData, file_of
 from sceneloom.formats.nuscenes.tables import CalibratedSensorRow, Quaternion
 from sceneloom.formats.quaternion_lengths import lengths_of
-from sceneloom.formats.rig.pictures import picture_size
+from sceneloom.formats.rig.images import image_size
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, normalise_quaternion, rotate_vectors
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.notices import NoticeKind
-from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Sensor
+from sceneloom.scene.warnings import WarningKind
 
 MICROSECOND = 1000
 """Nanoseconds in the unit of all times of the tables."""
 
 TRAJECTORY = "pose"
-"""The name of the ego's way."""
+"""The name of the ego trajectory."""
 
 
 def build_sensors(tables: SceneTables, ledger: Ledger) -> tuple[Sensor, ...]:
@@ -42,16 +42,16 @@ def build_sensors(tables: SceneTables, ledger: Ledger) -> tuple[Sensor, ...]:
     for data in tables.sensors:
         build = _BUILDERS.get(data.sensor.modality)
         if build is None:
-            place = str(tables.place.tables / "sensor.json")
+            location = str(tables.location.tables / "sensor.json")
             message = f"{data.sensor.channel} is a {data.sensor.modality!r}; of these nothing is read"
-            ledger.note(NoticeKind.SKIPPED, "unknown-modality", place, message, count=len(data.rows))
+            ledger.note(WarningKind.SKIPPED, "unknown-modality", location, message, count=len(data.rows))
         else:
             sensors.append(build(tables, data))
     return tuple(sensors)
 
 
 def trajectory_of(tables: SceneTables, ledger: Ledger) -> Trajectory | None:
-    """The ego's way: its poses at all frames of all sensors; None where there are none.
+    """The ego trajectory: its poses at all frames of all sensors; None where there are none.
 
     Raises:
         DataError: a pose is wrong.
@@ -60,23 +60,23 @@ def trajectory_of(tables: SceneTables, ledger: Ledger) -> Trajectory | None:
     if not rows:
         return None
     ordered = sorted(rows.values(), key=lambda row: row.timestamp)
-    stamps_ns = np.array([row.timestamp for row in ordered], np.int64) * MICROSECOND
-    times_ns, first = np.unique(stamps_ns, return_index=True)
+    timestamps_ns = np.array([row.timestamp for row in ordered], np.int64) * MICROSECOND
+    times_ns, first = np.unique(timestamps_ns, return_index=True)
     positions = np.array([row.translation for row in ordered], np.float64)
     quaternions = _quaternions(tables, "ego_pose", [(row.token, row.rotation) for row in ordered])
-    kept = first[np.searchsorted(times_ns, stamps_ns)]
+    kept = first[np.searchsorted(times_ns, timestamps_ns)]
     differing = int((positions != positions[kept]).any(axis=1).sum())
     if differing:
-        message = "poses of another place at a time that has one already; the first one is taken"
-        place = str(tables.place.tables / "ego_pose.json")
-        ledger.note(NoticeKind.SKIPPED, "poses-repeated", place, message, count=differing)
+        message = "poses of another location at a time that has one already; the first one is taken"
+        location = str(tables.location.tables / "ego_pose.json")
+        ledger.note(WarningKind.SKIPPED, "poses-repeated", location, message, count=differing)
     return Trajectory(TRAJECTORY, times_ns, positions[first], quaternions[first])
 
 
 def _quaternions(
     tables: SceneTables, table: str, rotations: Sequence[tuple[str, Quaternion]]
 ) -> Float64Array:
-    """Turn `w x y z` into unit quaternions (N, 4), scalar last.
+    """Rotate `w x y z` into unit quaternions (N, 4), scalar last.
 
     Raises:
         DataError: one is far from length 1.
@@ -89,7 +89,7 @@ def _quaternions(
         problem = (
             f"rotation {list(rotation)} has the length {norms[wrong[0]]:.4f}; expected w, x, y, z of length 1"
         )
-        raise DataError(tables.place.tables / f"{table}.json", f"row {token}", problem)
+        raise DataError(tables.location.tables / f"{table}.json", f"row {token}", problem)
     return normalise_quaternion(values[:, [1, 2, 3, 0]])
 
 
@@ -99,7 +99,7 @@ def _mount(tables: SceneTables, row: CalibratedSensorRow) -> RigidTransform:
     try:
         return RigidTransform.from_quaternion(np.array(row.translation), quaternion)
     except CalibrationError as error:
-        file = tables.place.tables / "calibrated_sensor.json"
+        file = tables.location.tables / "calibrated_sensor.json"
         raise DataError(file, f"row {row.token}", str(error)) from error
 
 
@@ -109,10 +109,10 @@ def _mounts(tables: SceneTables, data: SensorData) -> dict[str, RigidTransform]:
 
 
 def _files(tables: SceneTables, data: SensorData) -> FrameFiles:
-    place = tables.place
+    location = tables.location
     return FrameFiles(
-        tuple(file_of(place, "sample_data", row.token, row.filename) for row in data.rows),
-        _stamps(data),
+        tuple(file_of(location, "sample_data", row.token, row.filename) for row in data.rows),
+        _timestamps(data),
         tuple(
             (
                 ("file", row.filename),
@@ -125,22 +125,22 @@ def _files(tables: SceneTables, data: SensorData) -> FrameFiles:
     )
 
 
-def _stamps(data: SensorData) -> Int64Array:
+def _timestamps(data: SensorData) -> Int64Array:
     return np.array([row.timestamp for row in data.rows], np.int64) * MICROSECOND
 
 
-def _poses(tables: SceneTables, data: SensorData, mounts: Mapping[str, RigidTransform]) -> PosePath:
+def _poses(tables: SceneTables, data: SensorData, mounts: Mapping[str, RigidTransform]) -> Poses:
     """`world_from_sensor` at each frame: the ego's pose that the frame names, and the mounting."""
     quaternions = _quaternions(tables, "ego_pose", [(row.token, row.rotation) for row in data.poses])
     positions = np.array([row.translation for row in data.poses], np.float64)
     own = [mounts[row.token] for row in data.calibrations]
     shifts = np.array([mount.translation for mount in own])
-    turns = np.array([mount.quaternion_xyzw for mount in own])
-    times_ns, first = np.unique(_stamps(data), return_index=True)
-    return PosePath(
+    rotations = np.array([mount.quaternion_xyzw for mount in own])
+    times_ns, first = np.unique(_timestamps(data), return_index=True)
+    return Poses(
         times_ns,
         (rotate_vectors(quaternions, shifts) + positions)[first],
-        multiply_quaternions(quaternions, turns)[first],
+        multiply_quaternions(quaternions, rotations)[first],
     )
 
 
@@ -168,14 +168,14 @@ def _build_radar(tables: SceneTables, data: SensorData) -> Sensor:
 
 def _build_camera(tables: SceneTables, data: SensorData) -> Sensor:
     mounts, files = _mounts(tables, data), _files(tables, data)
-    lenses = _lenses(tables, data, files)
+    camera_models = _camera_models(tables, data, files)
     common = mounts[data.calibrations[0].token]
     own = [mounts[row.token] for row in data.calibrations]
-    reader = PictureFiles(files, lenses, tuple(None if mount is common else mount for mount in own))
+    reader = ImageFiles(files, camera_models, tuple(None if mount is common else mount for mount in own))
     return CameraSensor(
         id=data.sensor.id,
-        camera=lenses[0],
-        pictures=LazyFrames(files.timestamps_ns, reader),
+        camera=camera_models[0],
+        images=LazyFrames(files.timestamps_ns, reader),
         poses=_poses(tables, data, mounts),
         mount=common,
         extras=_about(data),
@@ -183,7 +183,7 @@ def _build_camera(tables: SceneTables, data: SensorData) -> Sensor:
 
 
 def _about(data: SensorData) -> Mapping[str, Any]:
-    """What the tables say about a sensor that the model has no other place for."""
+    """What the tables state about a sensor that the model has no other location for."""
     return MappingProxyType(
         {
             "token": data.sensor.token,
@@ -193,23 +193,23 @@ def _about(data: SensorData) -> Mapping[str, Any]:
     )
 
 
-def _lenses(tables: SceneTables, data: SensorData, files: FrameFiles) -> tuple[Camera, ...]:
-    """The lens of each picture; all pictures of nuScenes are undistorted."""
+def _camera_models(tables: SceneTables, data: SensorData, files: FrameFiles) -> tuple[Camera, ...]:
+    """The camera model of each image; all images of nuScenes are undistorted."""
     known: dict[tuple[str, int, int], Camera] = {}
-    lenses = []
+    camera_models = []
     for k, row in enumerate(data.rows):
         calibration = data.calibrations[k]
         size = (row.width or 0, row.height or 0)
         if not all(size):
-            size = picture_size(files.files[k])
+            size = image_size(files.files[k])
         key = (calibration.token, *size)
         if key not in known:
-            known[key] = _lens(tables, calibration, size)
-        lenses.append(known[key])
-    return tuple(lenses)
+            known[key] = _camera_model(tables, calibration, size)
+        camera_models.append(known[key])
+    return tuple(camera_models)
 
 
-def _lens(tables: SceneTables, row: CalibratedSensorRow, size: tuple[int, int]) -> Camera:
+def _camera_model(tables: SceneTables, row: CalibratedSensorRow, size: tuple[int, int]) -> Camera:
     matrix = np.array(row.camera_intrinsic, np.float64)
     fault = f"camera_intrinsic {row.camera_intrinsic}; expected rows (fx, 0, cx), (0, fy, cy), (0, 0, 1)"
     if matrix.shape == (3, 3) and np.array_equal(matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], [0, 0, 0, 0, 1]):
@@ -218,7 +218,7 @@ def _lens(tables: SceneTables, row: CalibratedSensorRow, size: tuple[int, int]) 
             return Camera("pinhole", *size, fx, fy, cx, cy)
         except CalibrationError as error:
             fault = str(error)
-    raise DataError(tables.place.tables / "calibrated_sensor.json", f"row {row.token}", fault)
+    raise DataError(tables.location.tables / "calibrated_sensor.json", f"row {row.token}", fault)
 
 
 _BUILDERS: Mapping[str, Callable[[SceneTables, SensorData], Sensor]] = MappingProxyType(

@@ -39,8 +39,8 @@ def _scene_names(path: Path) -> tuple[str, ...]:
     return scene_names(path)
 
 
-_NO_PLACE = dropped("the tables have no place for it")
-_NEW = converted("the tables say it anew, what nuScenes has no such fields for is dropped")
+_NO_POSITION = dropped("the tables have no field for it")
+_NEW = converted("the tables state it anew, what nuScenes has no such fields for is dropped")
 _MICROSECONDS = converted("whole microseconds, halves to the even one")
 _POSES = converted("the ego's pose at each frame, and the mounting")
 _WORLD = converted("poses lead into the world")
@@ -51,7 +51,7 @@ _SWEPT = ("sensors.lidar", "sensors.radar")
 
 SUPPORTS: Supports = MappingProxyType(
     {
-        "": _NO_PLACE,
+        "": _NO_POSITION,
         "sensors.order": converted("lidars, radars, cameras, each by name"),
         **{f"{kind}.id": converted("names are texts") for kind in _POSED},
         **{f"{kind}.poses": _POSES for kind in _POSED},
@@ -71,28 +71,30 @@ SUPPORTS: Supports = MappingProxyType(
         "sensors.radar.frames.points.lengths": converted("with the directions, as vx and vy"),
         "sensors.radar.frames.points.extras": converted("the columns of nuScenes' radars, in their types"),
         "sensors.camera.camera": KEPT,
-        "sensors.camera.video": converted("decoded, a file for each picture"),
-        "sensors.camera.pictures.timestamp_ns": _MICROSECONDS,
-        "sensors.camera.pictures.camera": converted("a row of lens and mounting for each that a picture has"),
-        "sensors.camera.pictures.mount": converted("quaternion and translation"),
-        "sensors.camera.pictures.rgb": KEPT,
-        "sensors.camera.pictures.encoded": KEPT,
-        "sensors.camera.pictures.extras": _NEW,
+        "sensors.camera.video": converted("decoded, a file for each image"),
+        "sensors.camera.images.timestamp_ns": _MICROSECONDS,
+        "sensors.camera.images.camera": converted(
+            "a row of camera model and mounting for each that an image has"
+        ),
+        "sensors.camera.images.mount": converted("quaternion and translation"),
+        "sensors.camera.images.rgb": KEPT,
+        "sensors.camera.images.encoded": KEPT,
+        "sensors.camera.images.extras": _NEW,
         "annotations.order": converted("cuboids, then classes of points"),
         "annotations.cuboid.id": converted("tokens are texts"),
         "annotations.cuboid.label": converted("a category; of objects without a class `unknown`"),
-        "annotations.cuboid.path.timestamps_ns": converted("boxes are told at the samples"),
-        "annotations.cuboid.path.values": converted("boxes at the samples, turned by quaternions"),
+        "annotations.cuboid.path.timestamps_ns": converted("boxes are reported at the samples"),
+        "annotations.cuboid.path.values": converted("boxes at the samples, rotated by quaternions"),
         "annotations.cuboid.path.extras": _NEW,
         "annotations.cuboid.attributes": converted(
-            "names, visibility and numbers of points, told at the samples"
+            "names, visibility and numbers of points, reported at the samples"
         ),
         "annotations.labeled_points": converted("a file of classes for each key frame"),
         "annotations.labeled_points.id": converted("`lidarseg:` and the name of the class"),
         "annotations.labeled_points.label": converted("a category"),
         "annotations.labeled_points.extras": converted("the number of the class"),
-        "annotations.labeled_points.attributes": _NO_PLACE,
-        "annotations.labeled_points.parent_id": _NO_PLACE,
+        "annotations.labeled_points.attributes": _NO_POSITION,
+        "annotations.labeled_points.parent_id": _NO_POSITION,
         "annotations.labeled_points.type": converted("`labeled_points`"),
         "trajectories.name": converted("it is `pose`"),
         "trajectories.timestamps_ns": converted("a pose at each frame"),
@@ -112,7 +114,7 @@ FORMAT = FormatSpec(
     reader="sceneloom.formats.nuscenes.scene_from_tables:open_nuscenes",
     read_options=("lenient", "sequence", "keyframes"),
     writer="sceneloom.formats.nuscenes.writing:write_nuscenes",
-    write_options=("version", "keyframe_rate_hz", "pictures", "channel", "trajectory"),
+    write_options=("version", "keyframe_rate_hz", "images", "channel", "trajectory"),
     supports=SUPPORTS,
     along_trajectory=True,
 )

@@ -45,7 +45,7 @@ class SampleRow(msgspec.Struct, kw_only=True):
 
 
 class SampleDataRow(msgspec.Struct, kw_only=True):
-    """One picture, sweep or radar cycle."""
+    """One image, sweep or radar cycle."""
 
     token: str
     sample_token: str
@@ -207,10 +207,10 @@ def iter_rows(folder: Path, table: str) -> Iterator[Any]:
     decoder: msgspec.json.Decoder[list[Any]] = msgspec.json.Decoder(rows_of_table)
     given = 0
     try:
-        for piece in _pieces(path):
+        for piece in _chunks(path):
             rows = _rows_of_piece(decoder, piece)
             if rows is None:
-                # the piece ends inside a text, or is wrong: the whole file tells
+                # the piece ends inside a text, or is wrong: the whole file reports
                 yield from _decoded(path, decoder, read_bytes(path))[given:]
                 return
             given += len(rows)
@@ -220,7 +220,7 @@ def iter_rows(folder: Path, table: str) -> Iterator[Any]:
         raise DataError(path, "", problem) from error
 
 
-def _pieces(path: Path) -> Iterator[bytes]:
+def _chunks(path: Path) -> Iterator[bytes]:
     """Cut a JSON list of objects into shorter lists of whole objects."""
     with open_file(path) as file:
         content = file.read(_PIECE)
@@ -248,8 +248,8 @@ def _decoded(path: Path, decoder: "msgspec.json.Decoder[list[Any]]", content: by
     try:
         return decoder.decode(content)
     except msgspec.ValidationError as error:
-        problem, _, place = str(error).partition(" - at `")
-        found = _FIELD.search(place)
+        problem, _, location = str(error).partition(" - at `")
+        found = _FIELD.search(location)
         where = "" if found is None else ".".join(filter(None, (f"row {found['row']}", found["field"])))
         raise DataError(path, where, problem) from error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:

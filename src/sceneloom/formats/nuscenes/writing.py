@@ -11,9 +11,9 @@ import numpy as np
 from sceneloom.arrays import AnyArray
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
-from sceneloom.formats.loss import Fate, LossReport
-from sceneloom.formats.nuscenes.further_fields import OF_FRAMES, told
-from sceneloom.formats.nuscenes.keyframes import microseconds, stamps_of
+from sceneloom.formats.loss import LossReport, Support
+from sceneloom.formats.nuscenes.further_fields import OF_FRAMES, reported
+from sceneloom.formats.nuscenes.keyframes import microseconds, timestamps_of
 from sceneloom.formats.nuscenes.tables import TABLES
 from sceneloom.formats.nuscenes.writing_plan import (
     Channel,
@@ -28,7 +28,7 @@ from sceneloom.formats.nuscenes.written_frames import (
     FrameLosses,
     in_sensor_frame,
     write_cycle,
-    write_picture,
+    write_image,
     write_sweep,
 )
 from sceneloom.formats.nuscenes.written_labels import PointClasses, category_rows
@@ -36,13 +36,13 @@ from sceneloom.formats.nuscenes.written_tables import Row, TableWriter, placed, 
 from sceneloom.formats.option_values import as_positive
 from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.cameras import Picture
+from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import PointsFrame
 
-PICTURES = ("copy", "png")
-"""How pictures are written."""
+IMAGES = ("copy", "png")
+"""How images are written."""
 
 _KIND = FolderKind(
     "data set of nuScenes",
@@ -65,7 +65,7 @@ def write_nuscenes(
     overwrite: bool = False,
     version: str | None = None,
     keyframe_rate_hz: float | str | None = None,
-    pictures: str = "copy",
+    images: str = "copy",
     channel: str | Iterable[str] | None = None,
     trajectory: str | None = None,
 ) -> LossReport:
@@ -77,9 +77,9 @@ def write_nuscenes(
         overwrite: replace the folder if it is a data set, or empty; nobody else's folder is ever replaced.
         version: name of the folder of tables; None: that which the scene was read from, else `v1.0-sceneloom`.
         keyframe_rate_hz: samples a second; None: those that the scene was read with, else two a second.
-        pictures: "copy" copies JPEG and PNG files, and writes others as JPEG; "png" writes them as PNG.
+        images: "copy" copies JPEG and PNG files, and writes others as JPEG; "png" writes them as PNG.
         channel: channels of sensors, as `lidar=LIDAR_TOP,camera0=CAM_FRONT` or one text for each; others get the name
-            that nuScenes has for the lidar or for the only camera that looks their way, else their id.
+            that nuScenes has for the lidar or for the only camera that looks their trajectory, else their id.
         trajectory: name of the ego's, as of `ego_in_world`.
 
     Returns:
@@ -89,17 +89,17 @@ def write_nuscenes(
         OptionError: an option is none of these.
         PoseError: the trajectory cannot be taken.
         OutputError: the path exists, or cannot be written.
-        CalibrationError: a lens cannot be computed with.
+        CalibrationError: a camera model cannot be computed with.
         DataError: what the scene is read from is damaged, or has no frame at all.
     """
-    if pictures not in PICTURES:
-        raise OptionError(f"pictures {pictures!r}; nuScenes takes {', '.join(PICTURES)}")
+    if images not in IMAGES:
+        raise OptionError(f"images {images!r}; nuScenes takes {', '.join(IMAGES)}")
     if version is not None and not is_version(version):
         raise OptionError(f"version {version!r}; expected a name such as v1.0-mini")
     rate_hz = None if keyframe_rate_hz is None else as_positive("keyframe_rate_hz", keyframe_rate_hz)
     plan = WritingPlan.of(scene, path, version, rate_hz, channels_of(scene, channel), trajectory)
     with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
-        losses = _Writer(plan, draft, pictures).write()
+        losses = _Writer(plan, draft, images).write()
     return LossReport.of([*plan.losses, *losses])
 
 
@@ -109,7 +109,7 @@ class _Writer:
 
     plan: WritingPlan
     root: Path
-    pictures: str
+    images: str
     losses: FrameLosses = field(default_factory=FrameLosses)
     calibrations: dict[str, dict[str, Any]] = field(default_factory=dict)
 
@@ -142,12 +142,14 @@ class _Writer:
         self, channel: Channel, rows: TableWriter, poses: TableWriter, boxes: Boxes, classes: PointClasses
     ) -> None:
         plan, sensor = self.plan, channel.sensor
-        stamps = stamps_of(sensor)
-        stamps_us, egos = microseconds(stamps), plan.egos_at(stamps)
+        timestamps = timestamps_of(sensor)
+        timestamps_us, egos = microseconds(timestamps), plan.egos_at(timestamps)
         is_key = plan.samples.key_rows(sensor)
         samples = plan.samples.numbers(sensor, is_key)
-        tokens = [token_of("sample_data", plan.about[0].name, channel.name, k) for k in range(len(stamps))]
-        stems = _stems(plan.about[0].name, channel, stamps_us.tolist())
+        tokens = [
+            token_of("sample_data", plan.about[0].name, channel.name, k) for k in range(len(timestamps))
+        ]
+        stems = _stems(plan.about[0].name, channel, timestamps_us.tolist())
         for k, token in enumerate(tokens):
             folder = self.root / ("samples" if is_key[k] else "sweeps") / channel.folder
             folder.mkdir(parents=True, exist_ok=True)
@@ -157,30 +159,30 @@ class _Writer:
                 boxes.count(name, int(samples[k]), written.points_world)
                 if isinstance(sensor, LidarSensor):
                     self._write_classes(classes, channel, k, token, len(written.points_world))
-            poses.add(token=token, timestamp=int(stamps_us[k]), **placed(egos[k]))
+            poses.add(token=token, timestamp=int(timestamps_us[k]), **placed(egos[k]))
             rows.add(
                 token=token,
                 sample_token=plan.samples.tokens[int(samples[k])],
                 ego_pose_token=token,
-                calibrated_sensor_token=self._calibration(channel, written.mount, written.lens),
-                timestamp=int(stamps_us[k]),
-                fileformat=written.path.suffix[1:] if written.lens is not None else "pcd",
+                calibrated_sensor_token=self._calibration(channel, written.mount, written.camera_model),
+                timestamp=int(timestamps_us[k]),
+                fileformat=written.path.suffix[1:] if written.camera_model is not None else "pcd",
                 is_key_frame=bool(is_key[k]),
-                height=0 if written.lens is None else written.lens.height,
-                width=0 if written.lens is None else written.lens.width,
+                height=0 if written.camera_model is None else written.camera_model.height,
+                width=0 if written.camera_model is None else written.camera_model.width,
                 filename=written.path.relative_to(self.root).as_posix(),
                 prev=tokens[k - 1] if k else "",
                 next=tokens[k + 1] if k + 1 < len(tokens) else "",
             )
-        self._tell_times(channel, stamps, stamps_us)
+        self._report_times(channel, timestamps, timestamps_us)
 
     def _write_frame(self, channel: Channel, k: int, stem: Path, ego: RigidTransform) -> "_Frame":
         sensor = channel.sensor
-        frame: Any = sensor.pictures[k] if channel.modality == "camera" else sensor.frames[k]  # type: ignore[union-attr]
-        for loss in told(_extras_of(channel), frame.extras, OF_FRAMES):
+        frame: Any = sensor.images[k] if channel.modality == "camera" else sensor.frames[k]  # type: ignore[union-attr]
+        for loss in reported(_extras_of(channel), frame.extras, OF_FRAMES):
             self.losses.add(loss.field, loss.what, 1)
-        if isinstance(frame, Picture):
-            path = write_picture(stem, frame, self.pictures, self.losses)
+        if isinstance(frame, CameraImage):
+            path = write_image(stem, frame, self.images, self.losses)
             return _Frame(path, frame.mount or channel.mount, frame.camera)
         return self._write_points(channel, frame, stem, ego, sensor.points_frame)  # type: ignore[union-attr]
 
@@ -206,24 +208,24 @@ class _Writer:
         frame = (sensor_key(channel.sensor), k)
         classes.write(self.root, self.plan.version, token, frame, count, self.losses)
 
-    def _calibration(self, channel: Channel, mount: RigidTransform, lens: Camera | None) -> str:
-        """The token of a mounting and a lens; their row is kept for later."""
-        numbers = [] if lens is None else lens.matrix.tolist()
+    def _calibration(self, channel: Channel, mount: RigidTransform, camera_model: Camera | None) -> str:
+        """The token of a mounting and a camera model; their row is kept for later."""
+        numbers = [] if camera_model is None else camera_model.matrix.tolist()
         token = token_of("calibrated_sensor", channel.name, mount.matrix.tolist(), numbers)
         if token not in self.calibrations:
             row = {"sensor_token": channel.token, **placed(mount), "camera_intrinsic": numbers}
             self.calibrations[token] = row
         return token
 
-    def _tell_times(self, channel: Channel, stamps: AnyArray, stamps_us: AnyArray) -> None:
-        off = differences_us(stamps, stamps_us)
-        place = f"sensors.{channel.modality}.{'pictures' if channel.modality == 'camera' else 'frames'}"
-        count = int((stamps != stamps_us * 1000).sum())
+    def _report_times(self, channel: Channel, timestamps: AnyArray, timestamps_us: AnyArray) -> None:
+        off = differences_us(timestamps, timestamps_us)
+        location = f"sensors.{channel.modality}.{'images' if channel.modality == 'camera' else 'frames'}"
+        count = int((timestamps != timestamps_us * 1000).sum())
         what = "rounded to microseconds [ns]"
-        self.losses.add(f"{place}.timestamp_ns", what, count, Fate.CONVERTED, error=off)
-        beyond = self.plan.beyond(stamps)
-        what = "frames beyond the way of the ego have its end poses"
-        self.losses.add("trajectories.positions", what, beyond, Fate.APPROXIMATED)
+        self.losses.add(f"{location}.timestamp_ns", what, count, Support.CONVERTED, error=off)
+        beyond = self.plan.beyond(timestamps)
+        what = "frames beyond the ego trajectory have its end poses"
+        self.losses.add("trajectories.positions", what, beyond, Support.APPROXIMATED)
 
     def _write_sensors(self) -> None:
         sensors: Iterable[Row] = (
@@ -272,26 +274,26 @@ class _Writer:
 
 def _extras_of(channel: Channel) -> str:
     """The field of the further fields of a channel's frames."""
-    return f"sensors.{channel.modality}.{'pictures' if channel.modality == 'camera' else 'frames'}.extras"
+    return f"sensors.{channel.modality}.{'images' if channel.modality == 'camera' else 'frames'}.extras"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Frame:
-    """A frame that was written: its file, mounting, lens of pictures, points of others."""
+    """A frame that was written: its file, mounting, camera model of images, points of others."""
 
     path: Path
     mount: RigidTransform
-    lens: Camera | None = None
+    camera_model: Camera | None = None
     points_world: AnyArray | None = None
 
 
-def _stems(name: str, channel: Channel, stamps_us: Sequence[int]) -> list[str]:
+def _stems(name: str, channel: Channel, timestamps_us: Sequence[int]) -> list[str]:
     """Names of files, as nuScenes has them: scene, channel, time; a number where two frames have one time."""
     from sceneloom.formats.file_names import file_stem
 
     stems: list[str] = []
     seen: dict[int, int] = {}
-    for time in stamps_us:
+    for time in timestamps_us:
         number = seen[time] = seen.get(time, 0) + 1
         again = "" if number == 1 else f"~{number}"
         stems.append(f"{file_stem(name)}__{channel.folder}__{time}{again}")

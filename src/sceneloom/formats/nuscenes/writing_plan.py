@@ -15,10 +15,10 @@ from sceneloom.errors import OptionError
 from sceneloom.formats.default_poses import ego_in_world
 from sceneloom.formats.field_losses import field_losses
 from sceneloom.formats.file_names import file_stems
-from sceneloom.formats.kitti.written.choice import ego_way
-from sceneloom.formats.loss import Fate, Loss
+from sceneloom.formats.kitti.written.choice import ego_trajectory
+from sceneloom.formats.loss import Loss, Support
 from sceneloom.formats.nuscenes.further_fields import further_fields
-from sceneloom.formats.nuscenes.keyframes import Samples, Written, choose_samples, stamps_of
+from sceneloom.formats.nuscenes.keyframes import Samples, Written, choose_samples, timestamps_of
 from sceneloom.formats.nuscenes.spec import SUPPORTS
 from sceneloom.formats.nuscenes.tables import LogRow, SceneRow
 from sceneloom.formats.nuscenes.written_tables import token_of
@@ -28,7 +28,7 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.contents import KINDS
 from sceneloom.scene.ego import EgoAxes, ego_axes
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import check_one_ego
 from sceneloom.scene.types import key_of
@@ -90,7 +90,7 @@ class WritingPlan:
     """What is written.
 
     Attributes:
-        scene: all of it; lenses are pinholes already.
+        scene: all of it; camera models are pinholes already.
         version: name of the folder of tables.
         about: rows of scene.json and log.json.
         channels: the sensors.
@@ -104,7 +104,7 @@ class WritingPlan:
     about: tuple[SceneRow, LogRow]
     channels: tuple[Channel, ...]
     samples: Samples
-    ego_path: PosePath | None
+    ego_path: Poses | None
     losses: list[Loss] = field(default_factory=list)
 
     @classmethod
@@ -120,85 +120,85 @@ class WritingPlan:
         """Look through a scene.
 
         Raises:
-            CalibrationError: a lens cannot be computed with.
+            CalibrationError: a camera model cannot be computed with.
             OptionError: there is no trajectory of that name.
             PoseError: the trajectory cannot be taken.
             DataError: no sensor has a frame.
         """
-        losses = [loss for loss in field_losses(scene, SUPPORTS) if loss.fate is Fate.DROPPED]
+        losses = [loss for loss in field_losses(scene, SUPPORTS) if loss.support is Support.DROPPED]
         losses += further_fields(scene)
         scene = _with_pinholes(scene, losses)
-        way = ego_way(scene) if trajectory is None else None
-        if way is None:
-            ego, told = ego_in_world(scene, name=trajectory)
-            way = None if ego.path.endless else ego.path
-            losses += told
-        check_one_ego(scene, way)
-        scene = each_mounted(scene, way)
+        estimated_trajectory = ego_trajectory(scene) if trajectory is None else None
+        if estimated_trajectory is None:
+            ego, reported = ego_in_world(scene, name=trajectory)
+            estimated_trajectory = None if ego.path.static else ego.path
+            losses += reported
+        check_one_ego(scene, estimated_trajectory)
+        scene = each_mounted(scene, estimated_trajectory)
         if len(scene.trajectories) > 1:
-            what = "left out: the tables hold one way of the ego"
+            what = "left out: the tables hold one ego trajectory"
             losses.append(Loss(field="trajectories", what=what, count=len(scene.trajectories) - 1))
-        channels = _channels(scene, way, losses, names)
-        losses += _lost_poses(scene, way, channels)
+        channels = _channels(scene, estimated_trajectory, losses, names)
+        losses += _lost_poses(scene, estimated_trajectory, channels)
         about = _about(scene, path)
         samples = choose_samples(
             scene, [channel.sensor for channel in channels], rate_hz=rate_hz, name=about[0].name
         )
-        return cls(scene, version or _version(scene), about, channels, samples, way, losses)
+        return cls(scene, version or _version(scene), about, channels, samples, estimated_trajectory, losses)
 
-    def egos_at(self, stamps_ns: Int64Array) -> list[RigidTransform]:
-        """`world_from_ego` at each time; beyond the way its end poses hold."""
+    def egos_at(self, timestamps_ns: Int64Array) -> list[RigidTransform]:
+        """`world_from_ego` at each time; beyond the trajectory its end poses hold."""
         if self.ego_path is None:
-            return [RigidTransform.identity()] * len(stamps_ns)
-        held = self.ego_path.held(stamps_ns)
+            return [RigidTransform.identity()] * len(timestamps_ns)
+        held = self.ego_path.held(timestamps_ns)
         return [
-            RigidTransform.from_quaternion(place, turn)
-            for place, turn in zip(held.positions, held.quaternions_xyzw, strict=True)
+            RigidTransform.from_quaternion(location, rotation)
+            for location, rotation in zip(held.positions, held.quaternions_xyzw, strict=True)
         ]
 
-    def beyond(self, stamps_ns: Int64Array) -> int:
-        """How many times are beyond the ego's way."""
+    def beyond(self, timestamps_ns: Int64Array) -> int:
+        """How many times are beyond the ego trajectory."""
         path = self.ego_path
-        if path is None or path.endless:
+        if path is None or path.static:
             return 0
-        return int(((stamps_ns < path.start_ns) | (stamps_ns > path.stop_ns)).sum())
+        return int(((timestamps_ns < path.start_ns) | (timestamps_ns > path.stop_ns)).sum())
 
 
-def _lost_poses(scene: Scene, way: PosePath | None, channels: Sequence[Channel]) -> list[Loss]:
-    """Say that poses between frames are not in the tables, of a trajectory of the scene."""
-    if way is None or not any(
-        known.timestamps_ns is way.timestamps_ns for known in scene.trajectories.values()
+def _lost_poses(scene: Scene, estimated_trajectory: Poses | None, channels: Sequence[Channel]) -> list[Loss]:
+    """Report that poses between frames are not in the tables, of a trajectory of the scene."""
+    if estimated_trajectory is None or not any(
+        known.timestamps_ns is estimated_trajectory.timestamps_ns for known in scene.trajectories.values()
     ):
         return []
-    frames = np.concatenate([[0][:0], *(stamps_of(channel.sensor) for channel in channels)])
-    lost = int((~np.isin(way.timestamps_ns, frames)).sum())
-    new = int((~np.isin(frames, way.timestamps_ns)).sum())
-    told = (
-        ("poses between frames are left out", lost, Fate.DROPPED),
-        ("poses at frames are found between those that are told", new, Fate.APPROXIMATED),
+    frames = np.concatenate([[0][:0], *(timestamps_of(channel.sensor) for channel in channels)])
+    lost = int((~np.isin(estimated_trajectory.timestamps_ns, frames)).sum())
+    new = int((~np.isin(frames, estimated_trajectory.timestamps_ns)).sum())
+    reported = (
+        ("poses between frames are left out", lost, Support.DROPPED),
+        ("poses at frames are found between those that are reported", new, Support.APPROXIMATED),
     )
     return [
-        Loss(field="trajectories.positions", what=what, count=count, fate=fate)
-        for what, count, fate in told
+        Loss(field="trajectories.positions", what=what, count=count, support=support)
+        for what, count, support in reported
         if count
     ]
 
 
 def _with_pinholes(scene: Scene, losses: list[Loss]) -> Scene:
-    """Resample the pictures of other lenses, since all of nuScenes' pictures are undistorted."""
-    bent = [camera for camera in scene.cameras if camera.camera.model != "pinhole" and len(camera.pictures)]
+    """Resample the images of other camera models, since all of nuScenes' images are undistorted."""
+    bent = [camera for camera in scene.cameras if camera.camera.model != "pinhole" and len(camera.images)]
     if not bent:
         return scene
     for camera in bent:
-        what = f"{camera.id!r}: a {camera.camera.model} lens replaced by a pinhole, and its pictures resampled for it"
+        what = f"{camera.id!r}: a {camera.camera.model} camera model replaced by a pinhole, and its images resampled for it"
         losses += [
-            Loss(field=f"sensors.camera.{name}", what=what, fate=Fate.APPROXIMATED)
-            for name in ("camera", "pictures.rgb", "pictures.encoded")
+            Loss(field=f"sensors.camera.{name}", what=what, support=Support.APPROXIMATED)
+            for name in ("camera", "images.rgb", "images.encoded")
         ]
     return undistort_scene(scene, cameras=[camera.id for camera in bent])
 
 
-def channels_of(scene: Scene, said: str | Iterable[str] | None) -> Mapping[str, str]:
+def channels_of(scene: Scene, stated: str | Iterable[str] | None) -> Mapping[str, str]:
     """Read what channels sensors are to have, as `lidar=LIDAR_TOP,camera0=CAM_FRONT`.
 
     Raises:
@@ -206,7 +206,7 @@ def channels_of(scene: Scene, said: str | Iterable[str] | None) -> Mapping[str, 
     """
     found: dict[str, str] = {}
     known = [str(sensor.id) for sensor in scene.sensors if isinstance(sensor, tuple(_MODALITIES))]
-    pairs = (said or "").split(",") if isinstance(said, str | None) else said
+    pairs = (stated or "").split(",") if isinstance(stated, str | None) else stated
     for pair in filter(None, pairs):
         sensor, _, name = (part.strip() for part in pair.rpartition("="))
         if not name or sensor not in known:
@@ -219,21 +219,25 @@ def channels_of(scene: Scene, said: str | Iterable[str] | None) -> Mapping[str, 
 
 
 def _channels(
-    scene: Scene, way: PosePath | None, losses: list[Loss], asked: Mapping[str, str]
+    scene: Scene, estimated_trajectory: Poses | None, losses: list[Loss], asked: Mapping[str, str]
 ) -> tuple[Channel, ...]:
     kinds: tuple[type[Any], ...] = tuple(_MODALITIES)
     found: list[Any] = [sensor for kind in kinds for sensor in scene.sensors if isinstance(sensor, kind)]
     losses += [
         Loss(field=KINDS[type(sensor)], what=f"{sensor.id!r} has no frame, and is left out")
         for sensor in found
-        if not len(stamps_of(sensor))
+        if not len(timestamps_of(sensor))
     ]
-    framed = [sensor for sensor in found if len(stamps_of(sensor))]
-    mounts = [_mount(sensor, way, losses) for sensor in framed]
+    framed = [sensor for sensor in found if len(timestamps_of(sensor))]
+    mounts = [_mount(sensor, estimated_trajectory, losses) for sensor in framed]
     usual = _usual_names(framed, mounts, ego_axes(scene), asked)
     names = _unique([usual.get(k, str(sensor.id)) for k, sensor in enumerate(framed)])
     losses += [
-        Loss(field=f"{KINDS[type(one)]}.id", what=f"{one.id!r} becomes channel {name!r}", fate=Fate.CONVERTED)
+        Loss(
+            field=f"{KINDS[type(one)]}.id",
+            what=f"{one.id!r} becomes channel {name!r}",
+            support=Support.CONVERTED,
+        )
         for one, name in zip(framed, names, strict=True)
         if str(one.id) != name
     ]
@@ -284,14 +288,14 @@ def _unique(names: Sequence[str]) -> list[str]:
     return [name if names.index(name) == k else f"{name}~{k}" for k, name in enumerate(names)]
 
 
-def _mount(sensor: Any, way: PosePath | None, losses: list[Loss]) -> RigidTransform | None:
+def _mount(sensor: Any, estimated_trajectory: Poses | None, losses: list[Loss]) -> RigidTransform | None:
     """`ego_from_sensor`; None where it is not known, with a line."""
-    mount, lost = mounting(sensor, way, each=True)
+    mount, lost = mounting(sensor, estimated_trajectory, each=True)
     losses += lost
     if mount is not None:
         return mount
     what = f"{sensor.id!r}: not known; written as if it were where the ego is"
-    losses.append(Loss(field=f"{KINDS[type(sensor)]}.mount", what=what, fate=Fate.APPROXIMATED))
+    losses.append(Loss(field=f"{KINDS[type(sensor)]}.mount", what=what, support=Support.APPROXIMATED))
     return None
 
 
@@ -304,8 +308,8 @@ def _kept(scene: Scene, name: str) -> Mapping[str, Any]:
 
 def _version(scene: Scene) -> str:
     about: Any = scene.metadata.get("nuscenes")
-    told = about.get("version") if isinstance(about, Mapping) else None
-    return told if isinstance(told, str) and is_version(told) else VERSION
+    reported = about.get("version") if isinstance(about, Mapping) else None
+    return reported if isinstance(reported, str) and is_version(reported) else VERSION
 
 
 def is_version(name: str) -> bool:
@@ -315,12 +319,12 @@ def is_version(name: str) -> bool:
 
 
 def _about(scene: Scene, path: Path) -> tuple[SceneRow, LogRow]:
-    told, log = _kept(scene, "scene"), _kept(scene, "log")
-    name = str(told.get("name") or path.stem)
+    reported, log = _kept(scene, "scene"), _kept(scene, "log")
+    name = str(reported.get("name") or path.stem)
     row = SceneRow(
-        token=str(told.get("token") or token_of("scene", name)),
+        token=str(reported.get("token") or token_of("scene", name)),
         name=name,
-        description=str(told.get("description") or ""),
+        description=str(reported.get("description") or ""),
         log_token=str(log.get("token") or token_of("log", name)),
     )
     fields = {key: str(log.get(key) or "") for key in ("vehicle", "date_captured", "location")}
@@ -332,6 +336,6 @@ def sensor_key(sensor: Written) -> Any:
     return key_of(sensor.id)
 
 
-def differences_us(stamps_ns: Int64Array, stamps_us: Int64Array) -> float:
+def differences_us(timestamps_ns: Int64Array, timestamps_us: Int64Array) -> float:
     """How far times are off by being whole microseconds, at most [ns]."""
-    return float(np.abs(stamps_ns - stamps_us * 1000).max(initial=0))
+    return float(np.abs(timestamps_ns - timestamps_us * 1000).max(initial=0))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray, Int64Array, finite_rows
-from sceneloom.formats.loss import Fate
+from sceneloom.formats.loss import Support
 from sceneloom.formats.nuscenes.keyframes import Samples, microseconds
 from sceneloom.formats.nuscenes.written_frames import FrameLosses
 from sceneloom.formats.nuscenes.written_tables import TableWriter, token_of, write_table, wxyz
@@ -104,7 +104,7 @@ def write_boxes(
                 )
             there = np.flatnonzero(poses.there & finite).tolist()
             token = instance_token(cuboid, name)
-            _tell_losses(cuboid, samples, there, losses)
+            _report_losses(cuboid, samples, there, losses)
             if not there:
                 continue
             tokens = [token_of("sample_annotation", token, samples.tokens[s]) for s in there]
@@ -115,9 +115,9 @@ def write_boxes(
                 first_annotation_token=tokens[0],
                 last_annotation_token=tokens[-1],
             )
-            said = _said(cuboid, samples.timestamps_ns[there])
+            stated = _stated(cuboid, samples.timestamps_ns[there])
             for k, sample in enumerate(there):
-                rows.add(**_row(boxes, number, sample, samples, token, tokens, k, said[k], known))
+                rows.add(**_row(boxes, number, sample, samples, token, tokens, k, stated[k], known))
     write_table(folder, "attribute", ({"token": t, "name": n, "description": ""} for n, t in known.items()))
     levels = ({"token": t, "level": n, "description": ""} for n, t in VISIBILITIES.items())
     write_table(folder, "visibility", levels)
@@ -131,8 +131,8 @@ def instance_token(cuboid: CuboidAnnotation, name: str) -> str:
     )
 
 
-def _said(cuboid: CuboidAnnotation, times_ns: Int64Array) -> list[dict[str, Any]]:
-    """What is said about a cuboid at times (M,) [ns]."""
+def _stated(cuboid: CuboidAnnotation, times_ns: Int64Array) -> list[dict[str, Any]]:
+    """What is stated about a cuboid at times (M,) [ns]."""
     columns = {
         path.name: attribute_at(path, times_ns) for path in cuboid.attributes if path.sensor_id is None
     }
@@ -147,23 +147,23 @@ def _row(
     token: str,
     tokens: Sequence[str],
     k: int,
-    said: Mapping[str, Any],
+    stated: Mapping[str, Any],
     known: dict[str, str],
 ) -> dict[str, Any]:
     box = boxes.poses[number]
     length, width, height = box.sizes_lwh[sample].tolist()
-    listed = _listed(said.get("attributes"))
+    listed = _listed(stated.get("attributes"))
     for name in listed:
         known.setdefault(name, token_of("attribute", name))
     counts = {
-        name: said[name] if type(said.get(name)) is int else int(boxes.counts[name][number, sample])
+        name: stated[name] if type(stated.get(name)) is int else int(boxes.counts[name][number, sample])
         for name in _COUNTS
     }
     return {
         "token": tokens[k],
         "sample_token": samples.tokens[sample],
         "instance_token": token,
-        "visibility_token": VISIBILITIES.get(str(said.get("visibility")), ""),
+        "visibility_token": VISIBILITIES.get(str(stated.get("visibility")), ""),
         "attribute_tokens": [known[name] for name in listed],
         "translation": box.centers_world[sample].tolist(),
         "size": [width, length, height],
@@ -181,25 +181,27 @@ def _listed(names: Any) -> list[str]:
     return [str(name) for name in names] if isinstance(names, list | tuple) else []
 
 
-def _tell_losses(
+def _report_losses(
     cuboid: CuboidAnnotation, samples: Samples, there: Sequence[int], losses: FrameLosses
 ) -> None:
-    place = "annotations.cuboid"
-    losses.add(f"{place}.activations", "when each sensor sees a cuboid is left out", len(cuboid.activations))
+    location = "annotations.cuboid"
+    losses.add(
+        f"{location}.activations", "when each sensor sees a cuboid is left out", len(cuboid.activations)
+    )
     if not there:
-        losses.add(place, "cuboids that are at no sample are left out", 1)
+        losses.add(location, "cuboids that are at no sample are left out", 1)
         return
     own = microseconds(cuboid.path.timestamps_ns)
     at_samples = microseconds(samples.timestamps_ns[list(there)])
     lost = int((~np.isin(own, at_samples)).sum())
-    losses.add(f"{place}.path.values", "boxes between samples are left out", lost)
+    losses.add(f"{location}.path.values", "boxes between samples are left out", lost)
     between = int((~np.isin(at_samples, own)).sum())
     what = "boxes at samples are found between those of the path"
-    losses.add(f"{place}.path.values", what, between, Fate.APPROXIMATED)
-    told = {"attributes", "visibility", *_COUNTS}
-    others = sum(path.name not in told for path in cuboid.attributes)
-    losses.add(f"{place}.attributes", "attributes of other names are left out", others)
+    losses.add(f"{location}.path.values", what, between, Support.APPROXIMATED)
+    reported = {"attributes", "visibility", *_COUNTS}
+    others = sum(path.name not in reported for path in cuboid.attributes)
+    losses.add(f"{location}.attributes", "attributes of other names are left out", others)
     levels = [v for path in cuboid.attributes if path.name == "visibility" for v in path.values]
     unknown = sum(bool(level) and str(level) not in VISIBILITIES for level in levels)
     what = f"levels of visibility other than {', '.join(VISIBILITIES)} are left out"
-    losses.add(f"{place}.attributes", what, unknown)
+    losses.add(f"{location}.attributes", what, unknown)

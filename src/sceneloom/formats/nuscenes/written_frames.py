@@ -1,4 +1,4 @@
-"""The files of sweeps, radar cycles and pictures."""
+"""The files of sweeps, radar cycles and images."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -10,15 +10,15 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array
 from sceneloom.formats.clouds.layout import NUSCENES
-from sceneloom.formats.loss import Fate, Loss
-from sceneloom.formats.rig.pictures import PictureFile
+from sceneloom.formats.loss import Loss, Support
+from sceneloom.formats.rig.images import ImageFile
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.cameras import Picture
+from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.clouds import LidarFrame, RadarFrame
 from sceneloom.scene.types import PointsFrame
 
 JPEG_QUALITY = 95
-"""Of pictures that come from a video or from memory."""
+"""Of images that come from a video or from memory."""
 
 _RADAR = (
     *((name, "F", 4) for name in ("x", "y", "z")),
@@ -31,29 +31,35 @@ _RADAR = (
 
 _RADAR_ROW = np.dtype([(name, f"<{letter.lower()}{size}") for name, letter, size in _RADAR])
 _USUAL = {"is_quality_valid": 1, "ambig_state": 3}
-"""What a return has to say for the development kit to show it; all other numbers are 0."""
+"""What a return has to state for the development kit to show it; all other numbers are 0."""
 
 
 @dataclass(slots=True)
 class FrameLosses:
     """What is lost of frames, counted."""
 
-    counts: Counter[tuple[str, str, Fate]] = field(default_factory=Counter)
-    largest: dict[tuple[str, str, Fate], float] = field(default_factory=dict)
+    counts: Counter[tuple[str, str, Support]] = field(default_factory=Counter)
+    largest: dict[tuple[str, str, Support], float] = field(default_factory=dict)
 
     def add(
-        self, name: str, what: str, count: int, fate: Fate = Fate.DROPPED, *, error: float | None = None
+        self,
+        name: str,
+        what: str,
+        count: int,
+        support: Support = Support.DROPPED,
+        *,
+        error: float | None = None,
     ) -> None:
         """Count a loss; a count of 0 is none."""
         if count:
-            self.counts[name, what, fate] += count
+            self.counts[name, what, support] += count
             if error is not None:
-                self.largest[name, what, fate] = max(error, self.largest.get((name, what, fate), 0.0))
+                self.largest[name, what, support] = max(error, self.largest.get((name, what, support), 0.0))
 
     def __iter__(self) -> Iterator[Loss]:
-        for (name, what, fate), count in self.counts.items():
-            worst = self.largest.get((name, what, fate))
-            yield Loss(field=name, what=what, count=count, fate=fate, largest_error=worst)
+        for (name, what, support), count in self.counts.items():
+            worst = self.largest.get((name, what, support))
+            yield Loss(field=name, what=what, count=count, support=support, largest_error=worst)
 
 
 def in_sensor_frame(
@@ -74,15 +80,15 @@ def write_sweep(path: Path, frame: LidarFrame, positions: AnyArray, losses: Fram
     for name, column in (("intensity", points.intensities), ("ring", points.rings)):
         if column is not None:
             rows[name] = column
-    place = "sensors.lidar.frames.points"
+    location = "sensors.lidar.frames.points"
     count = len(points)
     if points.timestamps_ns is not None:
-        losses.add(f"{place}.timestamps_ns", "points have no times", count)
+        losses.add(f"{location}.timestamps_ns", "points have no times", count)
     for name in ("colors", "camera_index"):
         if getattr(points, name) is not None:
-            losses.add(f"{place}.{name}", "points have x, y, z, intensity and ring", count)
+            losses.add(f"{location}.{name}", "points have x, y, z, intensity and ring", count)
     if points.extras:
-        losses.add(f"{place}.extras", "points have x, y, z, intensity and ring", count)
+        losses.add(f"{location}.extras", "points have x, y, z, intensity and ring", count)
     path.write_bytes(rows.tobytes())
 
 
@@ -92,7 +98,7 @@ def write_cycle(path: Path, frame: RadarFrame, positions: AnyArray, losses: Fram
     count = len(points)
     rows = np.zeros(max(count, 1), _RADAR_ROW)
     rows["x"] = np.nan if count == 0 else 0.0
-    place = "sensors.radar.frames.points"
+    location = "sensors.radar.frames.points"
     if count:
         for axis, column in zip("xyz", np.asarray(positions).T, strict=True):
             rows[axis] = column
@@ -100,9 +106,9 @@ def write_cycle(path: Path, frame: RadarFrame, positions: AnyArray, losses: Fram
         _fill_velocities(rows, frame, losses)
     known = set(_RADAR_ROW.names or ())
     if set(points.extras) - known:
-        losses.add(f"{place}.extras", "returns have the columns of nuScenes' radars", count)
+        losses.add(f"{location}.extras", "returns have the columns of nuScenes' radars", count)
     if points.timestamps_ns is not None:
-        losses.add(f"{place}.timestamps_ns", "points have no times", count)
+        losses.add(f"{location}.timestamps_ns", "points have no times", count)
     # the development kit wants a byte after the last row, as nuScenes' own files have one
     path.write_bytes(_pcd_head(len(rows)) + rows.tobytes() + b"\n")
 
@@ -117,7 +123,7 @@ def _fill_radar(rows: AnyArray, extras: Any) -> None:
 
 
 def _fill_velocities(rows: AnyArray, frame: RadarFrame, losses: FrameLosses) -> None:
-    points, place = frame.points, "sensors.radar.frames.points"
+    points, location = frame.points, "sensors.radar.frames.points"
     if points.directions is None or points.lengths is None:
         return
     velocities = points.directions * points.lengths[:, None]
@@ -126,7 +132,9 @@ def _fill_velocities(rows: AnyArray, frame: RadarFrame, losses: FrameLosses) -> 
         upright = np.abs(velocities[:, 2])
         what = "the part of the speed along the sensor's z is left out [m/s]"
         error = float(upright.max(initial=0.0))
-        losses.add(f"{place}.directions", what, int((upright > 0).sum()), Fate.APPROXIMATED, error=error)
+        losses.add(
+            f"{location}.directions", what, int((upright > 0).sum()), Support.APPROXIMATED, error=error
+        )
     if "vx_comp" not in points.extras:
         rows["vx_comp"], rows["vy_comp"] = rows["vx"], rows["vy"]
 
@@ -148,42 +156,42 @@ def _pcd_head(count: int) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-def write_picture(stem: Path, picture: Picture, form: str, losses: FrameLosses) -> Path:
-    """Write a picture: a JPEG or PNG file as it is, else anew; gives its path, with its suffix.
+def write_image(stem: Path, image: CameraImage, form: str, losses: FrameLosses) -> Path:
+    """Write an image: a JPEG or PNG file as it is, else anew; gives its path, with its suffix.
 
     Args:
         stem: the path without suffix.
-        picture: what is written.
+        image: what is written.
         form: "copy" writes anew what is no such file as JPEG, "png" everything that is no PNG as PNG.
         losses: takes what is lost.
 
     Raises:
         DataError: it cannot be decoded.
     """
-    source = picture.decode
-    is_png = isinstance(source, PictureFile) and source.path.suffix.lower() == ".png"
+    source = image.decode
+    is_png = isinstance(source, ImageFile) and source.path.suffix.lower() == ".png"
     if is_png or form == "png":
         path = stem.with_name(f"{stem.name}.png")
-        path.write_bytes(source.encoded() if isinstance(source, PictureFile) and is_png else _png(picture))
+        path.write_bytes(source.encoded() if isinstance(source, ImageFile) and is_png else _png(image))
         return path
     path = stem.with_name(f"{stem.name}.jpg")
-    if picture.encoded is not None:
-        path.write_bytes(picture.encoded())
+    if image.encoded is not None:
+        path.write_bytes(image.encoded())
         return path
     from simplejpeg import encode_jpeg
 
-    rgb = np.ascontiguousarray(picture.rgb)
+    rgb = np.ascontiguousarray(image.rgb)
     path.write_bytes(encode_jpeg(rgb, JPEG_QUALITY, "RGB", colorsubsampling="444"))
     what = f"encoded as JPEG of quality {JPEG_QUALITY}"
-    losses.add("sensors.camera.pictures.rgb", what, 1, Fate.APPROXIMATED)
+    losses.add("sensors.camera.images.rgb", what, 1, Support.APPROXIMATED)
     return path
 
 
-def _png(picture: Picture) -> bytes:
+def _png(image: CameraImage) -> bytes:
     from io import BytesIO
 
     from PIL import Image
 
     content = BytesIO()
-    Image.fromarray(picture.rgb).save(content, "PNG", compress_level=1)
+    Image.fromarray(image.rgb).save(content, "PNG", compress_level=1)
     return content.getvalue()

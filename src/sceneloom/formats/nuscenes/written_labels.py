@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from sceneloom.arrays import UInt32Array
-from sceneloom.formats.loss import Fate
+from sceneloom.formats.loss import Support
 from sceneloom.formats.nuscenes.written_frames import FrameLosses
 from sceneloom.formats.nuscenes.written_tables import token_of
 from sceneloom.scene.annotations.labelled_points import LabeledPointsAnnotation
@@ -18,7 +18,7 @@ NOISE = "noise"
 """The class with the number 0, which points without a class get."""
 
 _MOST = 255
-_PLACE = "annotations.labeled_points"
+_LOCATION = "annotations.labeled_points"
 
 
 @dataclass(slots=True)
@@ -41,11 +41,11 @@ class PointClasses:
         found = [a for a in scene.annotations if isinstance(a, LabeledPointsAnnotation)]
         classes = [a for a in found if a.label is not None and a.is_instance is not True]
         losses.add(
-            _PLACE, "points of single objects, or without a class, are left out", len(found) - len(classes)
+            _LOCATION, "points of single objects, or without a class, are left out", len(found) - len(classes)
         )
         numbers = _numbers(classes)
         left = {a.label for a in classes} - set(numbers)
-        losses.add(_PLACE, f"a byte has {_MOST} classes; further ones are left out", len(left))
+        losses.add(_LOCATION, f"a byte has {_MOST} classes; further ones are left out", len(left))
         made = cls(numbers)
         for annotation in classes:
             if annotation.label in numbers:
@@ -55,7 +55,7 @@ class PointClasses:
     def _add(self, annotation: LabeledPointsAnnotation, number: int, losses: FrameLosses) -> None:
         for entry in annotation.labeled_points:
             if entry.sensor_frame is None:
-                losses.add(_PLACE, "points of a sensor without frames are left out", len(entry.point_ids))
+                losses.add(_LOCATION, "points of a sensor without frames are left out", len(entry.point_ids))
                 continue
             key = (key_of(entry.sensor_id), entry.sensor_frame)
             self.entries.setdefault(key, []).append((number, entry.point_ids))
@@ -76,21 +76,21 @@ class PointClasses:
         entries = self.entries.pop(frame, None)
         if entries is None:
             return
-        labels, told = np.zeros(count, np.uint8), np.zeros(count, np.int64)
+        labels, reported = np.zeros(count, np.uint8), np.zeros(count, np.int64)
         for number, rows in entries:
             inside = rows[rows < count]
             labels[inside] = number
-            told[inside] += 1
+            reported[inside] += 1
         name = f"lidarseg/{version}/{token}_lidarseg.bin"
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_bytes(labels.tobytes())
         self.rows.append({"token": token, "sample_data_token": token, "filename": name})
-        place = f"{_PLACE}.labeled_points.point_ids"
+        location = f"{_LOCATION}.labeled_points.point_ids"
         for what, lost in (
-            ("points without a class are written as `noise`", int((told == 0).sum())),
-            ("points of several classes have the last one", int((told > 1).sum())),
+            ("points without a class are written as `noise`", int((reported == 0).sum())),
+            ("points of several classes have the last one", int((reported > 1).sum())),
         ):
-            losses.add(place, what, lost, Fate.APPROXIMATED)
+            losses.add(location, what, lost, Support.APPROXIMATED)
 
     def left(self) -> int:
         """How many frames with classes were no key frames."""

@@ -1,1 +1,1 @@
-"""ASAM OpenLABEL 1.0: what is said about a drive, as one file of JSON, and the sensors that it is said of."""
+"""ASAM OpenLABEL 1.0: what is stated about a drive, as one file of JSON, and the sensors that it is stated for."""

@@ -1,4 +1,4 @@
-"""The JSON of a file, and its parts with the places where they stand."""
+"""The JSON of a file, and its parts with the locations where they stand."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,19 +20,19 @@ class Part:
 
     Attributes:
         file: the document's.
-        place: where the part stands in it ("openlabel.frames.3").
+        location: where the part stands in it ("openlabel.frames.3").
         value: as in the file.
     """
 
     file: Path
-    place: str
+    location: str
     value: Any
 
     def fault(self, expected: str) -> DataError:
         """What is wrong with the part."""
         text = repr(self.value)
         shown = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
-        return DataError(self.file, self.place, f"{shown}; expected {expected}")
+        return DataError(self.file, self.location, f"{shown}; expected {expected}")
 
     def members(self) -> dict[str, Any]:
         """The members of an object of JSON.
@@ -47,7 +47,7 @@ class Part:
     def get(self, name: str) -> "Part | None":
         """A member that need not be there; null counts as not there."""
         value = self.members().get(name)
-        return None if value is None else Part(self.file, f"{self.place}.{name}", value)
+        return None if value is None else Part(self.file, f"{self.location}.{name}", value)
 
     def need(self, name: str) -> "Part":
         """A member.
@@ -57,7 +57,7 @@ class Part:
         """
         found = self.get(name)
         if found is None:
-            raise DataError(self.file, f"{self.place}.{name}", "missing")
+            raise DataError(self.file, f"{self.location}.{name}", "missing")
         return found
 
     def each(self, name: str) -> Iterator[tuple[str, "Part"]]:
@@ -65,7 +65,7 @@ class Part:
         found = self.get(name)
         if found is not None:
             for key, value in found.members().items():
-                yield key, Part(self.file, f"{found.place}.{key}", value)
+                yield key, Part(self.file, f"{found.location}.{key}", value)
 
     def items(self, name: str) -> Iterator["Part"]:
         """The elements of a list that is a member; none where it is not there."""
@@ -74,7 +74,7 @@ class Part:
             if not isinstance(found.value, list):
                 raise found.fault("a list")
             for k, value in enumerate(found.value):
-                yield Part(self.file, f"{found.place}[{k}]", value)
+                yield Part(self.file, f"{found.location}[{k}]", value)
 
     def text(self) -> str:
         """A text.

@@ -1,4 +1,4 @@
-"""A file in the making: heads of objects, and what is said of them frame by frame."""
+"""A file in the making: heads of objects, and what is stated for them frame by frame."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -40,7 +40,7 @@ class Draft:
     Attributes:
         times: (N,) int64 [ns] of the frames, ascending.
         heads: entries of the root, by "object" or "event" and key.
-        frames: what is said in each frame, by its number, then as `heads`: the data by type.
+        frames: what is stated in each frame, by its number, then as `heads`: the data by type.
         ours: what only we understand of them.
         names: of the data of each object, by its key.
     """
@@ -70,18 +70,18 @@ class Draft:
         """The number of the frame of a time."""
         return int(np.searchsorted(self.times, time_ns))
 
-    def say(self, kind: str, uid: str, data: Iterable[Datum]) -> None:
+    def state(self, kind: str, uid: str, data: Iterable[Datum]) -> None:
         """Put elements of data where they belong: into the frames of their times, or the head."""
         for time_ns, name, element in data:
             if time_ns is None:
-                place = self.heads[kind][uid].setdefault(f"{kind}_data", {})
+                location = self.heads[kind][uid].setdefault(f"{kind}_data", {})
             else:
                 frame = self.frames.setdefault(self.number(time_ns), {}).setdefault(kind, {})
-                place = frame.setdefault(uid, {})
-            place.setdefault(name, []).append(element)
+                location = frame.setdefault(uid, {})
+            location.setdefault(name, []).append(element)
 
     def close(self) -> None:
-        """Say in the heads which frames speak of them, and of which data."""
+        """Report in the heads which frames speak of them, and of which data."""
         for kind in ("object", "event"):
             pointers: dict[str, dict[str, tuple[str, list[int]]]] = {}
             numbers: dict[str, list[int]] = {}
@@ -95,10 +95,10 @@ class Draft:
                                 found[1].append(number)
             for uid, known in numbers.items():
                 self.heads[kind][uid].setdefault("frame_intervals", intervals(known))
-            for uid, told in pointers.items():
+            for uid, reported in pointers.items():
                 self.heads[kind][uid][f"{kind}_data_pointers"] = {
                     name: {"type": type_, "frame_intervals": intervals(known)}
-                    for name, (type_, known) in told.items()
+                    for name, (type_, known) in reported.items()
                 }
 
 

@@ -8,8 +8,8 @@ from sceneloom.errors import DataError
 from sceneloom.formats.clouds.points import UNITS_NS
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.openlabel.document import Part
-from sceneloom.formats.rig.stamps import StampError, parse_stamp
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.formats.rig.timestamps import TimestampError, parse_timestamp
+from sceneloom.scene.warnings import WarningKind
 
 DEFAULT_RATE_HZ = 10.0
 _FARTHEST_NS = 9_200_000_000_000_000_000
@@ -54,15 +54,16 @@ def frame_times(document: Part, ledger: Ledger, rate_hz: float | None) -> FrameT
     for key, frame in document.each("frames"):
         if not (key.isascii() and key.isdigit() and len(key) < 16):
             ledger.fault(
-                "frame-numbers", DataError(document.file, frame.place, "expected a whole number as its key")
+                "frame-numbers",
+                DataError(document.file, frame.location, "expected a whole number as its key"),
             )
             continue
         properties = frame.get("frame_properties")
-        stamp = None if properties is None else properties.get("timestamp")
-        if stamp is None:
+        timestamp = None if properties is None else properties.get("timestamp")
+        if timestamp is None:
             missing.append(int(key))
             continue
-        known[int(key)] = stamp_ns(stamp)
+        known[int(key)] = timestamp_ns(timestamp)
     if missing:
         _count(missing, known, document, ledger, rate_hz)
     return FrameTimes(known)
@@ -76,23 +77,23 @@ def _count(
     rate = rate_hz or DEFAULT_RATE_HZ
     for number in missing:
         known[number] = times.at(number) if times.by_number else round(number * 1e9 / rate)
-    told = f"frames have no timestamp; taken at {rate:g} Hz by number, `--read-with rate_hz=HZ` says another rate"
+    reported = f"frames have no timestamp; taken at {rate:g} Hz by number, `--input-option rate_hz=HZ` says another rate"
     ledger.note(
-        NoticeKind.ASSUMED,
+        WarningKind.ASSUMED,
         "frame-times-assumed",
         f"{document.file}: openlabel.frames",
-        told,
+        reported,
         count=len(missing),
     )
 
 
-def stamp_ns(stamp: Part) -> int:
+def timestamp_ns(timestamp: Part) -> int:
     """Read a time [ns]: a number or its text, in seconds, or another unit that makes it one of our day; or a date.
 
     Raises:
         DataError: it is none.
     """
-    value = stamp.value
+    value = timestamp.value
     if isinstance(value, int | float) and not isinstance(value, bool):
         unit = next((name for name, least in _EPOCHS if abs(value) >= least), "seconds")
         time_ns = value * UNITS_NS[unit] if isinstance(value, int) else round(value * UNITS_NS[unit])
@@ -103,7 +104,7 @@ def stamp_ns(stamp: Part) -> int:
         digits = len(whole) if whole.isdigit() else 0
         unit = next((name for name, least in _EPOCHS if digits > len(f"{least:.0f}") - 1), "seconds")
         try:
-            return parse_stamp(value, unit if digits else None)
-        except StampError:
+            return parse_timestamp(value, unit if digits else None)
+        except TimestampError:
             pass
-    raise stamp.fault("a time in seconds, or a date as 2011-09-26T13:02:25.594Z")
+    raise timestamp.fault("a time in seconds, or a date as 2011-09-26T13:02:25.594Z")

@@ -69,7 +69,7 @@ class Ours:
         return cls(part if part is not None and isinstance(part.value, dict) else None)
 
     def class_of(self, kind: str, uid: str) -> str | None:
-        """The class of an annotation that the data do not tell, in our words."""
+        """The class of an annotation that the data do not report, in our words."""
         by_uid = None if self.part is None else self.part.value.get(kind)
         fields = by_uid.get(uid) if isinstance(by_uid, dict) else None
         return fields.get("class") if isinstance(fields, dict) else None
@@ -99,8 +99,8 @@ def restored_from(
 
     Args:
         part: the fields.
-        annotation: as the data tell it.
-        boxes: in pictures, by the names of the data that are projections of it.
+        annotation: as the data report it.
+        boxes: in images, by the names of the data that are projections of it.
 
     Raises:
         DataError: they do not fit.
@@ -143,7 +143,7 @@ def _restored(
 
 
 def _made(annotation: Annotation, fields: Mapping[str, Any]) -> Any:
-    """An annotation of the class that the fields name, where the data do not tell it."""
+    """An annotation of the class that the fields name, where the data do not report it."""
     kind = fields.get("class")
     if not isinstance(annotation, ObjectAnnotation) or kind is None:
         return annotation
@@ -168,17 +168,20 @@ def _made(annotation: Annotation, fields: Mapping[str, Any]) -> Any:
     return ObjectAnnotation(type=fields["type"], **common)
 
 
-def _labeled(said: Mapping[str, Any]) -> LabeledPoints:
-    ids = np.array(said["point_ids"], np.int64).astype(np.uint32)
+def _labeled(stated: Mapping[str, Any]) -> LabeledPoints:
+    ids = np.array(stated["point_ids"], np.int64).astype(np.uint32)
     return LabeledPoints(
-        said["sensor_id"], ids, said.get("sensor_frame"), MappingProxyType(dict(said.get("extras") or {}))
+        stated["sensor_id"],
+        ids,
+        stated.get("sensor_frame"),
+        MappingProxyType(dict(stated.get("extras") or {})),
     )
 
 
-def _path(said: Mapping[str, Any]) -> PointPath:
-    times, values = np.array(said["timestamps_ns"], np.int64), np.array(said["values"], np.float64)
-    further = MappingProxyType(dict(said.get("extras") or {}))
-    return PointPath(times, values.reshape(len(times), -1), said.get("id"), further)
+def _path(stated: Mapping[str, Any]) -> PointPath:
+    times, values = np.array(stated["timestamps_ns"], np.int64), np.array(stated["values"], np.float64)
+    further = MappingProxyType(dict(stated.get("extras") or {}))
+    return PointPath(times, values.reshape(len(times), -1), stated.get("id"), further)
 
 
 def _seen_fields(seen: Activation | Projection | PointProjection) -> dict[str, Any]:
@@ -194,33 +197,33 @@ def _rows(values: Float64Array | None) -> list[list[float]] | None:
 
 
 def activation_fields(seen: Activation) -> dict[str, Any]:
-    """Say when a sensor sees a cuboid."""
+    """Report when a sensor sees a cuboid."""
     durations = None if seen.durations_ns is None else list(seen.durations_ns)
     return {**_seen_fields(seen), "durations_ns": durations, "cuboids": _rows(seen.cuboids)}
 
 
 def projection_fields(seen: Projection) -> dict[str, Any]:
-    """Say where a camera sees a cuboid, and what was confirmed of that."""
+    """Report where a camera sees a cuboid, and what was confirmed of that."""
     confirmed = None if seen.confirmed is None else list(seen.confirmed)
-    said = {"boxes": _rows(seen.boxes), "confirmed": confirmed, "cuboids": _rows(seen.cuboids)}
-    return {**_seen_fields(seen), **said}
+    stated = {"boxes": _rows(seen.boxes), "confirmed": confirmed, "cuboids": _rows(seen.cuboids)}
+    return {**_seen_fields(seen), **stated}
 
 
 def point_projection_fields(seen: PointProjection) -> dict[str, Any]:
-    """Say where a camera sees a named point, and what was confirmed of that."""
+    """Report where a camera sees a named point, and what was confirmed of that."""
     confirmed = None if seen.confirmed is None else list(seen.confirmed)
-    said = {"points": _rows(seen.points), "confirmed": confirmed, "positions": _rows(seen.positions)}
-    return {**_seen_fields(seen), **said}
+    stated = {"points": _rows(seen.points), "confirmed": confirmed, "positions": _rows(seen.positions)}
+    return {**_seen_fields(seen), **stated}
 
 
-def _seen(said: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields that all have that tell when a sensor sees something."""
-    if not isinstance(said["sensor_id"], _ID):
-        raise TypeError(f"sensor_id: {said['sensor_id']!r}")
+def _seen(stated: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields that all have that report when a sensor sees something."""
+    if not isinstance(stated["sensor_id"], _ID):
+        raise TypeError(f"sensor_id: {stated['sensor_id']!r}")
     return {
-        "sensor_id": said["sensor_id"],
-        "timestamps_ns": np.array(said["timestamps_ns"], np.int64).reshape(-1),
-        "extras": MappingProxyType(dict(said.get("extras") or {})),
+        "sensor_id": stated["sensor_id"],
+        "timestamps_ns": np.array(stated["timestamps_ns"], np.int64).reshape(-1),
+        "extras": MappingProxyType(dict(stated.get("extras") or {})),
     }
 
 
@@ -229,39 +232,41 @@ def _table(rows: Any, width: int) -> Float64Array | None:
     return None if rows is None else np.array(rows, np.float64).reshape(-1, width)
 
 
-def _flags(said: Any) -> tuple[bool | None, ...] | None:
-    if said is None:
+def _flags(stated: Any) -> tuple[bool | None, ...] | None:
+    if stated is None:
         return None
-    if not all(one is None or isinstance(one, bool) for one in said):
-        raise TypeError(f"confirmed: {said!r}")
-    return tuple(said)
+    if not all(one is None or isinstance(one, bool) for one in stated):
+        raise TypeError(f"confirmed: {stated!r}")
+    return tuple(stated)
 
 
-def _activation(said: Mapping[str, Any]) -> Activation:
-    durations = said.get("durations_ns")
+def _activation(stated: Mapping[str, Any]) -> Activation:
+    durations = stated.get("durations_ns")
     if durations is not None and not all(type(one) in _NUMBER for one in durations):
         raise TypeError(f"durations_ns: {durations!r}")
     held = None if durations is None else tuple(durations)
-    return Activation(**_seen(said), durations_ns=held, cuboids=_table(said.get("cuboids"), 9))
+    return Activation(**_seen(stated), durations_ns=held, cuboids=_table(stated.get("cuboids"), 9))
 
 
-def _projection(said: Mapping[str, Any], drawn: Mapping[str, SeenBoxes]) -> Projection:
-    fields, boxes, confirmed = _seen(said), _table(said.get("boxes"), 4), _flags(said.get("confirmed"))
-    if said.get("data") is not None:
-        found = drawn.get(said["data"], {})
+def _projection(stated: Mapping[str, Any], drawn: Mapping[str, SeenBoxes]) -> Projection:
+    fields, boxes, confirmed = _seen(stated), _table(stated.get("boxes"), 4), _flags(stated.get("confirmed"))
+    if stated.get("data") is not None:
+        found = drawn.get(stated["data"], {})
         times = fields["timestamps_ns"].tolist()
         nothing = ((np.nan,) * 4, None)
         boxes = np.array([found.get(time_ns, nothing)[0] for time_ns in times], np.float64).reshape(-1, 4)
         if confirmed is not None:
-            told = [found.get(time_ns, nothing)[1] for time_ns in times]
-            confirmed = tuple(old if new is None else new for old, new in zip(confirmed, told, strict=True))
-    return Projection(**fields, boxes=boxes, confirmed=confirmed, cuboids=_table(said.get("cuboids"), 9))
+            reported = [found.get(time_ns, nothing)[1] for time_ns in times]
+            confirmed = tuple(
+                old if new is None else new for old, new in zip(confirmed, reported, strict=True)
+            )
+    return Projection(**fields, boxes=boxes, confirmed=confirmed, cuboids=_table(stated.get("cuboids"), 9))
 
 
-def _point_projection(said: Mapping[str, Any]) -> PointProjection:
-    confirmed = _flags(said.get("confirmed"))
-    points, positions = _table(said.get("points"), 2), _table(said.get("positions"), 3)
-    return PointProjection(**_seen(said), points=points, confirmed=confirmed, positions=positions)
+def _point_projection(stated: Mapping[str, Any]) -> PointProjection:
+    confirmed = _flags(stated.get("confirmed"))
+    points, positions = _table(stated.get("points"), 2), _table(stated.get("positions"), 3)
+    return PointProjection(**_seen(stated), points=points, confirmed=confirmed, positions=positions)
 
 
 def is_json(value: Any) -> bool:
@@ -272,22 +277,22 @@ def is_json(value: Any) -> bool:
         return False
 
 
-def attribute_of(said: Mapping[str, Any]) -> AttributePath:
+def attribute_of(stated: Mapping[str, Any]) -> AttributePath:
     """Read an attribute that the data of the format do not hold."""
-    times = said.get("timestamps_ns")
+    times = stated.get("timestamps_ns")
     return AttributePath(
-        said["name"],
-        tuple(tuple(value) if isinstance(value, list) else value for value in said["values"]),
+        stated["name"],
+        tuple(tuple(value) if isinstance(value, list) else value for value in stated["values"]),
         None if times is None else np.array(times, np.int64),
-        said.get("sensor_id"),
-        said.get("static"),
-        said.get("point_index"),
-        said.get("extras") or NO_FIELDS,
+        stated.get("sensor_id"),
+        stated.get("static"),
+        stated.get("point_index"),
+        stated.get("extras") or NO_FIELDS,
     )
 
 
 def attribute_fields(attribute: AttributePath) -> dict[str, Any]:
-    """Say an attribute in full."""
+    """Report an attribute in full."""
     times = attribute.timestamps_ns
     fields = {
         "name": attribute.name,
@@ -302,7 +307,7 @@ def attribute_fields(attribute: AttributePath) -> dict[str, Any]:
 
 
 def annotation_fields(annotation: Any) -> dict[str, Any]:
-    """Say what the data of the format do not hold of an annotation, as far as it is said."""
+    """Report what the data of the format do not hold of an annotation, as far as it is stated."""
     known = type(annotation).__dataclass_fields__
     names = [name for name in REPLACED if name in known]
     fields = {name: value for name in names if (value := getattr(annotation, name)) is not None}

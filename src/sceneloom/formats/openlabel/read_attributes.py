@@ -6,19 +6,19 @@ from typing import Any
 
 import numpy as np
 
+from sceneloom.formats.openlabel.collection import Stated
 from sceneloom.formats.openlabel.document import Part
-from sceneloom.formats.openlabel.gathering import Said
 from sceneloom.formats.openlabel.words import KEPT_WHOLE, PLAIN
 from sceneloom.scene.annotations.attributes import AttributePath
 
 TYPE = "openlabel_type"
-"""Further field of an attribute: the type of its data, where the value does not tell it."""
+"""Further field of an attribute: the type of its data, where the value does not report it."""
 
 _TAKEN = ("name", "val", "coordinate_system")
 
 
-def attribute(kind: str, name: str, rows: Sequence[Said]) -> AttributePath:
-    """What was said under one name, over time.
+def attribute(kind: str, name: str, rows: Sequence[Stated]) -> AttributePath:
+    """What was stated under one name, over time.
 
     Raises:
         DataError: a value is none of its kind.
@@ -42,7 +42,7 @@ def attribute(kind: str, name: str, rows: Sequence[Said]) -> AttributePath:
     )
 
 
-def nested_flag(row: Said, name: str) -> bool | None:
+def nested_flag(row: Stated, name: str) -> bool | None:
     """A boolean that stands inside of an element of data, or None."""
     attributes = row.part.get("attributes")
     for part in () if attributes is None else attributes.items("boolean"):
@@ -52,9 +52,9 @@ def nested_flag(row: Said, name: str) -> bool | None:
     return None
 
 
-def nested_attributes(rows: Iterable[Said], *, without: Sequence[str] = ()) -> tuple[AttributePath, ...]:
+def nested_attributes(rows: Iterable[Stated], *, without: Sequence[str] = ()) -> tuple[AttributePath, ...]:
     """The attributes that stand inside of elements of data, but for some by their names."""
-    found: dict[tuple[str, str], list[Said]] = {}
+    found: dict[tuple[str, str], list[Stated]] = {}
     for row in rows:
         attributes = row.part.get("attributes")
         if attributes is None:
@@ -65,7 +65,7 @@ def nested_attributes(rows: Iterable[Said], *, without: Sequence[str] = ()) -> t
                 if name in without:
                     continue
                 found.setdefault((kind, name if isinstance(name, str) else kind), []).append(
-                    Said(row.time_ns, part)
+                    Stated(row.time_ns, part)
                 )
     return tuple(attribute(kind, name, parts) for (kind, name), parts in found.items())
 

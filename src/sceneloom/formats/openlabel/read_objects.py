@@ -9,20 +9,20 @@ import numpy as np
 
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.openlabel.collection import Element, Stated
 from sceneloom.formats.openlabel.document import Part
 from sceneloom.formats.openlabel.frame_times import FrameTimes
-from sceneloom.formats.openlabel.gathering import Element, Said
 from sceneloom.formats.openlabel.ours import Ours, SeenBoxes, restored_from
 from sceneloom.formats.openlabel.read_attributes import attribute, nested_attributes, nested_flag
-from sceneloom.formats.openlabel.read_geometry import IN_PICTURES, READERS, Rows
+from sceneloom.formats.openlabel.read_geometry import IN_IMAGES, READERS, Rows
 from sceneloom.formats.openlabel.systems import Systems
 from sceneloom.formats.openlabel.words import ABSOLUTE, CONFIRMED, GEOMETRY, INTERPOLATED, RELATIVE
 from sceneloom.scene.annotations.annotation import Annotation
 from sceneloom.scene.annotations.relations import EventAnnotation, LinkAnnotation, ObjectAnnotation
 from sceneloom.scene.cameras import CameraSensor
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.scene import Sensor
 from sceneloom.scene.types import Identifier
+from sceneloom.scene.warnings import WarningKind
 
 KIND = "openlabel"
 """Further field of an annotation: what the file calls it and says of it besides."""
@@ -41,7 +41,7 @@ class Reader:
         systems: the coordinate systems.
         sensors: by the names of streams.
         ours: what we wrote of them besides, if it was us.
-        ledger: takes notices, and faults in a lenient reading.
+        ledger: takes warnings, and faults in a lenient reading.
     """
 
     times: FrameTimes
@@ -60,12 +60,14 @@ class Reader:
 
     def _of_object(self, element: Element) -> list[Annotation]:
         label = element.head.need("type").text() or None
-        own, said = self.ours.fields_of(element.kind, element.uid), dict(element.data)
+        own, stated = self.ours.fields_of(element.kind, element.uid), dict(element.data)
         members = {} if own is None else own.members()
-        parts = [] if own is None else [self._part(element, label, one, said) for one in own.items("parts")]
-        drawn = {} if own is None else _drawn(own, said)
-        plain = tuple(attribute(*key, rows) for key, rows in said.items() if key[0] not in GEOMETRY)
-        shapes = {key: rows for key, rows in said.items() if key[0] in GEOMETRY and self._is_read(key, rows)}
+        parts = [] if own is None else [self._part(element, label, one, stated) for one in own.items("parts")]
+        drawn = {} if own is None else _drawn(own, stated)
+        plain = tuple(attribute(*key, rows) for key, rows in stated.items() if key[0] not in GEOMETRY)
+        shapes = {
+            key: rows for key, rows in stated.items() if key[0] in GEOMETRY and self._is_read(key, rows)
+        }
         if self.ours.class_of(element.kind, element.uid) == "points":
             shapes = {}
         extras = _further(element)
@@ -89,7 +91,7 @@ class Reader:
         return [whole, *(one for one in parts if one is not None), *made]
 
     def _part(
-        self, element: Element, label: str | None, own: Part, said: dict[tuple[str, str], list[Said]]
+        self, element: Element, label: str | None, own: Part, stated: dict[tuple[str, str], list[Stated]]
     ) -> Annotation | None:
         """An annotation that we wrote as data of the object of another; None where these were taken out.
 
@@ -97,17 +99,17 @@ class Reader:
             element: the object.
             label: its class.
             own: what we wrote of the annotation besides.
-            said: what is said of the object; what belongs to the annotation is taken out.
+            stated: what is stated for the object; what belongs to the annotation is taken out.
         """
-        members, drawn = own.members(), _drawn(own, said)
+        members, drawn = own.members(), _drawn(own, stated)
         names = [name.text() for name in own.items("data")]
-        keys = [key for key in said if key[0] in GEOMETRY and key[1] in names]
-        shapes = {key: rows for key in keys if self._is_read(key, rows := said.pop(key))}
+        keys = [key for key in stated if key[0] in GEOMETRY and key[1] in names]
+        shapes = {key: rows for key in keys if self._is_read(key, rows := stated.pop(key))}
         plain = []
         for listed in own.items("own"):
             kind, name, called = _texts(listed, 3)
-            told = said.pop((kind, name), [])
-            plain += [attribute(kind, called, told)] if told else []
+            reported = stated.pop((kind, name), [])
+            plain += [attribute(kind, called, reported)] if reported else []
         if names and not shapes:
             return None
         whole = ObjectAnnotation(element.id, label, attributes=tuple(plain))
@@ -123,22 +125,22 @@ class Reader:
         }
         return restored_from(own, READERS[kind](self._rows(kind, key_rows, fields)), drawn)
 
-    def _is_read(self, key: tuple[str, str], rows: list[Said]) -> bool:
-        """Whether a shape is of a form that we know; cuboids without a value say that there is none."""
+    def _is_read(self, key: tuple[str, str], rows: list[Stated]) -> bool:
+        """Whether a shape is of a form that we know; cuboids without a value state that there is none."""
         rows[:] = [row for row in rows if row.part.members().get("val") is not None]
         if not rows:
             return False
         mode = rows[0].part.members().get("mode", ABSOLUTE)
         if key[0] != "poly2d" or mode in {ABSOLUTE, RELATIVE}:
             return True
-        place = f"{rows[0].part.file}: {rows[0].part.place}"
-        told = f"polygons of the mode {mode} are chain codes, which are not read"
-        self.ledger.note(NoticeKind.SKIPPED, "poly2d-mode", place, told, count=len(rows))
+        location = f"{rows[0].part.file}: {rows[0].part.location}"
+        reported = f"polygons of the mode {mode} are chain codes, which are not read"
+        self.ledger.note(WarningKind.SKIPPED, "poly2d-mode", location, reported, count=len(rows))
         return False
 
-    def _rows(self, kind: str, rows: Sequence[Said], fields: dict[str, Any]) -> Rows:
+    def _rows(self, kind: str, rows: Sequence[Stated], fields: dict[str, Any]) -> Rows:
         if any(row.time_ns is None for row in rows):
-            # what holds for the whole object stands still
+            # what holds for the whole object is stationary
             rows = [row for row in rows if row.time_ns is None][:1]
             fields["stationary"] = True
         ordered = sorted(rows, key=lambda row: row.time_ns or 0)
@@ -147,17 +149,17 @@ class Reader:
         name = None if system is None else system.text()
         if any(row.part.members().get("coordinate_system") != name for row in ordered):
             raise ordered[0].part.fault("the same coordinate_system in all frames")
-        camera = self._camera(name, ordered[0].part) if kind in IN_PICTURES else ""
-        if kind not in IN_PICTURES and name is not None and name not in self.systems.names:
-            told = f"the coordinate system {name!r} is not described; taken for the world"
-            place = f"{ordered[0].part.file}: {ordered[0].part.place}"
-            self.ledger.note(NoticeKind.ASSUMED, "coordinate-system-unknown", place, told)
+        camera = self._camera(name, ordered[0].part) if kind in IN_IMAGES else ""
+        if kind not in IN_IMAGES and name is not None and name not in self.systems.names:
+            reported = f"the coordinate system {name!r} is not described; taken for the world"
+            location = f"{ordered[0].part.file}: {ordered[0].part.location}"
+            self.ledger.note(WarningKind.ASSUMED, "coordinate-system-unknown", location, reported)
         return Rows(
             tuple(ordered), np.array(times, np.int64), name, self.systems, camera, MappingProxyType(fields)
         )
 
     def _camera(self, system: str | None, part: Part) -> Identifier:
-        """The camera of what is drawn in pictures: that of the coordinate system, else the only or first one."""
+        """The camera of what is drawn in images: that of the coordinate system, else the only or first one."""
         if system in self.sensors:
             return self.sensors[str(system)].id
         cameras = [sensor for sensor in self.sensors.values() if isinstance(sensor, CameraSensor)]
@@ -165,8 +167,8 @@ class Reader:
             return system
         found: Identifier = cameras[0].id if cameras else "camera"
         if len(cameras) != 1 or system is not None:
-            told = f"it is not said in whose pictures it is drawn; taken for those of {found!r}"
-            self.ledger.note(NoticeKind.ASSUMED, "camera-assumed", f"{part.file}: {part.place}", told)
+            reported = f"it is not stated in whose images it is drawn; taken for those of {found!r}"
+            self.ledger.note(WarningKind.ASSUMED, "camera-assumed", f"{part.file}: {part.location}", reported)
         return found
 
     def _of_event(self, element: Element) -> Annotation:
@@ -198,22 +200,22 @@ def _texts(part: Part, count: int) -> list[str]:
     return list(values)
 
 
-def _key_rows(rows: list[Said], members: Mapping[str, Any]) -> tuple[list[Said], tuple[str, ...]]:
-    """Rows without those that we interpolated, and names of attributes that say which these are."""
+def _key_rows(rows: list[Stated], members: Mapping[str, Any]) -> tuple[list[Stated], tuple[str, ...]]:
+    """Rows without those that we interpolated, and names of attributes that state which these are."""
     if members.get("interpolated") is not True:
         return rows, ()
     found = [row for row in rows if nested_flag(row, INTERPOLATED) is not True]
     return found or rows, (INTERPOLATED,)
 
 
-def _drawn(own: Part, said: dict[tuple[str, str], list[Said]]) -> dict[str, SeenBoxes]:
-    """Take the boxes that are projections of an annotation out of what is said, by their names."""
+def _drawn(own: Part, stated: dict[tuple[str, str], list[Stated]]) -> dict[str, SeenBoxes]:
+    """Take the boxes that are projections of an annotation out of what is stated, by their names."""
     found: dict[str, SeenBoxes] = {}
     if own.members().get("class") is not None:
         return found
     for listed in own.items("projections"):
         name = listed.get("data")
-        rows = [] if name is None else said.pop(("bbox", name.text()), [])
+        rows = [] if name is None else stated.pop(("bbox", name.text()), [])
         boxes = {}
         for row in rows:
             if row.time_ns is not None:
@@ -237,8 +239,8 @@ def _further(element: Element) -> Any:
     return MappingProxyType({KIND: further} if further else {})
 
 
-def _shape_extras(extras: Any, kind: str, name: str, rows: Sequence[Said]) -> Any:
-    """What a shape says besides its place: its name where that says more than its type, and what its rows have."""
+def _shape_extras(extras: Any, kind: str, name: str, rows: Sequence[Stated]) -> Any:
+    """What a shape says besides its location: its name where that says more than its type, and what its rows have."""
     further = {key: value for key, value in rows[0].part.members().items() if key not in _OF_ROWS}
     if name != kind:
         further["name"] = name

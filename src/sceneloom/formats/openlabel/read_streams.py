@@ -8,8 +8,8 @@ import numpy as np
 
 from sceneloom.errors import OptionError
 from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.openlabel.camera_models import read_camera_model
 from sceneloom.formats.openlabel.document import Part
-from sceneloom.formats.openlabel.lenses import read_lens
 from sceneloom.formats.openlabel.systems import Systems
 from sceneloom.formats.openlabel.words import OURS, SENSOR_TYPES
 from sceneloom.geometry.rigid import RigidTransform
@@ -17,11 +17,11 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.plain import PlainSensor
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Sensor
 from sceneloom.scene.types import Identifier
+from sceneloom.scene.warnings import WarningKind
 
 
 def nothing_to_read(number: int) -> NoReturn:
@@ -45,12 +45,12 @@ def read_streams(document: Part, systems: Systems, ledger: Ledger) -> tuple[Sens
     """
     found = tuple(_sensor(name, stream, systems, ledger) for name, stream in document.each("streams"))
     if found:
-        told = "OpenLABEL names sensors and holds what is said of their frames, but not the frames"
+        reported = "OpenLABEL names sensors and holds what is stated for their frames, but not the frames"
         ledger.note(
-            NoticeKind.SKIPPED,
+            WarningKind.SKIPPED,
             "frames-elsewhere",
             f"{document.file}: openlabel.streams",
-            told,
+            reported,
             count=len(found),
         )
     return found
@@ -60,11 +60,13 @@ def _sensor(name: str, stream: Part, systems: Systems, ledger: Ledger) -> Sensor
     kind = "other" if stream.get("type") is None else stream.need("type").text()
     if kind not in SENSOR_TYPES:
         raise stream.need("type").fault(f"one of {', '.join(SENSOR_TYPES)}")
-    properties = stream.get("stream_properties") or Part(stream.file, f"{stream.place}.stream_properties", {})
+    properties = stream.get("stream_properties") or Part(
+        stream.file, f"{stream.location}.stream_properties", {}
+    )
     ours = properties.members().get(OURS)
     ours = ours if isinstance(ours, dict) else {}
     sensor_id: Identifier = ours["id"] if isinstance(ours.get("id"), int | str) else name
-    said = ours.get("type")
+    stated = ours.get("type")
     further = {
         key: value for key, value in stream.members().items() if key not in {"type", "stream_properties"}
     }
@@ -75,15 +77,19 @@ def _sensor(name: str, stream: Part, systems: Systems, ledger: Ledger) -> Sensor
         further["stream_properties"] = rest
     placed = _placed(name, systems)
     extras = MappingProxyType(further)
-    build = _BUILDERS.get(said if isinstance(said, str) and said in _BUILDERS else _DEFAULTS.get(kind, kind))
-    lens = read_lens(properties) if kind == "camera" else None
-    if kind == "camera" and lens is not None:
-        return CameraSensor(sensor_id, lens, _no_frames(), extras=extras, **placed)
+    build = _BUILDERS.get(
+        stated if isinstance(stated, str) and stated in _BUILDERS else _DEFAULTS.get(kind, kind)
+    )
+    camera_model = read_camera_model(properties) if kind == "camera" else None
+    if kind == "camera" and camera_model is not None:
+        return CameraSensor(sensor_id, camera_model, _no_frames(), extras=extras, **placed)
     if build is not None and kind != "camera":
         return build(sensor_id, placed, extras)
     if kind == "camera":
-        told = "its lens is not said, or of a model that is not known; kept as it stands"
-        ledger.note(NoticeKind.SKIPPED, "lens-not-read", f"{stream.file}: {stream.place}", told)
+        reported = "its camera model is not stated, or of a model that is not known; kept as it stands"
+        ledger.note(
+            WarningKind.SKIPPED, "camera-model-not-read", f"{stream.file}: {stream.location}", reported
+        )
     return PlainSensor(sensor_id, f"openlabel_{kind}", MappingProxyType(dict(stream.members())))
 
 
@@ -97,7 +103,7 @@ def _placed(name: str, systems: Systems) -> dict[str, Any]:
         # nothing moves: the root may be the vehicle as well as the world
         ego = chain[-1]
     mount = None if ego is None or ego == name else systems.path_to(name, ego)
-    if mount is not None and mount.endless:
+    if mount is not None and mount.static:
         found["mount"] = RigidTransform.from_quaternion(mount.positions[0], mount.quaternions_xyzw[0])
     if len(chain) == 1:
         del found["poses"]
@@ -139,8 +145,8 @@ _DEFAULTS = {"gps_imu": "gnss"}
 """Types of our model by those of streams, where they differ."""
 
 
-def ego_path(systems: Systems) -> tuple[str, PosePath] | None:
-    """The name and the way of the ego in its root; None where nothing moves."""
+def ego_path(systems: Systems) -> tuple[str, Poses] | None:
+    """The name and the ego trajectory in its root; None where nothing moves."""
     ego = systems.ego
     if ego is None:
         return None

@@ -5,9 +5,9 @@ from types import MappingProxyType
 from typing import Any
 
 from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.openlabel.collection import Element, gather
 from sceneloom.formats.openlabel.document import Part, read_document
 from sceneloom.formats.openlabel.frame_times import frame_times
-from sceneloom.formats.openlabel.gathering import Element, gather
 from sceneloom.formats.openlabel.ours import Ours
 from sceneloom.formats.openlabel.read_objects import Reader, links
 from sceneloom.formats.openlabel.read_streams import ego_path, read_streams
@@ -16,10 +16,10 @@ from sceneloom.formats.openlabel.words import OURS, SCHEMA_VERSION
 from sceneloom.formats.option_values import as_positive
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations.annotation import Annotation
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier
+from sceneloom.scene.warnings import WarningKind
 
 KEPT = ("metadata", "ontologies", "resources", "tags")
 """Members of the root that are kept as they are."""
@@ -53,12 +53,12 @@ def _scene(document: Part, ledger: Ledger, rate_hz: float | None) -> Scene:
     reader = Reader(times, systems, dict(zip(names, sensors, strict=True)), ours, ledger)
     annotations = list(reader.annotations(elements))
     annotations += links(document, _ids(elements, annotations, ours), ours, ledger)
-    way = ego_path(systems)
+    trajectory = ego_path(systems)
     trajectories = {}
-    if way is not None:
-        name, path = way
-        said = None if ours.part is None else ours.part.members().get("trajectory")
-        name = said if isinstance(said, str) else name
+    if trajectory is not None:
+        name, path = trajectory
+        stated = None if ours.part is None else ours.part.members().get("trajectory")
+        name = stated if isinstance(stated, str) else name
         trajectories[name] = Trajectory(name, path.timestamps_ns, path.positions, path.quaternions_xyzw)
     return Scene(
         sensors,
@@ -67,7 +67,7 @@ def _scene(document: Part, ledger: Ledger, rate_hz: float | None) -> Scene:
         metadata=MappingProxyType(_metadata(document)),
         source=str(document.file),
         format="openlabel",
-        notices=ledger.notices,
+        warnings=ledger.warnings,
     )
 
 
@@ -75,10 +75,10 @@ def _check_version(document: Part, ledger: Ledger) -> None:
     metadata = document.get("metadata")
     version = None if metadata is None else metadata.get("schema_version")
     if version is None or version.value != SCHEMA_VERSION:
-        told = (
+        reported = (
             f"version {None if version is None else version.value!r} of the schema; read as {SCHEMA_VERSION}"
         )
-        ledger.note(NoticeKind.ASSUMED, "schema-version", f"{document.file}: openlabel.metadata", told)
+        ledger.note(WarningKind.ASSUMED, "schema-version", f"{document.file}: openlabel.metadata", reported)
 
 
 def _ids(
@@ -89,15 +89,15 @@ def _ids(
     known = {annotation.id for annotation in annotations}
     for element in elements:
         fields: Any = {} if ours.part is None else ours.part.members().get(element.kind, {})
-        said = fields.get(element.uid, {}) if isinstance(fields, dict) else {}
-        own = said.get("id", element.id) if isinstance(said, dict) else element.id
+        stated = fields.get(element.uid, {}) if isinstance(fields, dict) else {}
+        own = stated.get("id", element.id) if isinstance(stated, dict) else element.id
         if isinstance(own, str | int) and own in known:
             found[element.kind, element.uid] = own
     return found
 
 
 def _metadata(document: Part) -> dict[str, Any]:
-    """The members that the model has no place for, and how the angles of boxes are meant."""
+    """The members that the model has no field for, and how the angles of boxes are meant."""
     kept = {name: value for name in KEPT if (value := document.members().get(name))}
     if isinstance(kept.get("metadata"), dict):
         own = {

@@ -26,26 +26,26 @@ def _near_miss(path: Path) -> str | None:
 _ELSEWHERE = dropped(
     "left out: OpenLABEL refers to what sensors measured by the names of files, and does not hold it"
 )
-_NO_PLACE = dropped("left out: OpenLABEL has no place for it")
+_NO_POSITION = dropped("left out: OpenLABEL has no field for it")
 _SENSOR: Supports = {
     "id": KEPT,
-    "parent_id": _NO_PLACE,
+    "parent_id": _NO_POSITION,
     "extras": dropped("left out but for uri and description"),
     "poses": converted(
-        "told by the mounting and the ego's way, else as transforms at the times of the frames"
+        "reported by the mounting and the ego trajectory, else as transforms at the times of the frames"
     ),
     "mount": KEPT,
-    "coordinates": converted("told by the tree of coordinate systems"),
+    "coordinates": converted("reported by the tree of coordinate systems"),
     "points_frame": _ELSEWHERE,
-    "model": _NO_PLACE,
+    "model": _NO_POSITION,
     "frames": _ELSEWHERE,
 }
 _CAMERA: Supports = {
     **{name: _SENSOR[name] for name in ("id", "parent_id", "extras", "poses", "mount", "coordinates")},
     "camera": KEPT,
-    "pictures": _ELSEWHERE,
+    "images": _ELSEWHERE,
     "video": _ELSEWHERE,
-    "fps": _NO_PLACE,
+    "fps": _NO_POSITION,
 }
 _SAMPLED = converted(
     "transforms of the ego at the times of the frames, which are those of annotations and sweeps"
@@ -53,7 +53,7 @@ _SAMPLED = converted(
 
 SUPPORTS: Supports = MappingProxyType(
     {
-        "": _NO_PLACE,
+        "": _NO_POSITION,
         "sensors.order": KEPT,
         **{f"sensors.lidar.{name}": holding for name, holding in _SENSOR.items()},
         **{f"sensors.radar.{name}": holding for name, holding in _SENSOR.items() if name != "model"},
@@ -65,17 +65,17 @@ SUPPORTS: Supports = MappingProxyType(
         "sensors.gnss.mount": KEPT,
         "annotations": KEPT,
         "annotations.order": converted("objects come first, then events, then links"),
-        "annotations.cuboid.path.values": converted("centre, quaternion and sizes in place of angles"),
-        "annotations.cuboid.projections.boxes": converted("centre and size in place of corner and size"),
-        "annotations.box_2d.path.values": converted("centre and size in place of corner and size"),
-        "annotations.localization_adjustment": _NO_PLACE,
-        "annotations.camera_calibration": _NO_PLACE,
-        "annotations.plain": _NO_PLACE,
+        "annotations.cuboid.path.values": converted("centre, quaternion and sizes instead of angles"),
+        "annotations.cuboid.projections.boxes": converted("centre and size instead of corner and size"),
+        "annotations.box_2d.path.values": converted("centre and size instead of corner and size"),
+        "annotations.localization_adjustment": _NO_POSITION,
+        "annotations.camera_calibration": _NO_POSITION,
+        "annotations.plain": _NO_POSITION,
         "trajectories": _SAMPLED,
         "trajectories.name": KEPT,
-        "trajectories.order": dropped("left out: the format has one way of the ego"),
-        "trajectories.file_seconds": _NO_PLACE,
-        "trajectories.covariances": _NO_PLACE,
+        "trajectories.order": dropped("left out: the format has one ego trajectory"),
+        "trajectories.file_seconds": _NO_POSITION,
+        "trajectories.covariances": _NO_POSITION,
         "metadata": KEPT,
     }
 )

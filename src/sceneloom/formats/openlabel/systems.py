@@ -16,10 +16,10 @@ from sceneloom.formats.openlabel.frame_times import FrameTimes
 from sceneloom.formats.openlabel.transforms import read_transform
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
-from sceneloom.scene.notices import NoticeKind
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
+from sceneloom.scene.warnings import WarningKind
 
-Edges = dict[str, tuple[str, PosePath]]
+Edges = dict[str, tuple[str, Poses]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,26 +47,26 @@ class Systems:
     def ego(self) -> str | None:
         """The moving system that is nearest to its root, and no sensor's; None where nothing moves."""
         moving = [
-            name for name, (_, path) in self.edges.items() if not path.endless and name not in self.sensors
+            name for name, (_, path) in self.edges.items() if not path.static and name not in self.sensors
         ]
         return min(moving, key=lambda name: (len(self.chain(name)), name), default=None)
 
-    def path_to(self, name: str, goal: str) -> PosePath | None:
+    def path_to(self, name: str, goal: str) -> Poses | None:
         """`goal_from_name` over time, at the times of all poses between; None where one does not lead to the other."""
         chain = self.chain(name)
         if goal not in chain:
             return None
         paths = [self.edges[one][1] for one in chain[: chain.index(goal)]]
-        moving = [path.timestamps_ns for path in paths if not path.endless]
+        moving = [path.timestamps_ns for path in paths if not path.static]
         times = np.unique(np.concatenate(moving)) if moving else np.zeros(1, np.int64)
         positions, quaternions = self._composed(paths, times)
-        return PosePath(times, positions, quaternions, endless=not moving)
+        return Poses(times, positions, quaternions, static=not moving)
 
     def root_from(self, name: str, times: Int64Array) -> tuple[Float64Array, Float64Array]:
         """`root_from_name` at some times: positions (N, 3) and quaternions (N, 4), scalar last."""
         return self._composed([self.edges[one][1] for one in self.chain(name)[:-1]], times)
 
-    def _composed(self, paths: list[PosePath], times: Int64Array) -> tuple[Float64Array, Float64Array]:
+    def _composed(self, paths: list[Poses], times: Int64Array) -> tuple[Float64Array, Float64Array]:
         positions = np.zeros((len(times), 3))
         quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1))
         for path in paths:
@@ -99,19 +99,19 @@ def read_systems(document: Part, times: FrameTimes, ledger: Ledger) -> Systems:
     names = frozenset({*parents, *(goal for goal, _ in edges.values())})
     for name, parent_name in parents.items():
         if parent_name and name not in edges:
-            told = f"it is not said where it is in {parent_name!r}; taken for a root of its own"
-            place = f"{document.file}: openlabel.coordinate_systems.{name}"
-            ledger.note(NoticeKind.ASSUMED, "coordinate-system-unplaced", place, told)
+            reported = f"it is not stated where it is in {parent_name!r}; taken for a root of its own"
+            location = f"{document.file}: openlabel.coordinate_systems.{name}"
+            ledger.note(WarningKind.ASSUMED, "coordinate-system-unplaced", location, reported)
     return Systems(edges, names, frozenset(name for name, _ in document.each("streams")))
 
 
-def _still(transform: RigidTransform) -> PosePath:
-    return PosePath(
-        np.zeros(1, np.int64), transform.translation[None], transform.quaternion_xyzw[None], endless=True
+def _still(transform: RigidTransform) -> Poses:
+    return Poses(
+        np.zeros(1, np.int64), transform.translation[None], transform.quaternion_xyzw[None], static=True
     )
 
 
-def _moving(document: Part, times: FrameTimes) -> dict[tuple[str, str], PosePath]:
+def _moving(document: Part, times: FrameTimes) -> dict[tuple[str, str], Poses]:
     """The transforms of the frames, by source and destination."""
     rows: dict[tuple[str, str], dict[int, RigidTransform]] = {}
     for number, part in _transforms(document):
@@ -129,21 +129,21 @@ def _transforms(document: Part) -> Iterator[tuple[int, Part]]:
                 yield int(key), transform
 
 
-def _path(poses: dict[int, RigidTransform]) -> PosePath:
-    stamps = sorted(poses)
-    return PosePath(
-        np.array(stamps, np.int64),
-        np.stack([poses[stamp].translation for stamp in stamps]),
-        np.stack([poses[stamp].quaternion_xyzw for stamp in stamps]),
+def _path(poses: dict[int, RigidTransform]) -> Poses:
+    timestamps = sorted(poses)
+    return Poses(
+        np.array(timestamps, np.int64),
+        np.stack([poses[timestamp].translation for timestamp in timestamps]),
+        np.stack([poses[timestamp].quaternion_xyzw for timestamp in timestamps]),
     )
 
 
-def _inverted(path: PosePath) -> PosePath:
+def _inverted(path: Poses) -> Poses:
     backwards = [
         RigidTransform.from_quaternion(position, quaternion).inverse()
         for position, quaternion in zip(path.positions, path.quaternions_xyzw, strict=True)
     ]
-    return PosePath(
+    return Poses(
         path.timestamps_ns,
         np.stack([one.translation for one in backwards]),
         np.stack([one.quaternion_xyzw for one in backwards]),

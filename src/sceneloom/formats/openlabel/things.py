@@ -16,10 +16,10 @@ _PARTS = (CuboidAnnotation, Box2DAnnotation, ShapeAnnotation, PointsAnnotation, 
 
 
 def things(annotations: Sequence[Annotation]) -> Iterator[tuple[Annotation, list[Annotation]]]:
-    """Give each annotation that stands for a thing, in their order, with those that tell more of the same thing.
+    """Give each annotation that stands for a thing, in their order, with those that report more of the same thing.
 
-    What has an object or a cuboid as its parent, by `parent_id`, and is of no other class tells more of that. A cuboid
-    below a cuboid is a thing of its own.
+    What has an object or a cuboid as its parent, by `parent_id`, and is of no other class reports more of that. A
+    cuboid below a cuboid is a thing of its own.
     """
     by_id: dict[Key, Annotation] = {key_of(one.id): one for one in annotations}
     parts: dict[Key, list[Annotation]] = {}
@@ -42,7 +42,7 @@ def _label(annotation: Any) -> str | None:
 
 
 def _host(annotation: Annotation, by_id: dict[Key, Annotation]) -> Annotation:
-    """The annotation of the thing that another one tells of: itself, or what it belongs to."""
+    """The annotation of the thing that another one reports: itself, or what it belongs to."""
     host, above = annotation, _above(annotation, by_id)
     if isinstance(above, CuboidAnnotation):
         host, above = above, _above(above, by_id)
@@ -62,7 +62,7 @@ def _above(annotation: Any, by_id: dict[Key, Annotation]) -> Annotation | None:
 
 
 def _is_whole(annotation: Any) -> bool:
-    """Whether the data of an object say the annotation in one piece: at some time, and by one type of data."""
+    """Whether the data of an object state the annotation in one piece: at some time, and by one type of data."""
     if isinstance(annotation, ShapeAnnotation):
         return len({len(vertices) == 1 for vertices in annotation.path.vertices}) == 1
     return not hasattr(annotation, "path") or len(annotation.path.timestamps_ns) > 0

@@ -1,6 +1,6 @@
 """Transforms as OpenLABEL writes them.
 
-Source: ASAM OpenLABEL 1.0.0, "transform_data"; the order of Euler angles where none is said is that of its reference
+Source: ASAM OpenLABEL 1.0.0, "transform_data"; the order of Euler angles where none is stated is that of its reference
 program VCD: ZYX, the angle about z first in the list.
 """
 
@@ -49,7 +49,7 @@ def _of_matrix(part: Part, matrix: Float64Array) -> RigidTransform:
     try:
         nearest, error = RigidTransform.nearest(matrix)
     except SceneloomError as fault:
-        raise DataError(part.file, part.place, str(fault)) from fault
+        raise DataError(part.file, part.location, str(fault)) from fault
     if not error <= _GREATEST_MATRIX_ERROR:
         raise part.fault(f"a rotation; its rows are off by {error:.2g}")
     return nearest
@@ -69,13 +69,13 @@ def unit_quaternions(parts: Sequence[Part], values: list[list[float]]) -> Float6
 
 
 def rotation_from_euler(part: Part, angles: list[float], sequence: str) -> Float64Array:
-    """The product of three turns about named axes, (3, 3): of "ZYX" and (a, b, c) it is Rz(a) Ry(b) Rx(c).
+    """The product of three rotates about named axes, (3, 3): of "ZYX" and (a, b, c) it is Rz(a) Ry(b) Rx(c).
 
     Raises:
         DataError: the sequence is none.
     """
     if len(sequence) != 3 or not set(sequence.upper()) <= set("XYZ"):
-        raise DataError(part.file, f"{part.place}.sequence", f"{sequence!r}; expected three of X, Y, Z")
+        raise DataError(part.file, f"{part.location}.sequence", f"{sequence!r}; expected three of X, Y, Z")
     rotation = np.eye(3)
     for axis, angle in zip(sequence.upper(), angles, strict=True):
         half = np.zeros(4)

@@ -21,7 +21,7 @@ UID = re.compile(r"-?[0-9]+|[0-9a-fA-F]{8}-(?:[0-9a-fA-F]{4}-){3}[0-9a-fA-F]{12}
 """What the schema takes as the key of an object, action, event, context, relation or tag."""
 
 GEOMETRY = ("cuboid", "bbox", "rbbox", "poly2d", "poly3d", "point2d", "point3d")
-"""Types of object data that have a place."""
+"""Types of object data that have a location."""
 
 PLAIN = ("text", "num", "boolean", "vec")
 """Types of data that are read as a plain value."""

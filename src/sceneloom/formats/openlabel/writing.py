@@ -9,7 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.formats.field_losses import field_losses
-from sceneloom.formats.loss import Fate, Loss, LossReport
+from sceneloom.formats.loss import Loss, LossReport, Support
 from sceneloom.formats.openlabel.draft import Draft, Uids
 from sceneloom.formats.openlabel.ours import (
     activation_fields,
@@ -61,12 +61,12 @@ from sceneloom.scene.span import frame_times
 from sceneloom.scene.types import Coordinates, Key, key_of
 
 _LEFT_OUT = (LocalizationAdjustment, CameraCalibration, PlainAnnotation)
-_NO_PLACE = "left out: OpenLABEL has no place for it"
+_NO_POSITION = "left out: OpenLABEL has no field for it"
 _SEEN = ("activations", "projections")
 
 
 def write_openlabel(scene: Scene, path: Path, *, overwrite: bool = False) -> LossReport:
-    """Write annotations, sensors without their frames, and the way of the ego.
+    """Write annotations, sensors without their frames, and the ego trajectory.
 
     Raises:
         OutputError: the file exists, or cannot be written.
@@ -79,7 +79,7 @@ def write_openlabel(scene: Scene, path: Path, *, overwrite: bool = False) -> Los
 
 
 class _Writer:
-    """Turns a scene into the document, and keeps what it cannot hold."""
+    """Rotates a scene into the document, and keeps what it cannot hold."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -102,7 +102,7 @@ class _Writer:
             if isinstance(annotation, LinkAnnotation):
                 self._relation(annotation)
         self.draft.close()
-        self._tell_way()
+        self._report_trajectory()
         self.losses += self.streams.losses(self.draft.times)
         kept = self.scene.metadata.get("openlabel")
         kept = {name: kept[name] for name in KEPT if name in kept} if isinstance(kept, Mapping) else {}
@@ -129,30 +129,32 @@ class _Writer:
         ):
             properties.update({name: value} if value else {})
         frame: dict[str, Any] = {"frame_properties": properties}
-        for kind, said in self.draft.frames.get(number, {}).items():
-            frame[f"{kind}s"] = {uid: {f"{kind}_data": data} for uid, data in said.items()}
+        for kind, stated in self.draft.frames.get(number, {}).items():
+            frame[f"{kind}s"] = {uid: {f"{kind}_data": data} for uid, data in stated.items()}
         return frame
 
     def _ours(self) -> dict[str, Any]:
         """What only we understand: fields of annotations, and metadata as far as JSON holds them."""
         found: dict[str, Any] = dict(self.draft.ours)
         names = list(self.scene.trajectories)
-        found.update({"trajectory": names[0]} if names and self.streams.way is not None else {})
+        found.update({"trajectory": names[0]} if names and self.streams.trajectory is not None else {})
         own = {name: value for name, value in self.scene.metadata.items() if name != "openlabel"}
         metadata = {name: value for name, value in own.items() if is_json(value)}
         for name in own.keys() - metadata.keys():
-            self.losses.append(Loss(field=f"metadata.{name}", what="left out: JSON cannot say it"))
+            self.losses.append(Loss(field=f"metadata.{name}", what="left out: JSON cannot state it"))
         return {**found, **({"metadata": metadata} if metadata else {})}
 
     def _element(self, annotation: Any, parts: Sequence[Annotation]) -> None:
-        """Write a thing: its annotation, and those that tell more of it as further data of the same object."""
+        """Write a thing: its annotation, and those that report more of it as further data of the same object."""
         kind = "event" if isinstance(annotation, EventAnnotation) else "object"
         uid = self.uids.give(annotation.id)
         further = annotation.extras.get(KIND)
         further = dict(further) if isinstance(further, Mapping) else {}
         head = {name: further[name] for name in ("ontology_uid", "resource_uid") if name in further}
         name = further.get("name")
-        label = next((said for one in (annotation, *parts) if (said := getattr(one, "label", None))), None)
+        label = next(
+            (stated for one in (annotation, *parts) if (stated := getattr(one, "label", None))), None
+        )
         self.draft.heads[kind][uid] = {
             "name": name if isinstance(name, str) else str(annotation.id),
             "type": label or "",
@@ -166,7 +168,7 @@ class _Writer:
                     "frame_end": self.draft.number(stop_ns),
                 }
             ]
-        fields = self._say(kind, uid, annotation, further, label)
+        fields = self._state(kind, uid, annotation, further, label)
         if parts:
             fields.update({} if fields["data"] else {"is_whole": True})
             fields["parts"] = [self._part(kind, uid, part, label) for part in parts]
@@ -177,11 +179,11 @@ class _Writer:
         self.uids.by_id[key_of(part.id)] = uid
         self.parts.add(key_of(part.id))
         further = part.extras.get(KIND)
-        return self._say(
+        return self._state(
             kind, uid, part, dict(further) if isinstance(further, Mapping) else {}, label, is_part=True
         )
 
-    def _say(
+    def _state(
         self,
         kind: str,
         uid: str,
@@ -191,7 +193,7 @@ class _Writer:
         *,
         is_part: bool = False,
     ) -> dict[str, Any]:
-        """Say an annotation as data of an object, and give the fields that only we understand."""
+        """Report an annotation as data of an object, and give the fields that only we understand."""
         fields = annotation_fields(annotation)
         fields.update(_CLASS_FIELDS.get(type(annotation), lambda _: {})(annotation))
         if label is not None and getattr(annotation, "label", label) is None:
@@ -200,8 +202,8 @@ class _Writer:
         fields["data"] = list(dict.fromkeys(element["name"] for _, _, element in data))
         if isinstance(annotation, CuboidAnnotation) and any("attributes" in one for _, _, one in data):
             fields["interpolated"] = True
-        self.draft.say(kind, uid, data)
-        self._tell_fields(annotation)
+        self.draft.state(kind, uid, data)
+        self._report_fields(annotation)
         unsaid, renamed = self._attributes(kind, uid, annotation, is_part=is_part)
         fields.update({"attributes": unsaid} if unsaid else {})
         fields.update({"own": renamed} if renamed else {})
@@ -211,11 +213,11 @@ class _Writer:
             fields["extras"] = dict(annotation.extras)
         else:
             field = f"annotations[{annotation.id}].extras"
-            self.losses.append(Loss(field=field, what="left out: JSON cannot say it"))
+            self.losses.append(Loss(field=field, what="left out: JSON cannot state it"))
         return fields
 
     def _seen(self, kind: str, uid: str, annotation: Any) -> dict[str, Any]:
-        """Say where and when sensors see a cuboid: the boxes as data, the rest among our fields."""
+        """Report where and when sensors see a cuboid: the boxes as data, the rest among our fields."""
         found: dict[str, Any] = {}
         if isinstance(annotation, PointsAnnotation) and annotation.projections:
             points = annotation.projections
@@ -227,7 +229,7 @@ class _Writer:
             for name in _SEEN:
                 if count := len(getattr(annotation, name)):
                     field = f"annotations[{annotation.id}].{name}"
-                    self.losses.append(Loss(field=field, what=_NO_PLACE, count=count))
+                    self.losses.append(Loss(field=field, what=_NO_POSITION, count=count))
             return found
         rows = [self._sound(annotation, activation_fields(one)) for one in annotation.activations]
         found.update({"activations": rows} if rows else {})
@@ -238,18 +240,18 @@ class _Writer:
             data = list(projection_data(projection, f"projection:{system}", system))
             if len({time_ns for time_ns, _, _ in data}) == len(data) and data:
                 data = self.draft.renamed(uid, data, annotation.id)
-                self.draft.say(kind, uid, data)
+                self.draft.state(kind, uid, data)
                 fields.update({"data": data[0][2]["name"], "boxes": None})
             rows.append(fields)
         found.update({"projections": rows} if rows else {})
         return found
 
     def _sound(self, annotation: Annotation, fields: dict[str, Any]) -> dict[str, Any]:
-        """Leave out further fields that JSON cannot say, and report it."""
+        """Leave out further fields that JSON cannot state, and report it."""
         if is_json(fields.get("extras")):
             return fields
         field, count = f"annotations[{annotation.id}].extras", len(fields["extras"])
-        self.losses.append(Loss(field=field, what="left out: JSON cannot say it", count=count))
+        self.losses.append(Loss(field=field, what="left out: JSON cannot state it", count=count))
         return {name: value for name, value in fields.items() if name != "extras"}
 
     def _path_extras(self, annotation: Any) -> dict[str, Any]:
@@ -260,14 +262,14 @@ class _Writer:
         if is_json(further):
             return {"path_extras": further}
         field = f"annotations[{annotation.id}].path.extras"
-        self.losses.append(Loss(field=field, what="left out: JSON cannot say it", count=len(further)))
+        self.losses.append(Loss(field=field, what="left out: JSON cannot state it", count=len(further)))
         return {}
 
     def _data(self, annotation: Annotation, further: Mapping[str, Any]) -> list[Datum]:
-        """The places of an annotation, if it has some."""
-        told = further.get("data")
-        told = dict(told) if isinstance(told, Mapping) else {}
-        name = told.pop("name", None)
+        """The locations of an annotation, if it has some."""
+        reported = further.get("data")
+        reported = dict(reported) if isinstance(reported, Mapping) else {}
+        name = reported.pop("name", None)
         data: list[Datum] = []
         if isinstance(annotation, CuboidAnnotation):
             data = list(cuboid_data(annotation, name or "cuboid", self.system, self.angles, self.draft.times))
@@ -279,7 +281,7 @@ class _Writer:
             data = list(shape_data(annotation, name or annotation.type.value, system))
         elif isinstance(annotation, PointsAnnotation):
             return list(keypoint_data(annotation, self.system))
-        return [(time_ns, kind, {**told, **element}) for time_ns, kind, element in data]
+        return [(time_ns, kind, {**reported, **element}) for time_ns, kind, element in data]
 
     def _camera(self, sensor_id: Any) -> str:
         return self.streams.names.get(sensor_id, str(sensor_id))
@@ -298,20 +300,20 @@ class _Writer:
                     data = self.draft.renamed(uid, data, annotation.id)
                     renamed.append([data[0][1], data[0][2]["name"], attribute.name])
                 self.draft.names.setdefault(uid, set()).add(attribute.name)
-                self.draft.say(kind, uid, data)
-                self._tell_further(annotation, attribute)
+                self.draft.state(kind, uid, data)
+                self._report_further(annotation, attribute)
                 if attribute.timestamps_ns is None and not attribute.static:
                     what = "an attribute without times is read back as one that holds always"
                     field = f"annotations[{annotation.id}].attributes"
-                    self.losses.append(Loss(field=field, what=what, fate=Fate.CONVERTED))
+                    self.losses.append(Loss(field=field, what=what, support=Support.CONVERTED))
             elif is_json([*attribute.values, dict(attribute.extras)]):
                 unsaid.append(attribute_fields(attribute))
             else:
                 field = f"annotations[{annotation.id}].attributes.{attribute.name}"
-                self.losses.append(Loss(field=field, what="left out: JSON cannot say it"))
+                self.losses.append(Loss(field=field, what="left out: JSON cannot state it"))
         return unsaid, renamed
 
-    def _tell_further(self, annotation: Any, attribute: AttributePath) -> None:
+    def _report_further(self, annotation: Any, attribute: AttributePath) -> None:
         unsaid = attribute.extras.keys() - FURTHER
         if unsaid:
             field = f"annotations[{annotation.id}].attributes.{attribute.name}"
@@ -325,20 +327,20 @@ class _Writer:
             for attribute in annotation.attributes
         )
 
-    def _tell_fields(self, annotation: Any) -> None:
-        """Tell what an annotation says that is not written."""
+    def _report_fields(self, annotation: Any) -> None:
+        """Report what an annotation says that is not written."""
         held = getattr(annotation, "path", None)
         if held is not None and not len(held.timestamps_ns):
-            what = "it has no place at any time: read back as an object without one"
+            what = "it has no location at any time: read back as an object without one"
             self.losses.append(Loss(field=f"annotations[{annotation.id}]", what=what))
 
     def _keep(self, kind: str, uid: str, annotation: Any, fields: dict[str, Any]) -> None:
-        """Keep the fields that only we understand, and the further ones that JSON can say."""
+        """Keep the fields that only we understand, and the further ones that JSON can state."""
         if is_json(dict(annotation.extras)):
             fields["extras"] = dict(annotation.extras)
         else:
             field = f"annotations[{annotation.id}].extras"
-            self.losses.append(Loss(field=field, what="left out: JSON cannot say it"))
+            self.losses.append(Loss(field=field, what="left out: JSON cannot state it"))
         self.draft.ours.setdefault(kind, {})[uid] = fields
 
     def _relation(self, link: LinkAnnotation) -> None:
@@ -366,21 +368,23 @@ class _Writer:
     def _kind_of(self, uid: str) -> str:
         return "event" if uid in self.draft.heads["event"] else "object"
 
-    def _tell_way(self) -> None:
-        """Tell how the way of the ego is sampled, and of which sensors the ways."""
-        for name, way in list(self.scene.trajectories.items())[:1]:
-            if way.quaternions_xyzw is None:
+    def _report_trajectory(self) -> None:
+        """Report how the ego trajectory is sampled, and of which sensors the trajectories."""
+        for name, trajectory in list(self.scene.trajectories.items())[:1]:
+            if trajectory.quaternions_xyzw is None:
                 self.losses.append(
                     Loss(field=f"trajectories[{name}]", what="left out: it has no orientations")
                 )
-            elif not np.isin(way.timestamps_ns, self.draft.times).all():
+            elif not np.isin(trajectory.timestamps_ns, self.draft.times).all():
                 what = "written at the times of the frames"
                 field = f"trajectories[{name}].timestamps_ns"
-                count = len(way.timestamps_ns)
-                self.losses.append(Loss(field=field, what=what, count=count, fate=Fate.APPROXIMATED))
-        for name, way in list(self.scene.trajectories.items())[1:]:
-            what = "left out: the format has one way of the ego"
-            self.losses.append(Loss(field=f"trajectories[{name}]", what=what, count=len(way.timestamps_ns)))
+                count = len(trajectory.timestamps_ns)
+                self.losses.append(Loss(field=field, what=what, count=count, support=Support.APPROXIMATED))
+        for name, trajectory in list(self.scene.trajectories.items())[1:]:
+            what = "left out: the format has one ego trajectory"
+            self.losses.append(
+                Loss(field=f"trajectories[{name}]", what=what, count=len(trajectory.timestamps_ns))
+            )
 
 
 def _labeled_points(annotation: LabeledPointsAnnotation) -> dict[str, Any]:
@@ -452,5 +456,5 @@ def _frame_times(scene: Scene) -> Int64Array:
     references = [times for one in sensors if len(times := frame_times(one))]
     found += references[:1]
     if not any(len(times) for times in found):
-        found = [way.timestamps_ns for way in list(scene.trajectories.values())[:1]]
+        found = [trajectory.timestamps_ns for trajectory in list(scene.trajectories.values())[:1]]
     return np.unique(np.concatenate(found)) if found else np.zeros(0, np.int64)

@@ -14,7 +14,7 @@ from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations.attributes import AttributePath
 from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
 from sceneloom.scene.annotations.cuboids import CuboidAnnotation, Projection
-from sceneloom.scene.annotations.keypoints import PointsAnnotation, places_of
+from sceneloom.scene.annotations.keypoints import PointsAnnotation, locations_of
 from sceneloom.scene.annotations.shapes import ShapeAnnotation, ShapeType
 from sceneloom.scene.at import cuboid_poses
 
@@ -35,18 +35,18 @@ def cuboid_data(
         name: of the data.
         system: the coordinate system of the cuboid.
         angles: how its angles are meant.
-        frames_ns: (M,) int64 [ns], the times of all frames; it is said in those in which the cuboid is there.
+        frames_ns: (M,) int64 [ns], the times of all frames; it is stated in those in which the cuboid is there.
     """
     values = cuboid.path.values
     quaternions = angles.quaternions(values[:, 6:9])
     rows = np.concatenate([values[:, 3:6], quaternions, values[:, :3]], axis=1).tolist()
     between_ns, between = _between(cuboid, angles, frames_ns)
     for time_ns, row in zip(cuboid.path.timestamps_ns.tolist(), rows, strict=True):
-        told = {"attributes": _flag(INTERPOLATED, value=False)} if between else {}
-        yield time_ns, "cuboid", {"name": name, "val": row, "coordinate_system": system, **told}
+        reported = {"attributes": _flag(INTERPOLATED, value=False)} if between else {}
+        yield time_ns, "cuboid", {"name": name, "val": row, "coordinate_system": system, **reported}
     for time_ns, row in zip(between_ns, between, strict=True):
-        told = {"attributes": _flag(INTERPOLATED, value=True)}
-        yield time_ns, "cuboid", {"name": name, "val": row, "coordinate_system": system, **told}
+        reported = {"attributes": _flag(INTERPOLATED, value=True)}
+        yield time_ns, "cuboid", {"name": name, "val": row, "coordinate_system": system, **reported}
 
 
 def _between(
@@ -72,8 +72,8 @@ def projection_data(projection: Projection, name: str, system: str) -> Iterator[
     rows = np.concatenate([boxes[:, :2] + boxes[:, 2:] / 2, boxes[:, 2:]], axis=1)
     for k in np.flatnonzero(np.isfinite(rows).all(axis=1)).tolist():
         confirmed = None if projection.confirmed is None else projection.confirmed[k]
-        told = {} if confirmed is None else {"attributes": _flag(CONFIRMED, value=confirmed)}
-        element = {"name": name, "val": rows[k].tolist(), "coordinate_system": system, **told}
+        reported = {} if confirmed is None else {"attributes": _flag(CONFIRMED, value=confirmed)}
+        element = {"name": name, "val": rows[k].tolist(), "coordinate_system": system, **reported}
         yield int(projection.timestamps_ns[k]), "bbox", element
 
 
@@ -86,11 +86,11 @@ def box_data(box: Box2DAnnotation, name: str, system: str) -> Iterator[Datum]:
 
 
 def shape_data(shape: ShapeAnnotation, name: str, system: str) -> Iterator[Datum]:
-    """A line, an area or a point in each row; areas that were turned boxes as these."""
+    """A line, an area or a point in each row; areas that were rotated boxes as these."""
     times = shape.path.timestamps_ns.tolist()
-    turned = shape.path.extras.get(RBBOX)
-    if turned is not None and len(turned) == len(times):
-        for time_ns, row in zip(times, turned, strict=True):
+    rotated = shape.path.extras.get(RBBOX)
+    if rotated is not None and len(rotated) == len(times):
+        for time_ns, row in zip(times, rotated, strict=True):
             yield time_ns, "rbbox", {"name": name, "val": list(row), "coordinate_system": system}
         return
     for time_ns, vertices in zip(times, shape.path.vertices, strict=True):
@@ -113,17 +113,23 @@ def keypoint_data(points: PointsAnnotation, system: str) -> Iterator[Datum]:
         name = points.labels[k] if points.labels is not None and k < len(points.labels) else f"point{k}"
         if path.values.shape[1] % 3:
             continue
-        for time_ns, places in zip(path.timestamps_ns.tolist(), places_of(path.values).tolist(), strict=True):
-            for place in places:
-                yield time_ns, "point3d", {"name": f"{name}:{k}", "val": place, "coordinate_system": system}
+        for time_ns, locations in zip(
+            path.timestamps_ns.tolist(), locations_of(path.values).tolist(), strict=True
+        ):
+            for location in locations:
+                yield (
+                    time_ns,
+                    "point3d",
+                    {"name": f"{name}:{k}", "val": location, "coordinate_system": system},
+                )
 
 
 FURTHER = frozenset({"type", "attributes", TYPE})
-"""Further fields of an attribute that its data say."""
+"""Further fields of an attribute that its data state."""
 
 
 def attribute_data(attribute: AttributePath, systems: Mapping[Any, str]) -> list[Datum] | None:
-    """The values of an attribute; None where the format has no place for what it says.
+    """The values of an attribute; None where the format has no field for what it says.
 
     Args:
         attribute: of an object.
@@ -138,18 +144,18 @@ def attribute_data(attribute: AttributePath, systems: Mapping[Any, str]) -> list
         return None
     if attribute.sensor_id is not None and attribute.sensor_id not in systems:
         return None
-    stamps: list[int | None] = [None] if times is None else times.tolist()
+    timestamps: list[int | None] = [None] if times is None else times.tolist()
     kind = str(next(iter(kinds)))
     further = {name: value for name, value in attribute.extras.items() if name in FURTHER - {TYPE}}
     if attribute.sensor_id is not None:
         further["coordinate_system"] = systems[attribute.sensor_id]
     return [
-        (stamp, kind, {"name": attribute.name, **further, **_told(kind, value)})
-        for stamp, value in zip(stamps, attribute.values, strict=True)
+        (timestamp, kind, {"name": attribute.name, **further, **_reported(kind, value)})
+        for timestamp, value in zip(timestamps, attribute.values, strict=True)
     ]
 
 
-def _told(kind: str, value: Any) -> dict[str, Any]:
+def _reported(kind: str, value: Any) -> dict[str, Any]:
     if isinstance(value, Mapping):
         return dict(value)
     return {"val": list(value) if kind == "vec" else value}

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Int64Array
-from sceneloom.formats.loss import Fate, Loss
-from sceneloom.formats.openlabel.lenses import lens_properties
+from sceneloom.formats.loss import Loss, Support
+from sceneloom.formats.openlabel.camera_models import camera_model_properties
 from sceneloom.formats.openlabel.words import EGO, OURS, WORLD
 from sceneloom.formats.recording.written_times import seconds_text
 from sceneloom.geometry.rigid import RigidTransform
@@ -17,7 +17,7 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
 from sceneloom.scene.plain import PlainSensor
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.sensor_sources import check_one_ego
 from sceneloom.scene.shooting import mounts_of_shots
@@ -44,13 +44,13 @@ class Streams:
     Attributes:
         names: of the streams, by the ids of sensors.
         sensors: by the names.
-        way: `world_from_ego`, or None.
-        moving: ids of the cameras whose pictures have mountings of their own: only their poses tell where they were.
+        trajectory: `world_from_ego`, or None.
+        moving: ids of the cameras whose images have mountings of their own: only their poses report where they were.
     """
 
     names: Mapping[Identifier, str]
     sensors: Mapping[str, Sensor]
-    way: PosePath | None
+    trajectory: Poses | None
     moving: frozenset[Identifier] = frozenset()
 
     @classmethod
@@ -60,8 +60,8 @@ class Streams:
         Raises:
             PoseError: sensors in ego coordinates refer to another trajectory than the one that is written.
         """
-        way = way_of(scene)
-        check_one_ego(scene, way)
+        trajectory = trajectory_of(scene)
+        check_one_ego(scene, trajectory)
         names: dict[Identifier, str] = {}
         sensors: dict[str, Sensor] = {}
         for sensor in scene.sensors:
@@ -77,7 +77,7 @@ class Streams:
             for one in scene.cameras
             if mounts_of_shots(one) is not None and one.coordinates is Coordinates.WORLD
         )
-        return cls(names, sensors, way, moving)
+        return cls(names, sensors, trajectory, moving)
 
     def _parent_and_pose(self, sensor: Any) -> tuple[str, RigidTransform | None] | None:
         """The system that a sensor is placed in, its pose there, None where it moves; None where nothing is known."""
@@ -99,10 +99,10 @@ class Streams:
                 found[name] = {"type": "sensor_cs", "parent": parent, **({} if pose is None else _pose(pose))}
         parents = {system["parent"] for system in found.values()}
         roots: dict[str, Any] = {}
-        if world or self.way is not None or WORLD in parents:
+        if world or self.trajectory is not None or WORLD in parents:
             roots[WORLD] = {"type": "scene_cs", "parent": ""}
-        if EGO in parents or self.way is not None or not roots:
-            roots[EGO] = {"type": "local_cs", "parent": WORLD if self.way is not None else ""}
+        if EGO in parents or self.trajectory is not None or not roots:
+            roots[EGO] = {"type": "local_cs", "parent": WORLD if self.trajectory is not None else ""}
         systems = {**roots, **found}
         for name, system in systems.items():
             system["children"] = [other for other, one in systems.items() if one["parent"] == name]
@@ -110,7 +110,7 @@ class Streams:
 
     def transforms(self, time_ns: int) -> dict[str, Any]:
         """The transforms of the frame of a time: of the ego, and of sensors with ways of their own."""
-        moving = {} if self.way is None else {EGO: self.way}
+        moving = {} if self.trajectory is None else {EGO: self.trajectory}
         found = {}
         for name, path in (moving | self._moving_sensors()).items():
             samples = path.interpolate(np.array([time_ns], np.int64))
@@ -125,9 +125,9 @@ class Streams:
                 }
         return found
 
-    def _moving_sensors(self) -> dict[str, PosePath]:
+    def _moving_sensors(self) -> dict[str, Poses]:
         """`world_from_sensor` of the sensors that have transforms of their own, by the names of their streams."""
-        found: dict[str, PosePath] = {}
+        found: dict[str, Poses] = {}
         for name, sensor in self.sensors.items():
             placed, poses = self._parent_and_pose(sensor), getattr(sensor, "poses", None)
             if placed is not None and placed[1] is None and poses is not None:
@@ -135,21 +135,25 @@ class Streams:
         return found
 
     def losses(self, times_ns: Int64Array) -> Iterator[Loss]:
-        """How far the poses that transforms at the times of the file's frames tell are off.
+        """How far the poses that transforms at the times of the file's frames report are off.
 
         Of a sensor at the times of its own frames, of the ego at those of its trajectory's poses; and how many of these
         lie beyond the file's frames.
         """
-        if self.way is not None:
+        if self.trajectory is not None:
             yield from _sampled(
-                self.way, self.way.timestamps_ns, times_ns, "trajectories.positions", "its poses"
+                self.trajectory,
+                self.trajectory.timestamps_ns,
+                times_ns,
+                "trajectories.positions",
+                "its poses",
             )
         for name, path in self._moving_sensors().items():
             sensor = self.sensors[name]
             own = _times(sensor)
             own_times = own if len(own) else path.timestamps_ns
-            told = "its frames" if len(own) else "its poses"
-            yield from _sampled(path, own_times, times_ns, f"sensors[{sensor.id}].poses", told)
+            reported = "its frames" if len(own) else "its poses"
+            yield from _sampled(path, own_times, times_ns, f"sensors[{sensor.id}].poses", reported)
 
     def syncs(self, time_ns: int) -> dict[str, Any]:
         """Which frame of each sensor is the nearest to a time, and when it is of."""
@@ -164,15 +168,20 @@ class Streams:
                 properties: dict[str, Any] = {
                     "sync": {"frame_stream": k, "timestamp": seconds_text(int(times[k]))}
                 }
-                if isinstance(sensor, CameraSensor) and (lens := sensor.pictures[k].camera) != sensor.camera:
-                    properties |= {key: value for key, value in lens_properties(lens).items() if key != OURS}
+                if (
+                    isinstance(sensor, CameraSensor)
+                    and (camera_model := sensor.images[k].camera) != sensor.camera
+                ):
+                    properties |= {
+                        key: value
+                        for key, value in camera_model_properties(camera_model).items()
+                        if key != OURS
+                    }
                 found[name] = {"stream_properties": properties}
         return found
 
 
-def _sampled(
-    path: PosePath, own_ns: Int64Array, times_ns: Int64Array, field: str, own: str
-) -> Iterator[Loss]:
+def _sampled(path: Poses, own_ns: Int64Array, times_ns: Int64Array, field: str, own: str) -> Iterator[Loss]:
     """How far a path is off between the times that it is written at, and how many of its own lie beyond them."""
     written = path.interpolate(times_ns)
     known = np.isfinite(written.positions).all(axis=1)
@@ -180,19 +189,19 @@ def _sampled(
     wanted = np.isfinite(right.positions).all(axis=1)
     reached: BoolArray = np.zeros(len(own_ns), bool)
     if known.any():
-        read = PosePath(times_ns[known], written.positions[known], written.quaternions_xyzw[known])
+        read = Poses(times_ns[known], written.positions[known], written.quaternions_xyzw[known])
         found = read.interpolate(own_ns)
         reached = np.asarray(wanted & np.isfinite(found.positions).all(axis=1), np.bool_)
         moved = np.linalg.norm(found.positions[reached] - right.positions[reached], axis=1)
-        turned = np.degrees(angle_between(found.quaternions_xyzw[reached], right.quaternions_xyzw[reached]))
-        off, turn = float(moved.max(initial=0.0)), float(turned.max(initial=0.0))
-        if off > _EXACT_M or turn > _EXACT_DEG:
+        rotated = np.degrees(angle_between(found.quaternions_xyzw[reached], right.quaternions_xyzw[reached]))
+        off, rotation = float(moved.max(initial=0.0)), float(rotated.max(initial=0.0))
+        if off > _EXACT_M or rotation > _EXACT_DEG:
             what = (
                 f"written at the times of the frames; at the times of {own} they are up to {round(off, 4):g} m and "
-                f"{round(turn, 3):g} degrees off"
+                f"{round(rotation, 3):g} degrees off"
             )
             count = int(reached.sum())
-            yield Loss(field=field, what=what, count=count, fate=Fate.APPROXIMATED, largest_error=off)
+            yield Loss(field=field, what=what, count=count, support=Support.APPROXIMATED, largest_error=off)
     beyond = int((wanted & ~reached).sum())
     if beyond:
         what = f"left out at times of {own} that lie beyond the file's frames"
@@ -205,11 +214,15 @@ def _times(sensor: Sensor) -> Int64Array:
     return np.zeros(0, np.int64)
 
 
-def way_of(scene: Scene) -> PosePath | None:
-    """The way of the ego: the first trajectory with orientations, else that of an odometry sensor."""
-    ways = [way.poses for way in scene.trajectories.values() if way.quaternions_xyzw is not None]
-    ways += [sensor.poses for sensor in scene.sensors if isinstance(sensor, OdometrySensor)]
-    return next((way for way in ways if not way.endless), None)
+def trajectory_of(scene: Scene) -> Poses | None:
+    """The ego trajectory: the first trajectory with orientations, else that of an odometry sensor."""
+    trajectories = [
+        trajectory.poses
+        for trajectory in scene.trajectories.values()
+        if trajectory.quaternions_xyzw is not None
+    ]
+    trajectories += [sensor.poses for sensor in scene.sensors if isinstance(sensor, OdometrySensor)]
+    return next((trajectory for trajectory in trajectories if not trajectory.static), None)
 
 
 def _parent_and_pose(sensor: Any) -> tuple[str, RigidTransform | None] | None:
@@ -233,7 +246,7 @@ def _stream(sensor: Any) -> dict[str, Any]:
     if isinstance(sensor, PlainSensor):
         return dict(sensor.fields)
     own = {"id": sensor.id, "type": str(sensor.type)}
-    properties = lens_properties(sensor.camera) if isinstance(sensor, CameraSensor) else {}
+    properties = camera_model_properties(sensor.camera) if isinstance(sensor, CameraSensor) else {}
     kept = sensor.extras.get("stream_properties")
     stream = {
         "type": STREAM_TYPES[type(sensor)],

@@ -1,1 +1,1 @@
-"""Folders of PandaSet: pickled pandas frames, JPEG pictures and JSON."""
+"""Folders of PandaSet: pickled pandas frames, JPEG images and JSON."""

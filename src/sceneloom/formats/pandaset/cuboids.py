@@ -16,25 +16,25 @@ from sceneloom.scene.annotations.attributes import AttributePath
 from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath
 
 _LABEL = "label"
-_SAID = ("camera_used",)
-_SAID_PREFIXES = ("attributes.", "cuboids.")
+_STATED = ("camera_used",)
+_STATED_PREFIXES = ("attributes.", "cuboids.")
 _NOTHING = ("None", "", "-", "nan", "-1")
-"""Values, as texts, by which the files say nothing."""
+"""Values, as texts, by which the files state nothing."""
 
 
 @dataclass(slots=True)
 class _Track:
-    """What is said about one object, sweep by sweep."""
+    """What is stated about one object, sweep by sweep."""
 
     label: str
     stationary: bool | None
-    stamps_ns: list[int] = field(default_factory=list)
+    timestamps_ns: list[int] = field(default_factory=list)
     values: list[Float64Array] = field(default_factory=list)
-    said: dict[str, dict[int, Any]] = field(default_factory=dict)
+    stated: dict[str, dict[int, Any]] = field(default_factory=dict)
 
     def says(self, key: str) -> bool:
-        """Whether something is said at all; of the label, whether it changes."""
-        values = [str(value) for value in self.said[key].values()]
+        """Whether something is stated at all; of the label, whether it changes."""
+        values = [str(value) for value in self.stated[key].values()]
         return len(set(values)) > 1 if key == _LABEL else any(value not in _NOTHING for value in values)
 
 
@@ -44,17 +44,17 @@ def build_cuboids(drive: Path, sweeps: Sweeps, ledger: Ledger) -> tuple[CuboidAn
     Raises:
         DataError: a file is wrong, or there are more files than sweeps.
     """
-    stamps = stamps_of(drive / "annotations" / "cuboids", sweeps)
+    timestamps = timestamps_of(drive / "annotations" / "cuboids", sweeps)
     tracks: dict[str, _Track] = {}
-    for file, stamp_ns in stamps.items():
+    for file, timestamp_ns in timestamps.items():
         try:
-            _add(tracks, read_pickled_frame(file), stamp_ns)
+            _add(tracks, read_pickled_frame(file), timestamp_ns)
         except DataError as error:
             ledger.fault("cuboids", error)
     return tuple(_cuboid(name, track) for name, track in tracks.items())
 
 
-def stamps_of(folder: Path, sweeps: Sweeps) -> dict[Path, int]:
+def timestamps_of(folder: Path, sweeps: Sweeps) -> dict[Path, int]:
     """The files of annotations, and the time of the sweep with the same number [ns].
 
     Raises:
@@ -72,7 +72,7 @@ def _number(file: Path) -> int:
     return int(file.name.partition(".")[0])
 
 
-def _add(tracks: dict[str, _Track], frame: PickledFrame, stamp_ns: int) -> None:
+def _add(tracks: dict[str, _Track], frame: PickledFrame, timestamp_ns: int) -> None:
     values = _values(frame)
     uuids = [str(name) for name in frame.column("uuid").tolist()]
     labels = frame.column("label").tolist()
@@ -80,7 +80,7 @@ def _add(tracks: dict[str, _Track], frame: PickledFrame, stamp_ns: int) -> None:
     further = {
         name: column.tolist()
         for name, column in frame.columns.items()
-        if name in _SAID or name.startswith(_SAID_PREFIXES)
+        if name in _STATED or name.startswith(_STATED_PREFIXES)
     }
     if len(set(uuids)) != len(uuids):
         twice = next(name for name in uuids if uuids.count(name) > 1)
@@ -88,11 +88,11 @@ def _add(tracks: dict[str, _Track], frame: PickledFrame, stamp_ns: int) -> None:
     for row, name in enumerate(uuids):
         known = still[row] if isinstance(still[row], bool) else None
         track = tracks.setdefault(name, _Track(str(labels[row]), known))
-        track.stamps_ns.append(stamp_ns)
+        track.timestamps_ns.append(timestamp_ns)
         track.values.append(values[row])
         for key, column in further.items():
-            track.said.setdefault(key, {})[stamp_ns] = column[row]
-        track.said.setdefault(_LABEL, {})[stamp_ns] = str(labels[row])
+            track.stated.setdefault(key, {})[timestamp_ns] = column[row]
+        track.stated.setdefault(_LABEL, {})[timestamp_ns] = str(labels[row])
 
 
 def _values(frame: PickledFrame) -> Float64Array:
@@ -114,21 +114,21 @@ def _values(frame: PickledFrame) -> Float64Array:
 
 
 def _cuboid(name: str, track: _Track) -> CuboidAnnotation:
-    stamps_ns = np.array(track.stamps_ns, np.int64)
+    timestamps_ns = np.array(track.timestamps_ns, np.int64)
     return CuboidAnnotation(
         id=name,
-        path=CuboidPath(stamps_ns, np.stack(track.values)),
+        path=CuboidPath(timestamps_ns, np.stack(track.values)),
         label=track.label,
         stationary=track.stationary,
-        attributes=tuple(_attribute(key, said) for key, said in track.said.items() if track.says(key)),
+        attributes=tuple(_attribute(key, stated) for key, stated in track.stated.items() if track.says(key)),
     )
 
 
-def _attribute(key: str, said: dict[int, Any]) -> AttributePath:
-    """What is said, at the times when that changes; where a text is missing it is empty."""
+def _attribute(key: str, stated: dict[int, Any]) -> AttributePath:
+    """What is stated, at the times when that changes; where a text is missing it is empty."""
     name = key.removeprefix("attributes.").removeprefix("cuboids.")
-    times = list(said)
-    values = [_value(name, value) for value in said.values()]
+    times = list(stated)
+    values = [_value(name, value) for value in stated.values()]
     changes = [k for k in range(len(values)) if k == 0 or values[k] != values[k - 1]]
     return AttributePath(
         name, tuple(values[k] for k in changes), np.array([times[k] for k in changes], np.int64)

@@ -123,13 +123,15 @@ def _unpacked(path: Path) -> bytes:
 
 
 def _check_operations(content: bytes) -> None:
-    for operation, argument, place in pickletools.genops(content):
+    for operation, argument, location in pickletools.genops(content):
         if operation.name not in _OPERATIONS:
             raise _Wrong(
-                f"byte {place}: operation {operation.name}, which no frame of numbers and texts needs"
+                f"byte {location}: operation {operation.name}, which no frame of numbers and texts needs"
             )
         if operation.name in _MEMO_OPERATIONS and int(str(argument)) > _LONGEST_MEMO:
-            raise _Wrong(f"byte {place}: {argument} things to remember; expected fewer than {_LONGEST_MEMO}")
+            raise _Wrong(
+                f"byte {location}: {argument} things to remember; expected fewer than {_LONGEST_MEMO}"
+            )
 
 
 _MEMO_OPERATIONS = {"BINPUT", "LONG_BINPUT", "BINGET", "LONG_BINGET"}
@@ -199,7 +201,7 @@ class _Block:
     """Columns of one type: (K, N) values, and which columns they are."""
 
     values: Any
-    places: Any
+    locations: Any
 
 
 class _Dtype:
@@ -223,7 +225,7 @@ _DTYPES = frozenset(("f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4",
 
 
 class _Array:
-    """Stands for an array; what it holds is told afterwards."""
+    """Stands for an array; what it holds is reported afterwards."""
 
     __slots__ = ("values",)
 
@@ -273,7 +275,7 @@ _NAMED: Mapping[str, Any] = MappingProxyType(
         "DataFrame": _Frame,
         "BlockManager": _Manager,
         "_new_Index": _Call(_index),
-        "_unpickle_block": _Call(lambda values, places, _: _Block(values, places)),
+        "_unpickle_block": _Call(lambda values, locations, _: _Block(values, locations)),
         "__pyx_unpickle_NDArrayBacked": _Call(_Array),
         "StringDtype": _Call(lambda *_: None),
         "_reconstruct": _Call(_Array),
@@ -289,7 +291,7 @@ _MARKS = frozenset(
 )
 """Names of which it is enough that they are there."""
 
-_PLACES = ("pandas", "numpy", "builtins", "__builtin__", "_codecs")
+_LOCATIONS = ("pandas", "numpy", "builtins", "__builtin__", "_codecs")
 
 
 class _Reader(pickle.Unpickler):
@@ -297,7 +299,7 @@ class _Reader(pickle.Unpickler):
 
     def find_class(self, module: str, name: str) -> Any:
         """Give what stands for a name."""
-        if module.split(".", maxsplit=1)[0] in _PLACES:
+        if module.split(".", maxsplit=1)[0] in _LOCATIONS:
             if name in _MARKS:
                 return _Name(name)
             if name in _NAMED:
@@ -328,8 +330,8 @@ def _frame(path: Path, found: object) -> PickledFrame:
     columns: dict[str, AnyArray] = {}
     for block in blocks:
         values = _values(block.values)
-        for row, place in enumerate(_places(block.places, len(names))):
-            columns[names[place]] = values if values.ndim == 1 else values[row]
+        for row, location in enumerate(_locations(block.locations, len(names))):
+            columns[names[location]] = values if values.ndim == 1 else values[row]
     counts = {len(column) for column in columns.values()}
     if len(columns) != len(names) or len(counts) > 1:
         raise _Wrong(f"{len(columns)} columns of {sorted(counts)} rows; expected {len(names)} of one length")
@@ -337,7 +339,7 @@ def _frame(path: Path, found: object) -> PickledFrame:
     return PickledFrame(path, counts.pop() if counts else 0, MappingProxyType(ordered))
 
 
-def _places(places: Any, count: int) -> Iterator[int]:
+def _locations(locations: Any, count: int) -> Iterator[int]:
     """Which columns a block holds."""
-    listed = range(count)[places] if isinstance(places, slice) else _values(places).tolist()
+    listed = range(count)[locations] if isinstance(locations, slice) else _values(locations).tolist()
     return iter(listed)

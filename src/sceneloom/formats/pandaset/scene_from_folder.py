@@ -22,7 +22,7 @@ _ANGLES = MappingProxyType({"euler_unit": "degrees", "euler_order": "xyz"})
 
 
 def open_pandaset(path: Path, *, sequence: str | None = None, lenient: bool = False) -> Scene:
-    """Open a drive; pictures, points and their classes are read when asked for, boxes at once.
+    """Open a drive; images, points and their classes are read when asked for, boxes at once.
 
     Args:
         path: the folder of a drive (`002`), or one of several.
@@ -56,5 +56,5 @@ def open_pandaset(path: Path, *, sequence: str | None = None, lenient: bool = Fa
         metadata=MappingProxyType({"pandaset": {"sequence": drive.name}, "sceneloom": dict(_ANGLES)}),
         source=str(drive),
         format="pandaset",
-        notices=ledger.notices,
+        warnings=ledger.warnings,
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError
-from sceneloom.formats.pandaset.cuboids import stamps_of
+from sceneloom.formats.pandaset.cuboids import timestamps_of
 from sceneloom.formats.pandaset.pickled_frames import PickledFrame, read_pickled_frame
 from sceneloom.formats.pandaset.sensors import LIDARS, Sweeps, rows_of_lidar
 from sceneloom.formats.pandaset.text_files import read_json
@@ -100,12 +100,12 @@ def build_labelled_points(drive: Path, sweeps: Sweeps) -> tuple[LabeledPointsAnn
         DataError: classes.json is missing or wrong, or a file has no sweep.
     """
     folder = drive / "annotations" / "semseg"
-    stamps = stamps_of(folder, sweeps)
-    if not stamps:
+    timestamps = timestamps_of(folder, sweeps)
+    if not timestamps:
         return ()
     names = read_json(folder / "classes.json", dict[int, str])
     rows = {int(t): k for k, t in enumerate(sweeps.timestamps_ns)}
-    files = {rows[t]: (file, sweeps.files[rows[t]]) for file, t in stamps.items()}
+    files = {rows[t]: (file, sweeps.files[rows[t]]) for file, t in timestamps.items()}
     labels = LabelFiles(files, names)
     return tuple(
         LabeledPointsAnnotation(

@@ -15,31 +15,31 @@ from sceneloom.formats.pandaset.spec import numbered_files
 from sceneloom.formats.pandaset.text_files import (
     LATEST_SECONDS,
     NANOSECONDS,
+    CameraModel,
     Fix,
-    Lens,
     as_dict,
     read_json,
     read_poses,
     read_times,
 )
+from sceneloom.formats.rig.images import ImageReader, image_size
 from sceneloom.formats.rig.lidars import FARTHEST_WORLD
-from sceneloom.formats.rig.pictures import PictureReader, picture_size
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarPoints, LidarSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor
-from sceneloom.scene.notices import NoticeKind
-from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Sensor
 from sceneloom.scene.types import PointsFrame
+from sceneloom.scene.warnings import WarningKind
 
 LIDARS = ("main_pandar64", "front_gt")
 """The lidars by their number in the column `d`; the names are those of the published static calibration."""
 
 TRAJECTORY = "pose"
-"""The name of the ego's way."""
+"""The name of the ego trajectory."""
 
 LIDAR_FROM_EGO = RigidTransform(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3))
 """PandaSet's own frame has x right and y forward; an ego here has x forward and y left."""
@@ -61,7 +61,7 @@ class Sweeps:
     folder: Path
     files: tuple[Path, ...]
     timestamps_ns: Int64Array
-    poses: PosePath
+    poses: Poses
 
 
 def read_sweeps(drive: Path) -> Sweeps:
@@ -74,15 +74,15 @@ def read_sweeps(drive: Path) -> Sweeps:
     files = tuple(numbered_files(folder, r"\.pkl(\.gz)?"))
     if not files:
         raise DataError(folder, "", "no sweep; expected files such as 00.pkl.gz")
-    stamps_ns = read_times(folder / "timestamps.json", len(files))
+    timestamps_ns = read_times(folder / "timestamps.json", len(files))
     positions, quaternions = read_poses(folder / "poses.json", len(files))
-    return Sweeps(folder, files, stamps_ns, PosePath(stamps_ns, positions, quaternions))
+    return Sweeps(folder, files, timestamps_ns, Poses(timestamps_ns, positions, quaternions))
 
 
 def trajectory_of(sweeps: Sweeps) -> Trajectory:
-    """The ego's way: where the main lidar was, with x forward."""
-    turn = LIDAR_FROM_EGO.quaternion_xyzw
-    quaternions = multiply_quaternions(sweeps.poses.quaternions_xyzw, turn)
+    """The ego trajectory: where the main lidar was, with x forward."""
+    rotation = LIDAR_FROM_EGO.quaternion_xyzw
+    quaternions = multiply_quaternions(sweeps.poses.quaternions_xyzw, rotation)
     return Trajectory(TRAJECTORY, sweeps.timestamps_ns, sweeps.poses.positions, quaternions)
 
 
@@ -127,8 +127,8 @@ class SweepFiles:
             timestamps_ns=self._times(frame, chosen),
             extras=MappingProxyType(extras),
         )
-        stamp_ns = int(self.timestamps_ns[k])
-        return LidarFrame(stamp_ns, points, MappingProxyType({"file": f"lidar/{self.files[k].name}"}))
+        timestamp_ns = int(self.timestamps_ns[k])
+        return LidarFrame(timestamp_ns, points, MappingProxyType({"file": f"lidar/{self.files[k].name}"}))
 
     @staticmethod
     def _intensities(frame: PickledFrame, chosen: BoolArray, extras: dict[str, AnyArray]) -> AnyArray:
@@ -148,7 +148,7 @@ class SweepFiles:
 
 
 def build_lidars(sweeps: Sweeps) -> list[Sensor]:
-    """Build the lidar that turns and the one that looks ahead; of the latter the place is not told."""
+    """Build the lidar that rotations and the one that looks ahead; of the latter the location is not reported."""
     main, front = (
         LazyFrames(sweeps.timestamps_ns, SweepFiles(sweeps.files, sweeps.timestamps_ns, number))
         for number in range(len(LIDARS))
@@ -169,27 +169,34 @@ def build_cameras(drive: Path, ledger: Ledger) -> list[Sensor]:
     folders = sorted(child for child in (drive / "camera").glob("*") if child.is_dir())
     if not folders:
         message = "no camera; only sweeps are read"
-        ledger.note(NoticeKind.SKIPPED, "cameras-missing", str(drive / "camera"), message)
+        ledger.note(WarningKind.SKIPPED, "cameras-missing", str(drive / "camera"), message)
     return [_camera(folder) for folder in folders]
 
 
 def _camera(folder: Path) -> CameraSensor:
     files = tuple(numbered_files(folder, r"\.jpg"))
     if not files:
-        raise DataError(folder, "", "no picture; expected files such as 00.jpg")
-    stamps_ns = read_times(folder / "timestamps.json", len(files))
+        raise DataError(folder, "", "no image; expected files such as 00.jpg")
+    timestamps_ns = read_times(folder / "timestamps.json", len(files))
     positions, quaternions = read_poses(folder / "poses.json", len(files))
-    lens = read_json(folder / "intrinsics.json", Lens)
+    camera_model = read_json(folder / "intrinsics.json", CameraModel)
     try:
-        camera = Camera("pinhole", *picture_size(files[0]), lens.fx, lens.fy, lens.cx, lens.cy)
+        camera = Camera(
+            "pinhole",
+            *image_size(files[0]),
+            camera_model.fx,
+            camera_model.fy,
+            camera_model.cx,
+            camera_model.cy,
+        )
     except CalibrationError as error:
         raise DataError(folder / "intrinsics.json", "", str(error)) from error
     names = tuple(f"camera/{folder.name}/{file.name}" for file in files)
     return CameraSensor(
         id=folder.name,
         camera=camera,
-        pictures=LazyFrames(stamps_ns, PictureReader(files, names, stamps_ns, camera)),
-        poses=PosePath(stamps_ns, positions, quaternions),
+        images=LazyFrames(timestamps_ns, ImageReader(files, names, timestamps_ns, camera)),
+        poses=Poses(timestamps_ns, positions, quaternions),
     )
 
 
@@ -203,12 +210,14 @@ def build_receiver(drive: Path) -> list[Sensor]:
     if not file.is_file():
         return []
     fixes = read_json(file, list[Fix])
-    stamps_ns = read_times(drive / "meta" / "timestamps.json", len(fixes))
-    places = np.array([[fix.lat, fix.long, fix.height] for fix in fixes]).reshape(-1, 3)
+    timestamps_ns = read_times(drive / "meta" / "timestamps.json", len(fixes))
+    locations = np.array([[fix.lat, fix.long, fix.height] for fix in fixes]).reshape(-1, 3)
     unknown = np.full(len(fixes), np.nan)
     velocities = {
         name: tuple(as_dict(fix)[name] for fix in fixes)
         for name in ("xvel", "yvel")
         if any(as_dict(fix)[name] is not None for fix in fixes)
     }
-    return [GnssSensor("gps", stamps_ns, places, unknown, unknown, extras=MappingProxyType(velocities))]
+    return [
+        GnssSensor("gps", timestamps_ns, locations, unknown, unknown, extras=MappingProxyType(velocities))
+    ]

@@ -36,7 +36,7 @@ def is_drive(path: Path) -> bool:
 
 
 def _near_miss(path: Path) -> str | None:
-    """Say what a folder lacks that has the cameras of a drive."""
+    """Report what a folder lacks that has the cameras of a drive."""
     if path.is_dir() and (path / "camera" / "front_camera" / "poses.json").is_file():
         return "it has camera/front_camera/ as PandaSet has, but no lidar/00.pkl.gz"
     return None
@@ -52,5 +52,5 @@ FORMAT = FormatSpec(
     drives=partial(drives_in, is_drive=is_drive),
     reader="sceneloom.formats.pandaset.scene_from_folder:open_pandaset",
     read_options=("lenient", "sequence"),
-    instead="PandaSet is only read; write a scene file (drive.sfs) or a recording (a folder) in its place",
+    instead="PandaSet is only read; write a scene file (drive.sfs) or a recording (a folder) in its location",
 )

@@ -1,4 +1,4 @@
-"""The JSON files beside sweeps and pictures: poses, times, lenses, satellite fixes."""
+"""The JSON files beside sweeps and images: poses, times, camera models, satellite fixes."""
 
 from decimal import Decimal
 from pathlib import Path
@@ -18,8 +18,8 @@ LATEST_SECONDS = 9_000_000_000
 """Times beyond this [s] are in another unit."""
 
 
-class Place(msgspec.Struct):
-    """A place [m]."""
+class Location(msgspec.Struct):
+    """A location [m]."""
 
     x: float
     y: float
@@ -38,11 +38,11 @@ class Heading(msgspec.Struct):
 class Pose(msgspec.Struct):
     """World from sensor."""
 
-    position: Place
+    position: Location
     heading: Heading
 
 
-class Lens(msgspec.Struct):
+class CameraModel(msgspec.Struct):
     """A pinhole [px]."""
 
     fx: float
@@ -75,8 +75,8 @@ def read_json(path: Path, kind: type[Kind]) -> Kind:
     try:
         return msgspec.json.decode(read_bytes(path), type=kind)
     except msgspec.ValidationError as error:
-        problem, _, place = str(error).partition(" - at `")
-        raise DataError(path, place.rstrip("`"), problem) from error
+        problem, _, location = str(error).partition(" - at `")
+        raise DataError(path, location.rstrip("`"), problem) from error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise DataError(path, "", f"is no JSON: {error}") from error
 

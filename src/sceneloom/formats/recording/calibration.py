@@ -12,21 +12,21 @@ from msgspec import Meta
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.files import read_bytes
 from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.recording.camera_models import CameraParameters
 from sceneloom.formats.recording.json_faults import BYTE_ORDER_MARK, DECODER_FAULTS, json_fault, json_problem
-from sceneloom.formats.recording.lenses import CameraParameters
 from sceneloom.formats.recording.line_shapes import SensorIndex
 from sceneloom.formats.recording.lines import note_mark
 from sceneloom.formats.recording.mounts import MatrixNumbers, rigid_transform
 from sceneloom.formats.recording.old_forms import read_old_calibration
 from sceneloom.formats.recording.rig_calibration import RigCalibration, read_rig
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.warnings import WarningKind
 
 CALIBRATION_FILE = "calibration.json"
 
 
 Duration = Annotated[float, Meta(ge=0, le=10)]
-"""How long a picture takes [s]."""
+"""How long a image takes [s]."""
 
 _SAME_MATRIX = 1e-6
 """Elements of two matrices that are closer are the same number, written with other digits."""
@@ -61,14 +61,14 @@ class CameraCalibration:
     """A camera of the calibration.
 
     Attributes:
-        place: file and path of the entry, for messages.
-        parameters: the lens.
+        location: file and path of the entry, for messages.
+        parameters: the camera model.
         camera_from_imu: the mounting, or None where the entry has none.
         shift: `imuToCameraShiftSeconds` [s], 0 where the entry has none.
         entry: all of the entry, as the file has it.
     """
 
-    place: str
+    location: str
     parameters: CameraParameters
     camera_from_imu: RigidTransform | None = None
     shift: float = 0.0
@@ -79,7 +79,7 @@ class CameraCalibration:
 class LidarCalibration:
     """A lidar of the calibration; `lidar_from_imu` is None where the entry has no mounting."""
 
-    place: str
+    location: str
     lidar_from_imu: RigidTransform | None = None
     entry: Mapping[str, Any] = field(default_factory=dict)
 
@@ -90,7 +90,7 @@ class Calibration:
 
     Attributes:
         path: where the file is, or would be.
-        cameras: by `cameraInd`, which is the place in the list.
+        cameras: by `cameraInd`, which is the location in the list.
         lidars: by `lidarInd`.
         rig: what it says of the device as a whole.
         content: all of the file.
@@ -106,13 +106,13 @@ class Calibration:
 def read_calibration(
     folder: Path, ledger: Ledger, *, data_path: Path | None = None, other_lines: Iterable[str] = ()
 ) -> Calibration:
-    """Read the calibration of a recording; one without the file has what older forms say, or an empty one.
+    """Read the calibration of a recording; one without the file has what older forms state, or an empty one.
 
     Args:
         folder: the recording.
-        ledger: takes notices and faults.
+        ledger: takes warnings and faults.
         data_path: its lines.
-        other_lines: those of them that tell of no time; old recordings say there how cameras are mounted.
+        other_lines: those of them that report no time; old recordings state there how cameras are mounted.
 
     Raises:
         DataError: the file cannot be read, is no JSON object, or an entry has a value of the wrong type.
@@ -131,9 +131,9 @@ def read_calibration(
     lidars: dict[int, LidarCalibration] = {}
     for index, lidar in _lidars(path, listed["lidars"], ledger):
         if index in lidars:
-            place = lidar.place.removeprefix(f"{path}: ")
+            location = lidar.location.removeprefix(f"{path}: ")
             problem = f"lidarInd {index} is used twice; expected each once (absent means 0)"
-            ledger.fault("repeated-lidars", DataError(path, place, problem))
+            ledger.fault("repeated-lidars", DataError(path, location, problem))
             continue
         lidars[index] = lidar
     return Calibration(path, cameras, lidars, read_rig(path, content, ledger), content)
@@ -148,9 +148,9 @@ def _read_old(folder: Path, data_path: Path, other_lines: Iterable[str], ledger:
         return Calibration(path)
     if not old.content:
         return Calibration(path)
-    told = f"no {CALIBRATION_FILE}; lenses and mountings were taken from an older form"
-    for message in (told, *old.doubts):
-        ledger.note(NoticeKind.ASSUMED, "old-calibration", str(old.path), message)
+    reported = f"no {CALIBRATION_FILE}; camera models and mountings were taken from an older form"
+    for message in (reported, *old.doubts):
+        ledger.note(WarningKind.ASSUMED, "old-calibration", str(old.path), message)
     cameras = dict(_cameras(old.path, old.content["cameras"], ledger))
     return Calibration(path, cameras, content=old.content)
 
@@ -175,14 +175,14 @@ def _cameras(path: Path, items: list[Any], ledger: Ledger) -> Iterator[tuple[int
         name = f"cameras[{index}]"
         try:
             entry = _convert(path, name, item, CameraEntry)
-            place = f"{path}: {name}"
+            location = f"{path}: {name}"
             matrices = {"imuToCamera": entry.imuToCamera, "imuToCameraMatrix": entry.imuToCameraMatrix}
             camera_from_imu = _mount(path, name, matrices, ledger)
         except (DataError, CalibrationError) as error:
             ledger.fault("unusable-calibrations", error)
             continue
         shift = entry.imuToCameraShiftSeconds or 0.0
-        yield index, CameraCalibration(place, entry, camera_from_imu, shift, item)
+        yield index, CameraCalibration(location, entry, camera_from_imu, shift, item)
 
 
 def _lidars(path: Path, items: list[Any], ledger: Ledger) -> Iterator[tuple[int, LidarCalibration]]:
@@ -190,19 +190,19 @@ def _lidars(path: Path, items: list[Any], ledger: Ledger) -> Iterator[tuple[int,
         name = f"lidars[{index}]"
         try:
             entry = _convert(path, name, item, LidarEntry)
-            place = f"{path}: {name}"
+            location = f"{path}: {name}"
             matrices = {"imuToLidar": entry.imuToLidar, "imuToLidarMatrix": entry.imuToLidarMatrix}
             lidar_from_imu = _mount(path, name, matrices, ledger)
         except (DataError, CalibrationError) as error:
             ledger.fault("unusable-calibrations", error)
             continue
-        yield entry.lidarInd, LidarCalibration(place, lidar_from_imu, item)
+        yield entry.lidarInd, LidarCalibration(location, lidar_from_imu, item)
 
 
 def _mount(
     path: Path, entry: str, matrices: Mapping[str, MatrixNumbers | None], ledger: Ledger
 ) -> RigidTransform | None:
-    """Read the matrix that an entry has under one of two keys; where both say different things, the first is taken.
+    """Read the matrix that an entry has under one of two keys; where both state different things, the first is taken.
 
     Raises:
         DataError: they differ, and the reading is not lenient.
@@ -233,8 +233,8 @@ def _entries(path: Path, content: Mapping[str, Any], name: str) -> list[Any]:
     return entries
 
 
-def _convert(path: Path, place: str, item: object, shape: type[Entry]) -> Entry:
+def _convert(path: Path, location: str, item: object, shape: type[Entry]) -> Entry:
     try:
         return msgspec.convert(item, shape)
     except DECODER_FAULTS as error:
-        raise DataError(path, *json_fault(error, msgspec.json.encode(item), prefix=place)) from error
+        raise DataError(path, *json_fault(error, msgspec.json.encode(item), prefix=location)) from error

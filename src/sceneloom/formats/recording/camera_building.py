@@ -1,4 +1,4 @@
-"""The cameras of a recording: lens, mounting, pictures and poses brought together."""
+"""The cameras of a recording: camera model, mounting, images and poses brought together."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -16,6 +16,7 @@ from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.identity import FileIdentity
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.calibration import Calibration, CameraCalibration
+from sceneloom.formats.recording.camera_models import camera_model
 from sceneloom.formats.recording.camera_shifts import entry_after, shift_of
 from sceneloom.formats.recording.columns import CameraColumns, FrameColumns
 from sceneloom.formats.recording.depth_building import (
@@ -25,31 +26,30 @@ from sceneloom.formats.recording.depth_building import (
     holds_depth,
 )
 from sceneloom.formats.recording.frame_parameters import read_mount, read_parameters, read_texts
-from sceneloom.formats.recording.lenses import lens
-from sceneloom.formats.recording.picture_files import (
-    OpenPictures,
-    PictureFiles,
-    choose_pictures,
+from sceneloom.formats.recording.image_files import (
+    ImageFiles,
+    OpenImages,
+    choose_images,
     expected_names,
-    find_pictures,
+    find_images,
     maybe_cut_off,
-    open_pictures,
+    open_images,
     other_videos,
-    unused_pictures,
+    unused_images,
 )
-from sceneloom.formats.recording.picture_table import PictureTable, build_table, further_fields
+from sceneloom.formats.recording.image_table import ImageTable, build_table, further_fields
 from sceneloom.formats.video.reader import VideoReader, open_video
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import angle_between
 from sceneloom.scene.cameras import CameraSensor, VideoContent
 from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.pose_source import poses_along
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
+from sceneloom.scene.warnings import WarningKind
 
 _SAME_M, _SAME_DEG = 1e-6, 1e-4
-"""Mountings no further apart than this say the same."""
+"""Mountings no further apart than this state the same."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,10 +63,10 @@ class CameraSources:
         calibration: all of `calibration.json`.
         frames: the `frames` lines.
         ego_path: `world_from_ego` of the default trajectory, or None.
-        ledger: takes notices and faults.
-        open_files: takes the pictures of the cameras that are built.
+        ledger: takes warnings and faults.
+        open_files: takes the images of the cameras that are built.
         camera_shift: what becomes of `imuToCameraShiftSeconds`, a key of `CAMERA_SHIFTS`.
-        image_index: which picture a `frames` line means, a key of `ALIGNMENTS`.
+        image_index: which image a `frames` line means, a key of `ALIGNMENTS`.
     """
 
     folder: Path
@@ -74,9 +74,9 @@ class CameraSources:
     data_file: FileIdentity
     calibration: Calibration
     frames: FrameColumns
-    ego_path: PosePath | None
+    ego_path: Poses | None
     ledger: Ledger
-    open_files: OpenPictures
+    open_files: OpenImages
     camera_shift: str = "ignore"
     image_index: str = "auto"
 
@@ -85,8 +85,8 @@ def build_cameras(sources: CameraSources) -> list[CameraSensor | DepthCameraSens
     """Build every camera that the calibration or a line names.
 
     Raises:
-        DataError: pictures are missing, unreadable, or not as many as the lines say; or there is no calibration.
-        CalibrationError: a lens or a mounting is unusable.
+        DataError: images are missing, unreadable, or not as many as the lines state; or there is no calibration.
+        CalibrationError: a camera model or a mounting is unusable.
     """
     cameras: list[CameraSensor | DepthCameraSensor] = []
     for index in sorted({*sources.calibration.cameras, *sources.frames.cameras}):
@@ -99,50 +99,52 @@ def build_cameras(sources: CameraSources) -> list[CameraSensor | DepthCameraSens
 
 
 def _fault_code(sources: CameraSources, index: int) -> str:
-    """What kind of fault it is that a camera cannot be built: one that no calibration tells of can do so any time."""
+    """What kind of fault it is that a camera cannot be built: one that no calibration reports can do so any time."""
     entries = sources.frames.cameras.get(index, CameraColumns()).parameters
     untold = index not in sources.calibration.cameras and (not entries or entries[0] < 0)
     return "cameras-without-calibration" if untold else "unusable-cameras"
 
 
 def _note_unused(sources: CameraSources) -> None:
-    unused = unused_pictures(sources.folder, {*sources.calibration.cameras, *sources.frames.cameras})
+    unused = unused_images(sources.folder, {*sources.calibration.cameras, *sources.frames.cameras})
     if unused:
         names = ", ".join(path.name for path in unused)
         message = f"{names}: neither calibration.json nor a frames line names the camera; not used"
-        ledger, place = sources.ledger, str(sources.folder)
-        ledger.note(NoticeKind.SKIPPED, "videos-not-used", place, message, count=len(unused))
+        ledger, location = sources.ledger, str(sources.folder)
+        ledger.note(WarningKind.SKIPPED, "videos-not-used", location, message, count=len(unused))
 
 
 def _build(sources: CameraSources, index: int) -> list[CameraSensor | DepthCameraSensor]:
-    """Build one camera; none where neither calibration nor pictures tell the picture's size, and no line needs it."""
+    """Build one camera; none where neither calibration nor images report the image's size, and no line needs it."""
     columns = sources.frames.cameras.get(index, CameraColumns())
-    files, indices = _match_pictures(sources, index, columns)
+    files, indices = _match_images(sources, index, columns)
     calibration = sources.calibration.cameras.get(index) or _calibration_of_lines(
         sources, index, columns, files
     )
     if files is None and not columns.rows and not calibration.parameters.has_size:
-        message = "has no picture size, and there are no pictures of it; the camera was left out"
-        sources.ledger.note(NoticeKind.SKIPPED, "cameras-without-size", calibration.place, message)
+        message = "has no image size, and there are no images of it; the camera was left out"
+        sources.ledger.note(WarningKind.SKIPPED, "cameras-without-size", calibration.location, message)
         return []
-    calibration = _with_lens_of_lines(sources, calibration, columns)
-    camera = _fitted_lens(sources, calibration, files)
-    read_lens = _lens_reader(sources, calibration, camera)
+    calibration = _with_camera_model_of_lines(sources, calibration, columns)
+    camera = _fitted_camera_model(sources, calibration, files)
+    read_camera_model = _camera_model_reader(sources, calibration, camera)
     reading_mount = partial(read_mount, path=sources.data_path, ledger=sources.ledger)
-    lenses = read_texts(sources.frames, columns.rows, columns.parameters, read_lens, sources.ledger)
+    camera_models = read_texts(
+        sources.frames, columns.rows, columns.parameters, read_camera_model, sources.ledger
+    )
     mounts = read_texts(sources.frames, columns.rows, columns.mounts, reading_mount, sources.ledger)
     shift = shift_of(calibration, sources.camera_shift, sources.ledger)
     table = build_table(
-        index, camera, sources.frames, indices, lenses, mounts, sources.data_file, shift=shift
+        index, camera, sources.frames, indices, camera_models, mounts, sources.data_file, shift=shift
     )
     sensor = _sensor(sources, table, calibration, files)
     return [depth_sensor(sensor, table, files, sources.ledger) if holds_depth(files) else sensor]
 
 
 def _calibration_of_lines(
-    sources: CameraSources, index: int, columns: CameraColumns, files: PictureFiles | None
+    sources: CameraSources, index: int, columns: CameraColumns, files: ImageFiles | None
 ) -> CameraCalibration:
-    """Take the lens of a camera's first line for a camera that the calibration does not have."""
+    """Take the camera model of a camera's first line for a camera that the calibration does not have."""
     line = sources.frames.lines[columns.rows[0]]
     if columns.parameters[0] < 0:
         aligned = (
@@ -151,22 +153,25 @@ def _calibration_of_lines(
         if aligned is not None:
             return aligned
         path = sources.calibration.path
-        place = f"cameras[{index}]" if path.exists() else ""
+        location = f"cameras[{index}]" if path.exists() else ""
         problem = (
             f"missing, while {sources.data_path.name} has frames of camera {index} (line {line}); write its entry "
             "in `cameras` (model, focalLengthX, focalLengthY, principalPointX, principalPointY, imuToCamera), "
             "or give `cameraParameters` in every line"
         )
-        raise DataError(path, place, problem)
+        raise DataError(path, location, problem)
     text = list(sources.frames.texts)[columns.parameters[0]]
     parameters = read_parameters(text, line, path=sources.data_path)
     return CameraCalibration(f"{sources.data_path}: line {line}: frames[].cameraParameters", parameters)
 
 
-def _with_lens_of_lines(
+def _with_camera_model_of_lines(
     sources: CameraSources, calibration: CameraCalibration, columns: CameraColumns
 ) -> CameraCalibration:
-    """Take the lens of a camera's first line where the calibration has a mounting only, as old recordings have."""
+    """Take the camera model of a camera's first line where the calibration has a mounting only.
+
+    As old recordings have.
+    """
     if calibration.parameters.focalLengthX is not None or not columns.rows or columns.parameters[0] < 0:
         return calibration
     text, line = list(sources.frames.texts)[columns.parameters[0]], sources.frames.lines[columns.rows[0]]
@@ -174,40 +179,42 @@ def _with_lens_of_lines(
     return replace(calibration, parameters=parameters)
 
 
-def _match_pictures(
+def _match_images(
     sources: CameraSources, index: int, columns: CameraColumns
-) -> tuple[PictureFiles | None, Int64Array]:
-    """Open a camera's pictures, and find the one that each of its entries means, -1 for none."""
+) -> tuple[ImageFiles | None, Int64Array]:
+    """Open a camera's images, and find the one that each of its entries means, -1 for none."""
     ledger, rows = sources.ledger, np.asarray(columns.rows, np.int64)
     none = np.full(len(rows), -1, np.int64)
-    path = find_pictures(sources.folder, index, ledger)
+    path = find_images(sources.folder, index, ledger)
     if path is None:
         if len(rows):
-            problem = f"no pictures of camera {index}, while data.jsonl has {len(rows)} frames of it"
+            problem = f"no images of camera {index}, while data.jsonl has {len(rows)} frames of it"
             expected = f"{expected_names(index)}{other_videos(sources.folder)}"
             ledger.fault("missing-videos", DataError(sources.folder, "", f"{problem}; expected {expected}"))
         return None, none
     try:
-        files = open_pictures(path, sources.ledger)
+        files = open_images(path, sources.ledger)
         sources.open_files.add(files)
         check_kind(files, _first_fields(sources, index, columns))
         numbers = np.asarray(sources.frames.numbers, np.int64)
         cut_off = isinstance(files, VideoReader) and files.is_remainder
-        choice = choose_pictures(numbers, files.count, alignment=sources.image_index, cut_off=cut_off)
+        choice = choose_images(numbers, files.count, alignment=sources.image_index, cut_off=cut_off)
         if choice.problem is not None and ledger.lenient and maybe_cut_off(files, len(numbers)):
             files = open_video(path, cut_off=True)
             sources.open_files.add(files)
-            left = choose_pictures(numbers, files.count, alignment=sources.image_index)
+            left = choose_images(numbers, files.count, alignment=sources.image_index)
             choice = replace(left, problem=choice.problem)
     except DataError as error:
         ledger.fault("unreadable-videos", error)
         return None, none
     if choice.problem is not None:
         left_out = int((choice.indices[rows] < 0).sum())
-        ledger.fault("unmatched-pictures", DataError(path, "", choice.problem), count=max(left_out, 1))
+        ledger.fault("unmatched-images", DataError(path, "", choice.problem), count=max(left_out, 1))
     if choice.by_line:
-        message = "frame numbers have gaps, while pictures and lines are equally many; they were counted line by line"
-        ledger.note(NoticeKind.REPAIRED, "frame-numbers-not-used", str(path), message)
+        message = (
+            "frame numbers have gaps, while images and lines are equally many; they were counted line by line"
+        )
+        ledger.note(WarningKind.REPAIRED, "frame-numbers-not-used", str(path), message)
     return files, choice.indices[rows]
 
 
@@ -217,52 +224,54 @@ def _first_fields(sources: CameraSources, index: int, columns: CameraColumns) ->
     return further_fields(sources.data_file, offset, index)
 
 
-def _size(files: PictureFiles | None) -> tuple[int, int] | None:
+def _size(files: ImageFiles | None) -> tuple[int, int] | None:
     return None if files is None else (files.width, files.height)
 
 
-def _fitted_lens(
-    sources: CameraSources, calibration: CameraCalibration, files: PictureFiles | None
+def _fitted_camera_model(
+    sources: CameraSources, calibration: CameraCalibration, files: ImageFiles | None
 ) -> Camera:
-    """Give the lens for the pictures as they are, with a notice where the calibration is for another size."""
-    calibrated = lens(calibration.parameters, _size(files), calibration.place)
+    """Give the camera model for the images as they are, with a warning where the calibration is for another size."""
+    calibrated = camera_model(calibration.parameters, _size(files), calibration.location)
     width, height = _size(files) or (calibrated.width, calibrated.height)
     if (width, height) == (calibrated.width, calibrated.height):
         return calibrated
-    sizes = f"{calibrated.width}x{calibrated.height}, pictures are {width}x{height}"
-    message = f"calibrated for {sizes}; the lens was scaled"
-    sources.ledger.note(NoticeKind.REPAIRED, "lens-scaled", calibration.place, message)
+    sizes = f"{calibrated.width}x{calibrated.height}, images are {width}x{height}"
+    message = f"calibrated for {sizes}; the camera model was scaled"
+    sources.ledger.note(WarningKind.REPAIRED, "camera-model-scaled", calibration.location, message)
     return calibrated.resized(width, height)
 
 
-def _lens_reader(
+def _camera_model_reader(
     sources: CameraSources, calibration: CameraCalibration, camera: Camera
 ) -> Callable[[bytes, int], Camera]:
     """Give the function that reads a line's own `cameraParameters` over those of the calibration."""
 
     def read(text: bytes, line: int) -> Camera:
         parameters = read_parameters(text, line, path=sources.data_path).over(calibration.parameters)
-        place = f"{sources.data_path}: line {line}: frames[].cameraParameters"
-        return lens(parameters, (camera.width, camera.height), place).resized(camera.width, camera.height)
+        location = f"{sources.data_path}: line {line}: frames[].cameraParameters"
+        return camera_model(parameters, (camera.width, camera.height), location).resized(
+            camera.width, camera.height
+        )
 
     return read
 
 
 def _sensor(
-    sources: CameraSources, table: PictureTable, calibration: CameraCalibration, files: PictureFiles | None
+    sources: CameraSources, table: ImageTable, calibration: CameraCalibration, files: ImageFiles | None
 ) -> CameraSensor:
-    camera, ego_from_camera = _lens_in_use(table), _own_mount(sources, table, calibration)
+    camera, ego_from_camera = _camera_model_in_use(table), _own_mount(sources, table, calibration)
     _note_unused_rig(sources, table, calibration, camera, ego_from_camera)
     entry = entry_after(calibration, sources.camera_shift)
     mounts = table.mounts if ego_from_camera is None else {table.OWN: ego_from_camera, **table.mounts}
     if table.missing:
-        message = f"frames of camera {table.camera_index} say `missingBitmap`; they have no picture"
-        place = str(sources.data_path)
-        sources.ledger.note(NoticeKind.SKIPPED, "missing-bitmaps", place, message, count=table.missing)
+        message = f"frames of camera {table.camera_index} state `missingBitmap`; they have no image"
+        location = str(sources.data_path)
+        sources.ledger.note(WarningKind.SKIPPED, "missing-bitmaps", location, message, count=table.missing)
     return CameraSensor(
         id=f"camera{table.camera_index}",
         camera=camera,
-        pictures=LazyFrames(table.timestamps_ns, partial(table.picture, files=files)),
+        images=LazyFrames(table.timestamps_ns, partial(table.image, files=files)),
         poses=poses_along(sources.ego_path, mounts, table.mount_texts, table.timestamps_ns),
         mount=ego_from_camera,
         video=_video(files, table.indices),
@@ -271,17 +280,20 @@ def _sensor(
     )
 
 
-def _lens_in_use(table: PictureTable) -> Camera:
-    """The lens of the calibration; that of the first picture where each picture has its own, so that none uses it."""
-    if len(table.lens_texts) and (table.lens_texts != table.OWN).all():
-        return table.lenses[int(table.lens_texts[0])]
+def _camera_model_in_use(table: ImageTable) -> Camera:
+    """The camera model of the calibration; that of the first image where each image has its own.
+
+    So that none uses it.
+    """
+    if len(table.camera_model_texts) and (table.camera_model_texts != table.OWN).all():
+        return table.camera_models[int(table.camera_model_texts[0])]
     return table.camera
 
 
 def _own_mount(
-    sources: CameraSources, table: PictureTable, calibration: CameraCalibration
+    sources: CameraSources, table: ImageTable, calibration: CameraCalibration
 ) -> RigidTransform | None:
-    """The mounting of the calibration; that of the first picture where each picture has its own."""
+    """The mounting of the calibration; that of the first image where each image has its own."""
     if len(table.mount_texts) and (table.mount_texts != table.OWN).all():
         return table.mounts[int(table.mount_texts[0])]
     if calibration.camera_from_imu is not None:
@@ -292,46 +304,46 @@ def _own_mount(
             "imuToCamera is missing: where the camera is on the vehicle; expected 4 rows of 4 numbers, which take "
             "points of the IMU into the camera (a lenient reading keeps the camera without it)"
         )
-        sources.ledger.fault("mounts-missing", DataError(calibration.place, "", problem))
+        sources.ledger.fault("mounts-missing", DataError(calibration.location, "", problem))
     elif (table.mount_texts == table.OWN).any():
         message = (
             "frames without imuToCamera, of a camera whose calibration has none: taken as in its first frame"
         )
-        sources.ledger.note(NoticeKind.ASSUMED, "mounts-of-first-frame", calibration.place, message)
+        sources.ledger.note(WarningKind.ASSUMED, "mounts-of-first-frame", calibration.location, message)
     return first
 
 
 def _note_unused_rig(
     sources: CameraSources,
-    table: PictureTable,
+    table: ImageTable,
     calibration: CameraCalibration,
     camera: Camera,
     ego_from_camera: RigidTransform | None,
 ) -> None:
-    """Say which values of calibration.json no picture uses, where those of the pictures are others."""
-    place, name = calibration.place, sources.data_path.name
+    """Report which values of calibration.json no image uses, where those of the images are others."""
+    location, name = calibration.location, sources.data_path.name
     if camera != table.camera:
         message = (
-            f"every picture has cameraParameters of its own in {name}, and they differ from these "
-            f"(focalLengthX {camera.fx:.6g} px in place of {table.camera.fx:.6g}); the pictures' are used"
+            f"every image has cameraParameters of its own in {name}, and they differ from these "
+            f"(focalLengthX {camera.fx:.6g} px instead of {table.camera.fx:.6g}); the images' are used"
         )
-        sources.ledger.note(NoticeKind.SKIPPED, "calibration-not-used", place, message)
-    told = calibration.camera_from_imu
-    if told is None or ego_from_camera is None:
+        sources.ledger.note(WarningKind.SKIPPED, "calibration-not-used", location, message)
+    reported = calibration.camera_from_imu
+    if reported is None or ego_from_camera is None:
         return
-    moved = told @ ego_from_camera
-    turned = math.degrees(float(angle_between(moved.quaternion_xyzw, np.array([0.0, 0.0, 0.0, 1.0]))))
+    moved = reported @ ego_from_camera
+    rotated = math.degrees(float(angle_between(moved.quaternion_xyzw, np.array([0.0, 0.0, 0.0, 1.0]))))
     metres = float(np.linalg.norm(moved.inverse().translation))
-    if metres > _SAME_M or turned > _SAME_DEG:
+    if metres > _SAME_M or rotated > _SAME_DEG:
         message = (
-            f"every picture has an imuToCamera of its own in {name}, {metres:.3g} m and {turned:.3g} degrees from this "
-            "one; the pictures' are used"
+            f"every image has an imuToCamera of its own in {name}, {metres:.3g} m and {rotated:.3g} degrees from this "
+            "one; the images' are used"
         )
-        sources.ledger.note(NoticeKind.SKIPPED, "calibration-not-used", place, message)
+        sources.ledger.note(WarningKind.SKIPPED, "calibration-not-used", location, message)
 
 
-def _video(files: PictureFiles | None, indices: Int64Array) -> VideoContent | None:
-    # of what is left of a video the pictures can be decoded, but its file cannot be handed on
+def _video(files: ImageFiles | None, indices: Int64Array) -> VideoContent | None:
+    # of what is left of a video the images can be decoded, but its file cannot be handed on
     if not isinstance(files, VideoReader) or files.is_remainder:
         return None
     all_in_order = np.array_equal(indices, np.arange(files.count))

@@ -67,12 +67,12 @@ def row_keys(stream: Columns, rows: Sequence[int]) -> list[str]:
     """Name rows by their time [ns], as text; of several samples of one time, the second is `TIME#1`."""
     if not rows:
         return []
-    stamps = by_time(stream).timestamps_ns
-    places = np.empty(len(stamps), np.int64)
-    places[time_order(view(stream.seconds))] = np.arange(len(stamps))
-    chosen = places[np.asarray(rows, np.int64)]
-    counts = chosen - np.searchsorted(stamps, stamps[chosen], "left")
-    return [row_key(*pair) for pair in zip(stamps[chosen].tolist(), counts.tolist(), strict=True)]
+    timestamps = by_time(stream).timestamps_ns
+    locations = np.empty(len(timestamps), np.int64)
+    locations[time_order(view(stream.seconds))] = np.arange(len(timestamps))
+    chosen = locations[np.asarray(rows, np.int64)]
+    counts = chosen - np.searchsorted(timestamps, timestamps[chosen], "left")
+    return [row_key(*pair) for pair in zip(timestamps[chosen].tolist(), counts.tolist(), strict=True)]
 
 
 def row_key(timestamp_ns: int, count: int) -> str:
@@ -81,7 +81,7 @@ def row_key(timestamp_ns: int, count: int) -> str:
 
 
 def further_by_time(stream: Columns) -> dict[str, str]:
-    """Give the texts of lines that say more than a stream holds, by the key of their row."""
+    """Give the texts of lines that state more than a stream holds, by the key of their row."""
     rows = sorted(stream.further)
     return {key: stream.further[row] for key, row in zip(row_keys(stream, rows), rows, strict=True)}
 

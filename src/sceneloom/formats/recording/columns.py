@@ -1,4 +1,4 @@
-"""What the lines of a recording say, as growing columns, one set per stream; small per sample, and no text."""
+"""What the lines of a recording state, as growing columns, one set per stream; small per sample, and no text."""
 
 from array import array
 from dataclasses import dataclass, field
@@ -70,10 +70,10 @@ class CameraColumns:
 
     Attributes:
         rows: which frames line each entry is in.
-        seconds: time of each picture [s].
-        parameters: which of `FrameColumns.texts` holds its lens, -1 for none of its own.
+        seconds: time of each image [s].
+        parameters: which of `FrameColumns.texts` holds its camera model, -1 for none of its own.
         mounts: the same for its `imuToCamera`.
-        missing: 1 where there is no picture (`missingBitmap`).
+        missing: 1 where there is no image (`missingBitmap`).
     """
 
     rows: "array[int]" = field(default_factory=lambda: array("q"))
@@ -94,7 +94,7 @@ class FrameColumns:
         lines: number of each line in the file.
         offsets: byte at which a line begins that says more than the columns hold, -1 for others.
         cameras: entries by `cameraInd`.
-        texts: every different text of `cameraParameters` and `imuToCamera`, with its place in this order.
+        texts: every different text of `cameraParameters` and `imuToCamera`, with its location in this order.
     """
 
     code: int = 0
@@ -106,7 +106,7 @@ class FrameColumns:
     texts: dict[bytes, int] = field(default_factory=dict)
 
     def text_index(self, text: bytes) -> int:
-        """Give the place of a text, -1 for none."""
+        """Give the position of a text, -1 for none."""
         return self.texts.setdefault(text, len(self.texts)) if text else -1
 
 
@@ -122,7 +122,7 @@ class SharedLine:
 
     Attributes:
         text: all of it.
-        rows: code and row of each sample that it brought; a line of pictures has no row here.
+        rows: code and row of each sample that it brought; a line of images has no row here.
     """
 
     text: str
@@ -145,7 +145,7 @@ class LineLog:
 
     @property
     def is_full(self) -> bool:
-        """Whether no further stream can be told from the others."""
+        """Whether no further stream can be distinguished from the others."""
         return self.last_code >= _MOST_STREAMS
 
     def new_code(self) -> int:
@@ -185,7 +185,7 @@ class RecordingColumns:
     log: LineLog = field(default_factory=LineLog)
 
     def streams(self) -> dict[tuple[str, ...], Columns]:
-        """All streams of numbers, by what tells them apart."""
+        """All streams of numbers, by what reports them apart."""
         return {
             **{("sensor", name): stream for name, stream in self.sensors.items()},
             ("gps",): self.gnss,

@@ -1,4 +1,4 @@
-"""What `frames` lines were, where the pictures alone do not tell it."""
+"""What `frames` lines were, where the images alone do not report it."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,8 +19,8 @@ class FrameNotes(msgspec.Struct):
     Attributes:
         count: how many there are.
         first: `number` of the first one, where each has one more than the one before in the order of time; else None.
-        own: whether pictures share lines, or lines have times, in another way than pictures of their times would.
-        texts: lines that lack the picture of a camera, in the order of time.
+        own: whether images share lines, or lines have times, in another way than images of their times would.
+        texts: lines that lack the image of a camera, in the order of time.
     """
 
     count: int
@@ -45,7 +45,7 @@ def frame_notes(frames: FrameColumns, data_path: Path) -> dict[str, Any] | None:
     order = time_order(seconds)
     numbers = np.asarray(frames.numbers, np.int64)[order]
     consecutive = bool((numbers == numbers[0] + np.arange(len(numbers))).all())
-    times = _picture_times(frames)[order]
+    times = _image_times(frames)[order]
     lacking = order[np.isnan(times).any(axis=1)].tolist()
     own = bool(lacking) or not _would_be_grouped(times, seconds[order])
     if consecutive and numbers[0] == 0 and not own:
@@ -58,29 +58,29 @@ def frame_notes(frames: FrameColumns, data_path: Path) -> dict[str, Any] | None:
     return note
 
 
-def _picture_times(frames: FrameColumns) -> Float64Array:
-    """Times of the pictures of each line and camera, (L, C) float64 [s], NaN where there is none."""
+def _image_times(frames: FrameColumns) -> Float64Array:
+    """Times of the images of each line and camera, (L, C) float64 [s], NaN where there is none."""
     times = np.full((len(frames.numbers), len(frames.cameras)), np.nan)
-    for place, camera in enumerate(frames.cameras.values()):
+    for location, camera in enumerate(frames.cameras.values()):
         seconds = np.where(np.asarray(camera.missing, np.bool_), np.nan, view(camera.seconds))
-        times[np.asarray(camera.rows, np.int64), place] = seconds
+        times[np.asarray(camera.rows, np.int64), location] = seconds
     return times
 
 
 def _would_be_grouped(times: Float64Array, seconds: Float64Array) -> bool:
-    """Whether it is sure that pictures of these times come into these lines, with these times, by themselves.
+    """Whether it is sure that images of these times come into these lines, with these times, by themselves.
 
     Args:
-        times: (L, C) float64 [s], of the pictures, none missing.
+        times: (L, C) float64 [s], of the images, none missing.
         seconds: (L,) float64 [s], of the lines, ascending.
     """
     if not np.array_equal(times.min(axis=1), seconds):
         return False
     if times.shape[1] == 1:
         return True
-    stamps: Int64Array = nanoseconds(times)
-    earliest, latest = stamps.min(axis=1), stamps.max(axis=1)
-    steps = np.diff(np.sort(stamps, axis=0), axis=0)
+    timestamps: Int64Array = nanoseconds(times)
+    earliest, latest = timestamps.min(axis=1), timestamps.max(axis=1)
+    steps = np.diff(np.sort(timestamps, axis=0), axis=0)
     periods = [float(np.median(column[column > 0])) for column in steps.T if (column > 0).any()]
     spread = (latest - earliest).max()
     return bool((latest[:-1] < earliest[1:]).all()) and (
@@ -89,7 +89,7 @@ def _would_be_grouped(times: Float64Array, seconds: Float64Array) -> bool:
 
 
 def _texts(frames: FrameColumns, rows: list[int], data_path: Path) -> list[str]:
-    """Lines as they stand in the file; those that say nothing but their pictures are made of their columns."""
+    """Lines as they stand in the file; those that state nothing but their images are made of their columns."""
     named: dict[int, list[int]] = {row: [] for row in rows}
     for index, camera in frames.cameras.items():
         for row in camera.rows:

@@ -1,4 +1,4 @@
-"""Lenses and mountings that single `frames` lines bring along; each different text is read once."""
+"""Camera models and mountings that single `frames` lines bring along; each different text is read once."""
 
 from array import array
 from collections.abc import Callable
@@ -10,9 +10,9 @@ import numpy as np
 
 from sceneloom.errors import DataError, SceneloomError
 from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.recording.camera_models import CameraParameters
 from sceneloom.formats.recording.columns import FrameColumns
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_problem
-from sceneloom.formats.recording.lenses import CameraParameters
 from sceneloom.formats.recording.mounts import MatrixNumbers, rigid_transform
 from sceneloom.geometry.rigid import RigidTransform
 

@@ -1,4 +1,4 @@
-"""What a recording says and the scene has no place for: kept word by word in the scene's metadata."""
+"""What a recording says and the scene has no field for: kept word by word in the scene's metadata."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,15 +24,15 @@ from sceneloom.formats.recording.columns import TEXT, Columns, RecordingColumns
 from sceneloom.formats.recording.frame_notes import frame_notes
 from sceneloom.formats.recording.number_sensors import BAROMETER, GPS_ORIGIN, RECEIVER, imu_streams, receivers
 from sceneloom.formats.recording.old_forms import PARAMETERS_FILE
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.warnings import WarningKind
 
 VIO_CONFIG_FILE = "vio_config.yaml"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordingContents:
-    """All that was read from a recording but its pictures and points.
+    """All that was read from a recording but its images and points.
 
     Attributes:
         folder: the recording.
@@ -52,7 +52,7 @@ class RecordingContents:
 
 
 def further_contents(contents: RecordingContents, ledger: Ledger, *, alone: bool = False) -> dict[str, Any]:
-    """Collect what the scene has no place for; what there is none of is left out.
+    """Collect what the scene has no field for; what there is none of is left out.
 
     Returns:
         calibration: all of `calibration.json`.
@@ -61,7 +61,7 @@ def further_contents(contents: RecordingContents, ledger: Ledger, *, alone: bool
         other_lines: the text of lines that nothing here computes with, in the order of the file; and poses that repeat
             the time of another one of their trajectory, or lack the orientation that others have.
         other_seconds: by index in `other_lines`, the time of the line before [s], for lines without a time.
-        further_keys: the text of lines that say more than the scene holds, by stream ("imu.accelerometer", "gnss",
+        further_keys: the text of lines that state more than the scene holds, by stream ("imu.accelerometer", "gnss",
             "gnss.rtkgps", "trajectories.output", "lidars.0") and by time [ns] as text; `TIME#1` is the second line of
             that time.
         shared_lines: lines that several streams have a part in: `text`, and `records`, stream and time of each part.
@@ -69,7 +69,7 @@ def further_contents(contents: RecordingContents, ledger: Ledger, *, alone: bool
             name there, where these are not both the trajectory's name.
         receiver_origins: the same of all satellite receivers but that of `gps` lines.
         sensor_barometer: whether the air pressure comes in `sensor` lines, and not in `barometer` lines.
-        frame_lines: what pictures do not tell of their lines; `FrameNotes` describes it.
+        frame_lines: what images do not report their lines; `FrameNotes` describes it.
     """
     columns, streams = contents.columns, named_streams(contents)
     as_texts = _poses_as_text(contents)
@@ -130,17 +130,17 @@ def _poses_as_text(contents: RecordingContents) -> list[tuple[int, str]]:
     for origin, trajectory in contents.trajectories.items():
         columns = contents.columns.poses[origin]
         samples = by_time(columns.samples)
-        turned = ~np.isnan(samples.values[:, 3]) | (trajectory.quaternions_xyzw is None)
-        rows = np.flatnonzero(turned)
+        rotated = ~np.isnan(samples.values[:, 3]) | (trajectory.quaternions_xyzw is None)
+        rows = np.flatnonzero(rotated)
         again_rows = rows[1:][np.diff(samples.timestamps_ns[rows]) == 0]
-        for row in [*np.flatnonzero(~turned).tolist(), *again_rows.tolist()]:
-            place = int(samples.order[row])
-            again.add((columns.samples.code, place))
-            if columns.lines[place] in shared:
+        for row in [*np.flatnonzero(~rotated).tolist(), *again_rows.tolist()]:
+            location = int(samples.order[row])
+            again.add((columns.samples.code, location))
+            if columns.lines[location] in shared:
                 continue
             values, seconds = samples.values[row].tolist(), float(samples.seconds[row])
-            text = columns.samples.further.get(place) or pose_text(origin, values, seconds)
-            found[columns.lines[place]] = text
+            text = columns.samples.further.get(location) or pose_text(origin, values, seconds)
+            found[columns.lines[location]] = text
     if again:
         found |= {line: part.text for line, part in shared.items() if again.issuperset(part.rows)}
     return sorted(found.items())
@@ -212,7 +212,7 @@ def _further_keys(
 ) -> dict[str, dict[str, str]]:
     texts = {name: further_by_time(stream) for name, stream in streams.items() if stream.further}
     if texts:
-        message = f"lines of {', '.join(texts)} say more than is computed with; their text is kept"
+        message = f"lines of {', '.join(texts)} state more than is computed with; their text is kept"
         count = sum(map(len, texts.values()))
-        ledger.note(NoticeKind.SKIPPED, "further-keys-kept", str(contents.folder), message, count=count)
+        ledger.note(WarningKind.SKIPPED, "further-keys-kept", str(contents.folder), message, count=count)
     return texts

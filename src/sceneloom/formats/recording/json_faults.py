@@ -1,4 +1,4 @@
-"""From what the JSON decoder complains about to messages that name place, value and what was expected."""
+"""From what the JSON decoder complains about to messages that name location, value and what was expected."""
 
 import re
 from typing import Any
@@ -52,7 +52,7 @@ def json_problem(error: Exception, text: bytes, *, prefix: str = "") -> str:
 
 
 def json_fault(error: Exception, text: bytes, *, prefix: str = "") -> tuple[str, str]:
-    """Say where a text is not the JSON that was expected, and why.
+    """Report where a text is not the JSON that was expected, and why.
 
     Args:
         error: what the decoder raised.
@@ -74,7 +74,7 @@ def json_fault(error: Exception, text: bytes, *, prefix: str = "") -> tuple[str,
 
 
 def other_file(beginning: bytes) -> str | None:
-    """Say what a file is that does not begin as text in UTF-8 does; None where nothing is known of that.
+    """Report what a file is that does not begin as text in UTF-8 does; None where nothing is known of that.
 
     Args:
         beginning: its first bytes, 16 or more where it has so many.
@@ -82,15 +82,15 @@ def other_file(beginning: bytes) -> str | None:
     halves = {bytes(byte != 0 for byte in beginning[start:4:2]) for start in (0, 1)}
     if len(beginning) >= 4 and halves == {b"\0\0", b"\1\1"}:
         return "is text in UTF-16"
-    return next((told for start, told in _OTHER_FILES.items() if beginning.startswith(start)), None)
+    return next((reported for start, reported in _OTHER_FILES.items() if beginning.startswith(start)), None)
 
 
 def _no_json(error: Exception, text: bytes) -> str:
     if not text.strip():
         return "empty; expected a JSON object"
-    for beginning, told in _OTHER_BEGINNINGS.items():
+    for beginning, reported in _OTHER_BEGINNINGS.items():
         if text.startswith(beginning):
-            return f"{told}; expected plain JSON in UTF-8"
+            return f"{reported}; expected plain JSON in UTF-8"
     hint = "; NaN and Infinity are no JSON numbers" if _NO_NUMBER.search(text) else ""
     if text.rstrip().endswith(b"},") or text.strip() == b"[":
         hint = "; a log is no list: expected one object a line, and no commas between them"

@@ -17,7 +17,7 @@ _decode_raw = msgspec.json.Decoder(dict[str, msgspec.Raw]).decode
 
 
 def completed(text: str, before: str) -> str:
-    """Write a line with what else it once said.
+    """Write a line with what else it once stated.
 
     Args:
         text: the line as it is made from its sample.
@@ -45,11 +45,11 @@ def rows_of(keys: Iterable[str], timestamps_ns: Int64Array) -> dict[str, int]:
     """
     found = {}
     for key in keys:
-        stamp, _, count = key.partition("#")
-        if not (stamp.removeprefix("-").isdecimal() and (count or "0").isdecimal()):
+        timestamp, _, count = key.partition("#")
+        if not (timestamp.removeprefix("-").isdecimal() and (count or "0").isdecimal()):
             continue
-        row = int(np.searchsorted(timestamps_ns, int(stamp))) + int(count or 0)
-        if row < len(timestamps_ns) and timestamps_ns[row] == int(stamp):
+        row = int(np.searchsorted(timestamps_ns, int(timestamp))) + int(count or 0)
+        if row < len(timestamps_ns) and timestamps_ns[row] == int(timestamp):
             found[key] = row
     return found
 
@@ -69,7 +69,7 @@ class SharedText(msgspec.Struct):
 class SharedLines:
     """Brings the samples of lines that several streams have a part in back into one line.
 
-    A line that tells of a sweep or of pictures is written with these; all others are written here.
+    A line that reports a sweep or of images is written with these; all others are written here.
     """
 
     def __init__(self, entries: Sequence[SharedText], hosts: Mapping[str, Int64Array]) -> None:
@@ -77,42 +77,49 @@ class SharedLines:
 
         Args:
             entries: the lines.
-            hosts: times of sweeps and pictures that are written, by their streams' names, (N,) int64 [ns], ascending.
+            hosts: times of sweeps and images that are written, by their streams' names, (N,) int64 [ns], ascending.
         """
         self._texts = [entry.text for entry in entries]
         self._parts: list[list[str]] = [[] for _ in entries]
         self._index: dict[str, dict[str, int]] = {}
         self._hosted: dict[int, str] = {}
         self._of_hosts: dict[str, dict[str, str]] = {}
-        for place, entry in enumerate(entries):
+        for location, entry in enumerate(entries):
             for stream, key in entry.records:
-                self._index.setdefault(stream, {})[key] = place
+                self._index.setdefault(stream, {})[key] = location
                 if stream in hosts and rows_of([key], hosts[stream]):
-                    self._hosted[place] = stream
+                    self._hosted[location] = stream
                     self._of_hosts.setdefault(stream, {})[key] = entry.text
-            stamp = _stamp_of(entry.text)
-            pictures = hosts.get(FRAMES, np.zeros(0, np.int64))
-            if stamp is not None and "frames" in _keys_of(entry.text) and rows_of([str(stamp)], pictures):
-                self._hosted[place] = FRAMES
+            timestamp = _timestamp_of(entry.text)
+            images = hosts.get(FRAMES, np.zeros(0, np.int64))
+            if (
+                timestamp is not None
+                and "frames" in _keys_of(entry.text)
+                and rows_of([str(timestamp)], images)
+            ):
+                self._hosted[location] = FRAMES
 
     def texts_for(self, stream: str) -> dict[str, str]:
         """Give the lines that are written with the sweeps of a lidar, by their keys."""
         return self._of_hosts.get(stream, {})
 
     def rows(self, stream: str, timestamps_ns: Int64Array) -> dict[int, int]:
-        """Find the rows of a stream, at times (N,) [ns], that have a part in such lines, each with the line's place."""
+        """Find the rows of a stream, at times (N,) [ns], that have a part in such lines.
+
+        Each with the line's location.
+        """
         keys = self._index.get(stream, {})
         return {row: keys[key] for key, row in rows_of(keys, timestamps_ns).items()}
 
-    def give(self, place: int, text: str) -> None:
+    def give(self, location: int, text: str) -> None:
         """Hand over a part: the line that would be made of it alone."""
-        self._parts[place].append(text)
+        self._parts[location].append(text)
 
     def lines(self) -> list[WrittenLine]:
         """Give the lines in the order of their times."""
         lines = []
-        for place, (text, parts) in enumerate(zip(self._texts, self._parts, strict=True)):
-            if parts and place not in self._hosted:
+        for location, (text, parts) in enumerate(zip(self._texts, self._parts, strict=True)):
+            if parts and location not in self._hosted:
                 whole = _without_hosts(text)
                 for part in parts:
                     whole = completed(part, whole)
@@ -121,14 +128,14 @@ class SharedLines:
 
 
 def _without_hosts(text: str) -> str:
-    """A line that no sweep and no picture is written with says nothing of any."""
+    """A line that no sweep and no image is written with says nothing of any."""
     fields = _decode_raw(text)
     kept = {key: value for key, value in fields.items() if key not in {"frames", "number", "lidar"}}
     return text if len(kept) == len(fields) or not kept.keys() & RECORD_KEYS else _encode(kept).decode()
 
 
 def timed_lines(texts: Sequence[str]) -> list[WrittenLine]:
-    """Lines that hold nothing that a scene has a place for, as they were; those that have a time."""
+    """Lines that hold nothing that a scene has a location for, as they were; those that have a time."""
     lines = [written_line(text) for text in texts]
     return sorted((line for line in lines if line.timestamp_ns != BEFORE_ALL_NS), key=lambda line: line[:2])
 
@@ -141,11 +148,11 @@ def untimed_lines(texts: Sequence[str], anchors: Mapping[str, float]) -> list[Wr
         anchors: by index in `texts`, the time of the line before [s]; lines that have none come first.
     """
     lines = []
-    for place, text in enumerate(texts):
+    for location, text in enumerate(texts):
         if written_line(text).timestamp_ns == BEFORE_ALL_NS:
-            seconds = anchors.get(str(place))
-            stamp = (BEFORE_ALL_NS, 0.0) if seconds is None else (round(seconds * 1e9), seconds)
-            lines.append(WrittenLine(*stamp, text.strip()))
+            seconds = anchors.get(str(location))
+            timestamp = (BEFORE_ALL_NS, 0.0) if seconds is None else (round(seconds * 1e9), seconds)
+            lines.append(WrittenLine(*timestamp, text.strip()))
     return sorted(lines, key=lambda line: line[:2])
 
 
@@ -157,7 +164,7 @@ def written_line(text: str) -> WrittenLine:
     return WrittenLine(round(found * 1e9), found, text.strip())
 
 
-def _stamp_of(text: str) -> int | None:
+def _timestamp_of(text: str) -> int | None:
     seconds = _seconds_of(text)
     return None if seconds is None else round(seconds * 1e9)
 

@@ -17,9 +17,9 @@ from sceneloom.formats.recording.lidar_files import check_size, find_file, read_
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.pose_source import poses_along
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
+from sceneloom.scene.warnings import WarningKind
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +75,7 @@ def build_lidars(
     data_path: Path,
     columns: dict[int, LidarColumns],
     calibration: Calibration,
-    ego_path: PosePath | None,
+    ego_path: Poses | None,
     ledger: Ledger,
 ) -> list[LidarSensor]:
     """Build every lidar that a line names; a lenient reading looks for all their files at once.
@@ -127,9 +127,9 @@ def _usable(table: SweepTable, ledger: Ledger) -> SweepTable:
 def _mount(entry: LidarCalibration | None, name: str, path: Path, ledger: Ledger) -> RigidTransform:
     if entry is not None and entry.lidar_from_imu is not None:
         return entry.lidar_from_imu.inverse()
-    place = str(path) if entry is None else entry.place
+    location = str(path) if entry is None else entry.location
     message = f"no imuToLidar for {name!r}; it is taken to be where the IMU is, with the same axes"
-    ledger.note(NoticeKind.ASSUMED, "lidar-mount-identity", place, message)
+    ledger.note(WarningKind.ASSUMED, "lidar-mount-identity", location, message)
     return RigidTransform.identity()
 
 

@@ -26,14 +26,14 @@ _CERTAIN = 0x42
 """Times whose highest byte is below this are in order: from 0 to 2^33 s, by the sign and the exponent in it."""
 
 
-def find_file(folder: Path, name: str, file: object, place: str) -> Path:
+def find_file(folder: Path, name: str, file: object, location: str) -> Path:
     """Find the file that a `dataFile` names.
 
     Args:
         folder: the recording.
         name: the `dataFile`, in which `problem_of_name` found nothing wrong.
         file: what messages call the file that names it.
-        place: the line that names it, for messages.
+        location: the line that names it, for messages.
 
     Raises:
         DataError: there is no such file, or a link leads it out of the folder.
@@ -42,13 +42,13 @@ def find_file(folder: Path, name: str, file: object, place: str) -> Path:
         path = (folder / name).resolve()
         inside, there = path.is_relative_to(folder.resolve()), path.is_file()
     except (OSError, RuntimeError, ValueError) as error:
-        raise DataError(file, place, f"lidar.dataFile: {name!r} cannot be read: {error}") from error
+        raise DataError(file, location, f"lidar.dataFile: {name!r} cannot be read: {error}") from error
     if not inside:
         raise DataError(
-            file, place, f"lidar.dataFile: {name!r} leads out of the recording's folder by a link"
+            file, location, f"lidar.dataFile: {name!r} leads out of the recording's folder by a link"
         )
     if not there:
-        raise DataError(file, place, f"lidar.dataFile: {name!r}: {why_no_file(path)}")
+        raise DataError(file, location, f"lidar.dataFile: {name!r}: {why_no_file(path)}")
     return path
 
 

@@ -1,4 +1,4 @@
-"""What a `lidar` line may say of the file of its sweep."""
+"""What a `lidar` line may state of the file of its sweep."""
 
 from pathlib import PurePosixPath, PureWindowsPath
 
@@ -7,7 +7,7 @@ LIDAR_MODELS = ("RoboSense M1 XYZIRT",)
 
 
 def problem_of_name(name: str) -> str | None:
-    """Say what is wrong with a `dataFile`: empty, absolute, leading up, or no file name at all; None for nothing."""
+    """Report what is wrong with a `dataFile`: empty, absolute, leading up, or no file name at all; None for nothing."""
     windows = PureWindowsPath(name)
     leads_out = PurePosixPath(name).is_absolute() or windows.drive or windows.root or ".." in windows.parts
     if leads_out or not name.strip() or "\0" in name:

@@ -1,4 +1,4 @@
-"""Lines taken one after the other into columns: the usual ones fast, all others with all that they say."""
+"""Lines taken one after the other into columns: the usual ones fast, all others with all that they state."""
 
 from array import array
 from collections.abc import Iterator, Sequence
@@ -24,7 +24,7 @@ from sceneloom.formats.recording.line_shapes import (
     FrequentLine,
     Line,
 )
-from sceneloom.formats.recording.line_taking import Takings, UnfitLineError, take_frames, take_line
+from sceneloom.formats.recording.line_taking import ParsedLines, UnfitLineError, take_frames, take_line
 from sceneloom.formats.recording.old_forms import has_old_frame, with_frames
 from sceneloom.formats.recording.other_records import is_pressure, other_fixes, other_poses
 
@@ -42,7 +42,7 @@ BLANK_LINE = "blank; expected a JSON object"
 _NO_SUBJECT = {"time", "number"}
 
 
-_NO_TURN = ExactQuaternion(nan, nan, nan, nan)
+_NO_ROTATION = ExactQuaternion(nan, nan, nan, nan)
 
 
 class _BlankLineError(UnfitLineError):
@@ -90,7 +90,7 @@ class LineReader:
                 return
 
     def bind(self) -> None:
-        """Have the usual lines put right into the columns; called anew whenever these were put in place of others."""
+        """Have the usual lines put right into the columns; called anew whenever these were put instead of others."""
         for name, stream in self.columns.sensors.items():
             self._bound[name] = (stream.seconds, stream.values, stream.width, stream.code)
         self._truth = self.columns.poses.get(_GROUND_TRUTH)
@@ -98,7 +98,7 @@ class LineReader:
     def _take_frequent(self, decoded: Iterator[FrequentLine]) -> None:
         """Take lines until one is of another kind; nearly all of the time of reading goes by in here."""
         codes, bound = self.columns.log.codes, self._bound
-        take_truth, take_pictures = self._take_truth, self._take_pictures
+        take_truth, take_images = self._take_truth, self._take_images
         for line in decoded:
             sample = line.sensor
             if sample is not UNSET:
@@ -116,7 +116,7 @@ class LineReader:
                     take_truth(line)
                     continue
             elif line.frames is not UNSET:
-                take_pictures(line)
+                take_images(line)
                 continue
             self._take_exact(line)
 
@@ -126,17 +126,19 @@ class LineReader:
         if trajectory is None or pose is UNSET:
             self._take_exact(line)
             return
-        position, turn = pose.position, pose.orientation
-        if isinstance(turn, UnsetType):
-            turn = _NO_TURN
+        position, rotation = pose.position, pose.orientation
+        if isinstance(rotation, UnsetType):
+            rotation = _NO_ROTATION
         samples, codes = trajectory.samples, self.columns.log.codes
         samples.seconds.append(line.time)
-        samples.values.fromlist([position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w])
+        samples.values.fromlist(
+            [position.x, position.y, position.z, rotation.x, rotation.y, rotation.z, rotation.w]
+        )
         codes.append(samples.code)
         trajectory.lines.append(len(codes))
 
-    def _take_pictures(self, line: FrequentLine) -> None:
-        """Take a line that tells of pictures alone, without lenses and mountings of their own."""
+    def _take_images(self, line: FrequentLine) -> None:
+        """Take a line that reports images alone, without camera models and mountings of their own."""
         entries, number, frames = line.frames, line.number, self.columns.frames
         if number is UNSET or not frames.code or entries is UNSET:
             self._take_exact(line)
@@ -163,9 +165,9 @@ class LineReader:
 
     def _begin(self) -> int:
         """Byte at which the line begins."""
-        place = len(self.columns.log.codes) - self._first
-        self._offset += sum(map(len, self._lines[self._reached : place])) + place - self._reached
-        self._reached = place
+        location = len(self.columns.log.codes) - self._first
+        self._offset += sum(map(len, self._lines[self._reached : location])) + location - self._reached
+        self._reached = location
         return self._offset
 
     def _take_infrequent(self) -> None:
@@ -180,13 +182,13 @@ class LineReader:
         """Take a line that says nothing but what the columns hold, or several such things."""
         try:
             offset = self._begin if line.frames is not UNSET and _says_more(line, self._text) else None
-            takings = take_line(self.columns, line, self._number, offset=offset)
+            parsed_lines = take_line(self.columns, line, self._number, offset=offset)
         except UnfitLineError as error:
             self._fault("unfit-lines", str(error))
         except UnicodeDecodeError as error:
             self._fault("broken-lines", json_problem(error, self._text))
         else:
-            self._note(takings, says_more=takings.leftover)
+            self._note(parsed_lines, says_more=parsed_lines.leftover)
 
     def _take_inexact(self, text: bytes) -> None:
         """Take a line that is broken, wrong, or says more than the exact shapes hold."""
@@ -215,7 +217,7 @@ class LineReader:
         if not poses and not fixes and all(getattr(line, key) is None for key in RECORD_KEYS):
             self._keep_text(line.time, next((key for key in content if key not in _NO_SUBJECT), ""))
             return
-        takings = take_line(
+        parsed_lines = take_line(
             self.columns,
             line,
             self._number,
@@ -224,20 +226,20 @@ class LineReader:
             offset=self._begin,
         )
         simple = [*poses, *fixes]
-        self._note(takings, says_more=not (len(simple) == 1 and simple[0][2]))
+        self._note(parsed_lines, says_more=not (len(simple) == 1 and simple[0][2]))
 
-    def _note(self, takings: Takings, *, says_more: bool) -> None:
+    def _note(self, parsed_lines: ParsedLines, *, says_more: bool) -> None:
         """Note which streams took a line, and keep its text where it says more than one of them holds."""
-        log, streams = self.columns.log, takings.streams
+        log, streams = self.columns.log, parsed_lines.streams
         if any(len(stream) == 1 for stream in streams):  # the next ones are taken fast
             self.bind()
-        if not streams and not takings.frames:
-            self._keep_text(takings.seconds, "" if not takings.leftover else "sensor")
-        elif len(streams) + takings.frames > 1:
+        if not streams and not parsed_lines.frames:
+            self._keep_text(parsed_lines.seconds, "" if not parsed_lines.leftover else "sensor")
+        elif len(streams) + parsed_lines.frames > 1:
             rows = [(stream.code, len(stream) - 1) for stream in streams]
             log.shared[self._number] = SharedLine(self._text.decode(), rows)
             log.codes.append(SEVERAL)
-        elif takings.frames:
+        elif parsed_lines.frames:
             log.codes.append(self.columns.frames.code)
         else:
             stream = streams[0]
@@ -258,7 +260,7 @@ class LineReader:
 
 
 def _says_more(line: FrequentLine, text: bytes) -> bool:
-    """Whether a line of pictures says what its columns do not hold.
+    """Whether a line of images says what its columns do not hold.
 
     Raises:
         UnicodeDecodeError: it is no text; the decoder leaves out what it only copies.

@@ -182,4 +182,4 @@ ROOT_KEYS = frozenset(field.name for field in msgspec.structs.fields(Line))
 """The keys at the root of a line that have a shape of their own."""
 
 RECORD_KEYS = ROOT_KEYS - {"time", "number"}
-"""Those of them that say what a line is about."""
+"""Those of them that state what a line is about."""

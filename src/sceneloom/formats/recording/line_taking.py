@@ -40,17 +40,17 @@ Value = TypeVar("Value")
 
 
 class UnfitLineError(ValueError):
-    """A line is valid JSON, but does not say what a line of its kind has to."""
+    """A line is valid JSON, but does not state what a line of its kind has to."""
 
 
 @dataclass(slots=True)
-class Takings:
+class ParsedLines:
     """What a line brought.
 
     Attributes:
         seconds: its time.
         streams: those that it gave a sample, each as many times as it did.
-        frames: whether it told of pictures.
+        frames: whether it reported images.
         leftover: whether it says something that no stream took.
     """
 
@@ -68,7 +68,7 @@ def take_line(
     poses: Sequence[tuple[Origin, Pose]] = (),
     fixes: Sequence[tuple[Origin, GnssFix]] = (),
     offset: Callable[[], int] | None = None,
-) -> Takings:
+) -> ParsedLines:
     """Put all that a line says into the columns, or, where a part of it is wrong, nothing.
 
     Args:
@@ -78,31 +78,33 @@ def take_line(
         offset: gives the byte at which the line begins, where it says more than the columns hold.
 
     Raises:
-        UnfitLineError: it has no time, or a part of it does not say what it has to.
+        UnfitLineError: it has no time, or a part of it does not state what it has to.
     """
     seconds = line.time
     if seconds is None:
         raise UnfitLineError("time: missing; expected seconds")
-    takings = Takings(seconds)
+    parsed_lines = ParsedLines(seconds)
     sample, sweep, entries = given(line.sensor), given(getattr(line, "lidar", None)), given(line.frames)
     _check(columns, sample, sweep, entries, given(line.number))
     if sample is not None:
-        _take_sample(columns, takings, sample)
+        _take_sample(columns, parsed_lines, sample)
     for origin, pose in [*_own_poses(line), *poses]:
-        takings.streams.append(_take_pose(columns, seconds, pose, origin, number))
+        parsed_lines.streams.append(_take_pose(columns, seconds, pose, origin, number))
     for origin, fix in [*_own_fixes(line), *fixes]:
-        takings.streams.append(_take_fix(columns, seconds, fix, origin))
+        parsed_lines.streams.append(_take_fix(columns, seconds, fix, origin))
     barometer = given(getattr(line, "barometer", None))
     if barometer is not None:
-        takings.streams.append(_append(columns, columns.barometer, seconds, [barometer.pressureHectopascals]))
+        parsed_lines.streams.append(
+            _append(columns, columns.barometer, seconds, [barometer.pressureHectopascals])
+        )
     if sweep is not None:
-        takings.streams.append(_take_sweep(columns, seconds, sweep, number))
+        parsed_lines.streams.append(_take_sweep(columns, seconds, sweep, number))
     if entries is not None:
         at = -1 if offset is None else offset()
         take_frames(columns, seconds, entries, given(line.number) or 0, line=number, offset=at)
-        takings.frames = True
-    takings.leftover |= given(line.number) is not None and entries is None
-    return takings
+        parsed_lines.frames = True
+    parsed_lines.leftover |= given(line.number) is not None and entries is None
+    return parsed_lines
 
 
 def given(value: Value | UnsetType | None) -> Value | None:
@@ -139,7 +141,7 @@ def _check(
     if entries is not None:
         check_frames(entries, number)
     if columns.log.is_full:
-        raise UnfitLineError("the file names more streams than are told apart")
+        raise UnfitLineError("the file names more streams than are distinguished")
 
 
 def _check_sample(sample: SensorSample) -> None:
@@ -149,16 +151,16 @@ def _check_sample(sample: SensorSample) -> None:
         raise UnfitLineError(f"sensor.values: {sample.values}; expected {expected} of {sample.type!r}")
 
 
-def _take_sample(columns: RecordingColumns, takings: Takings, sample: SensorSample) -> None:
+def _take_sample(columns: RecordingColumns, parsed_lines: ParsedLines, sample: SensorSample) -> None:
     """Add a sample; of a sensor that the format does not name, samples of another width are left as text."""
     values = list(sample.values)
     stream = columns.sensors.get(sample.type)
     if stream is None:
         stream = columns.sensors.setdefault(sample.type, Columns(len(values)))
     if len(values) == stream.width:
-        takings.streams.append(_append(columns, stream, takings.seconds, values))
+        parsed_lines.streams.append(_append(columns, stream, parsed_lines.seconds, values))
     else:
-        takings.leftover = True
+        parsed_lines.leftover = True
 
 
 def _append(columns: RecordingColumns, stream: Columns, seconds: float, values: list[float]) -> Columns:
@@ -181,8 +183,10 @@ def _take_pose(columns: RecordingColumns, seconds: float, pose: Pose, origin: Or
     trajectory = columns.poses.get(origin)
     if trajectory is None:
         trajectory = columns.poses.setdefault(origin, PoseColumns())
-    position, turn = pose.position, given(pose.orientation)
-    quaternion = (nan, nan, nan, nan) if turn is None else (turn.x, turn.y, turn.z, turn.w)
+    position, rotation = pose.position, given(pose.orientation)
+    quaternion = (
+        (nan, nan, nan, nan) if rotation is None else (rotation.x, rotation.y, rotation.z, rotation.w)
+    )
     trajectory.lines.append(line)
     return _append(columns, trajectory.samples, seconds, [position.x, position.y, position.z, *quaternion])
 
@@ -207,15 +211,13 @@ def _take_sweep(columns: RecordingColumns, seconds: float, sweep: Sweep, line: i
 
 
 def check_frames(entries: Sequence[FrameEntry], number: int | None) -> None:
-    """Look through the pictures that a line tells of.
+    """Look through the images that a line reports.
 
     Raises:
         UnfitLineError: it has no number, or names a camera twice.
     """
     if number is None:
-        raise UnfitLineError(
-            "number: missing; expected the frame's number, which says which picture is meant"
-        )
+        raise UnfitLineError("number: missing; expected the frame's number, which says which image is meant")
     indices = [entry.cameraInd for entry in entries]
     if len(set(indices)) != len(indices):
         raise UnfitLineError(f"frames[].cameraInd: {indices}; expected each camera once")
@@ -230,7 +232,7 @@ def take_frames(
     line: int,
     offset: int = -1,
 ) -> None:
-    """Add a line of pictures.
+    """Add a line of images.
 
     Args:
         line: its number in the file.
@@ -248,10 +250,10 @@ def take_frames(
         camera = cameras.get(entry.cameraInd)
         if camera is None:
             camera = cameras.setdefault(entry.cameraInd, CameraColumns())
-        time, lens, mount = given(entry.time), entry.cameraParameters, entry.imuToCamera
+        time, camera_model, mount = given(entry.time), entry.cameraParameters, entry.imuToCamera
         camera.rows.append(row)
         camera.seconds.append(seconds if time is None else time)
-        camera.parameters.append(frames.text_index(bytes(lens)) if lens else -1)
+        camera.parameters.append(frames.text_index(bytes(camera_model)) if camera_model else -1)
         camera.mounts.append(frames.text_index(bytes(mount)) if mount else -1)
         camera.missing.append(entry.missingBitmap is True)
     frames.numbers.append(number)

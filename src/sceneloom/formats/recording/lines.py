@@ -13,7 +13,7 @@ from sceneloom.formats.recording.column_arrays import line_seconds
 from sceneloom.formats.recording.columns import RecordingColumns
 from sceneloom.formats.recording.json_faults import BYTE_ORDER_MARK, other_file
 from sceneloom.formats.recording.line_reading import BLANK, BLANK_LINE, LineReader
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.warnings import WarningKind
 
 _BLOCK = 1 << 16
 _LONGEST_LINE = 1 << 26
@@ -25,7 +25,7 @@ def read_lines(path: Path, ledger: Ledger) -> RecordingColumns:
 
     Args:
         path: `data.jsonl`.
-        ledger: takes notices, and the faults of single lines.
+        ledger: takes warnings, and the faults of single lines.
 
     Raises:
         DataError: the file cannot be read or is empty; or a line is wrong and the reading is not lenient.
@@ -39,8 +39,8 @@ def read_lines(path: Path, ledger: Ledger) -> RecordingColumns:
     if count == blank:
         raise DataError(path, "", "is empty; expected JSON lines: record or export it again")
     if blank:
-        place, message = f"{path}: line {count - blank + 1}", "blank lines at the end were left out"
-        ledger.note(NoticeKind.REPAIRED, "blank-lines-at-end", place, message, count=blank)
+        location, message = f"{path}: line {count - blank + 1}", "blank lines at the end were left out"
+        ledger.note(WarningKind.REPAIRED, "blank-lines-at-end", location, message, count=blank)
     _note_order(columns, path, ledger)
     _note_other_lines(columns, path, ledger)
     return columns
@@ -50,9 +50,9 @@ def _check_beginning(path: Path, ledger: Ledger) -> None:
     """Refuse a file that is no text at once: of its lines there would be none that is right."""
     with open_file(path) as file:
         beginning = file.read(16)
-    told = other_file(beginning)
-    if told is not None:
-        raise DataError(path, "", f"{told}; expected lines of JSON in UTF-8: unpack or export it as such")
+    reported = other_file(beginning)
+    if reported is not None:
+        raise DataError(path, "", f"{reported}; expected lines of JSON in UTF-8: unpack or export it as such")
     note_mark(beginning, path, ledger)
 
 
@@ -60,7 +60,7 @@ def note_mark(text: bytes, path: Path, ledger: Ledger) -> None:
     """Note a byte order mark at the beginning of a file of JSON, which is read over it."""
     if text.startswith(BYTE_ORDER_MARK):
         message = "begins with a byte order mark, which JSON must not have; it was passed over"
-        ledger.note(NoticeKind.REPAIRED, "byte-order-mark", str(path), message)
+        ledger.note(WarningKind.REPAIRED, "byte-order-mark", str(path), message)
 
 
 def _read(path: Path, ledger: Ledger) -> tuple[RecordingColumns, int]:
@@ -132,7 +132,7 @@ def _note_order(columns: RecordingColumns, path: Path, ledger: Ledger) -> None:
         backwards = numbers[backwards]
     if len(backwards):
         ledger.note(
-            NoticeKind.REPAIRED,
+            WarningKind.REPAIRED,
             "lines-sorted",
             f"{path}: line {backwards[0] + 1}",
             "time is earlier than that of the line before; all streams were sorted by time",
@@ -147,7 +147,7 @@ def _note_other_lines(columns: RecordingColumns, path: Path, ledger: Ledger) -> 
     shown = ", ".join(f"{count} of {key or 'no key'!r}" for key, count in counts[:_KEYS_SHOWN])
     more = ", …" if len(counts) > _KEYS_SHOWN else ""
     ledger.note(
-        NoticeKind.SKIPPED,
+        WarningKind.SKIPPED,
         "lines-kept-as-text",
         str(path),
         f"nothing here computes with these lines: {shown}{more}; their text is kept",

@@ -1,7 +1,7 @@
 """Lines of many streams in the order of their times; of one time, in the order of their numbers, then of the streams.
 
 The order is found from the times alone, before any line is made. Then the lines are made block by block: those of
-numbers many at once, those of frames one by one, in order, each when its turn comes.
+numbers many at once, those of frames one by one, in order, each when its rotation comes.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -85,42 +85,42 @@ class OneByOne:
 
 def merged_lines(streams: Sequence[LineStream]) -> Iterator[list[str]]:
     """Give the lines of all streams, which are in the order of lines of one time, block after block."""
-    stamps = np.concatenate([stream.timestamps_ns for stream in streams] or [np.zeros(0, np.int64)])
+    timestamps = np.concatenate([stream.timestamps_ns for stream in streams] or [np.zeros(0, np.int64)])
     known = np.concatenate([stream.seconds for stream in streams] or [np.zeros(0)])
     ranks = np.repeat(np.arange(len(streams)), [len(stream.timestamps_ns) for stream in streams])
-    order = np.lexsort((ranks, known, stamps))
-    stamps, ranks, known = stamps[order], ranks[order], known[order]
+    order = np.lexsort((ranks, known, timestamps))
+    timestamps, ranks, known = timestamps[order], ranks[order], known[order]
     done = np.zeros(len(streams), np.int64)
     start = 0
-    while start < len(stamps):
-        stop = _end_of_block(stamps, start)
+    while start < len(timestamps):
+        stop = _end_of_block(timestamps, start)
         counts = np.bincount(ranks[start:stop], minlength=len(streams))
         span = slice(start, stop)
-        yield _block(streams, done, counts, stamps[span], ranks[span], known[span])
+        yield _block(streams, done, counts, timestamps[span], ranks[span], known[span])
         done += counts
         start = stop
 
 
-def _end_of_block(stamps: Int64Array, start: int) -> int:
+def _end_of_block(timestamps: Int64Array, start: int) -> int:
     """The end of a block, which parts no lines of one time."""
-    last = min(start + _BLOCK, len(stamps)) - 1
-    return int(np.searchsorted(stamps, stamps[last], side="right"))
+    last = min(start + _BLOCK, len(timestamps)) - 1
+    return int(np.searchsorted(timestamps, timestamps[last], side="right"))
 
 
 def _block(
     streams: Sequence[LineStream],
     done: Int64Array,
     counts: Int64Array,
-    stamps: Int64Array,
+    timestamps: Int64Array,
     ranks: Int64Array,
     known: Float64Array,
 ) -> list[str]:
     spans = [slice(begin, begin + count) for begin, count in zip(done.tolist(), counts.tolist(), strict=True)]
     makers = [stream.lines(span.start, span.stop) for stream, span in zip(streams, spans, strict=True)]
     lines = [next(makers[rank]) for rank in ranks.tolist()]
-    told = np.empty(len(lines))
+    reported = np.empty(len(lines))
     for rank, (stream, span) in enumerate(zip(streams, spans, strict=True)):
-        told[ranks == rank] = stream.seconds[span]
-    if np.array_equal(told, known):
+        reported[ranks == rank] = stream.seconds[span]
+    if np.array_equal(reported, known):
         return lines
-    return [lines[k] for k in np.lexsort((ranks, told, stamps)).tolist()]
+    return [lines[k] for k in np.lexsort((ranks, reported, timestamps)).tolist()]

@@ -1,4 +1,4 @@
-"""Many numbers as JSON text at once: one call of the encoder for a block, in place of one for each line."""
+"""Many numbers as JSON text at once: one call of the encoder for a block, instead of one for each line."""
 
 import msgspec
 import numpy as np
@@ -29,7 +29,7 @@ def exact_seconds(timestamps_ns: Int64Array) -> Float64Array:
 
 
 def holds_time(timestamps_ns: Int64Array, file_seconds: Float64Array | None) -> BoolArray:
-    """Say which numbers of a file still mean their times, (N,) bool."""
+    """Report which numbers of a file still mean their times, (N,) bool."""
     if file_seconds is None:
         return np.zeros(len(timestamps_ns), np.bool_)
     within = np.abs(file_seconds) < 9.2e9

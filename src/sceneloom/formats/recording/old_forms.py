@@ -1,6 +1,6 @@
 """Recordings from before `calibration.json`: `parameters.txt`, and lines about cameras at the head of `data.jsonl`.
 
-A line of a single camera may tell of its picture under `frame`, as the vendor's diagnosis reads it.
+A line of a single camera may report its image under `frame`, as the vendor's diagnosis reads it.
 
 Source: `src/commandline/input_jsonl.cpp`, `src/util/parameter_parser.cpp` and `codegen/parameter_definitions.c` of
 HybVIO, the open part of the vendor's software.
@@ -28,11 +28,11 @@ _LONGEST = 1 << 22
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OldCalibration:
-    """What the old forms say of cameras, in the words of `calibration.json`.
+    """What the old forms state of cameras, in the words of `calibration.json`.
 
     Attributes:
         path: the file that says most of it.
-        content: with `cameras`; empty where nothing is said.
+        content: with `cameras`; empty where nothing is stated.
         doubts: what had to be assumed.
     """
 
@@ -47,7 +47,7 @@ def read_old_calibration(folder: Path, data_path: Path, other_lines: Iterable[st
     Args:
         folder: the recording.
         data_path: its lines.
-        other_lines: those of them that tell of no time.
+        other_lines: those of them that report no time.
 
     Raises:
         DataError: `parameters.txt` cannot be read, or says something that is no parameter.
@@ -63,24 +63,24 @@ def read_old_calibration(folder: Path, data_path: Path, other_lines: Iterable[st
     for index, entry in entries.items():
         if "model" not in entry:
             entry["model"] = "pinhole"
-            doubts.append(f"camera {index} is taken for a pinhole: no model is said")
+            doubts.append(f"camera {index} is taken for a pinhole: no model is stated")
     cameras = [entries.get(index, {}) for index in range(max(entries) + 1)]
     return OldCalibration(path if path.is_file() else data_path, {"cameras": cameras}, tuple(doubts))
 
 
 def _entries_of_lines(other_lines: Iterable[str]) -> dict[int, dict[str, Any]]:
-    """By camera, what lines like `{"cameraInd": 0, "imuToCamera": [...]}` say."""
+    """By camera, what lines like `{"cameraInd": 0, "imuToCamera": [...]}` state."""
     entries: dict[int, dict[str, Any]] = {}
     for text in other_lines:
         line = _object(text) if '"cameraInd"' in text else {}
         index = line.get("cameraInd")
         if not isinstance(index, int) or not 0 <= index < _MOST_CAMERAS:
             continue
-        said = {"imuToCamera": line["imuToCamera"]} if "imuToCamera" in line else {}
+        stated = {"imuToCamera": line["imuToCamera"]} if "imuToCamera" in line else {}
         if _FISHEYE_IN_LINES in str(line.get("model")) and isinstance(line.get("coeffs"), list):
-            said |= {"model": FISHEYE, "distortionCoefficients": _without_fifth(line["coeffs"])}
-        if said:
-            entries.setdefault(index, {}).update(said)
+            stated |= {"model": FISHEYE, "distortionCoefficients": _without_fifth(line["coeffs"])}
+        if stated:
+            entries.setdefault(index, {}).update(stated)
     return entries
 
 
@@ -99,7 +99,7 @@ def _object(text: str) -> dict[str, Any]:
 
 
 def has_old_frame(line: Mapping[str, Any]) -> bool:
-    """Whether a line tells of the one picture of a recording with one camera, under `frame`."""
+    """Whether a line reports the one image of a recording with one camera, under `frame`."""
     return "frames" not in line and isinstance(line.get("frame"), dict)
 
 
@@ -143,13 +143,15 @@ def _entries_of_parameters(
     if values.get("videoRotation", "NONE") != "NONE":
         for entry in entries.values():
             entry.pop("imuToCamera", None)
-        doubts.append("videoRotation turns the mountings in a way that is not known here; they are left out")
+        doubts.append(
+            "videoRotation rotates the mountings in a way that is not known here; they are left out"
+        )
     return entries
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Reader:
-    """Reads what the parameters say of one of the two cameras; those of the second begin with `second`."""
+    """Reads what the parameters state of one of the two cameras; those of the second begin with `second`."""
 
     values: Mapping[str, str]
     path: Path
@@ -157,7 +159,7 @@ class _Reader:
 
     def entry(self) -> dict[str, Any]:
         focal = self._number("focalLength")
-        said = {
+        stated = {
             "focalLengthX": self._number("focalLengthX") or focal,
             "focalLengthY": self._number("focalLengthY") or focal,
             "principalPointX": self._number("principalPointX"),
@@ -165,7 +167,7 @@ class _Reader:
             "imuToCamera": self._matrix(),
             "imuToCameraShiftSeconds": self._read("imuToCameraShiftSeconds", float),
         }
-        entry = {name: value for name, value in said.items() if value is not None}
+        entry = {name: value for name, value in stated.items() if value is not None}
         coefficients = self._read("distortionCoeffs", _numbers) or []
         if not entry and not coefficients:
             return {}
@@ -177,12 +179,12 @@ class _Reader:
         return entry
 
     def _number(self, name: str) -> float | None:
-        """A length in pixels; -1 stands for one that is not said."""
+        """A length in pixels; -1 stands for one that is not stated."""
         value = self._read(name, float)
         return None if value is None or value < 0 else value
 
     def _matrix(self) -> list[float] | None:
-        """Nine or sixteen numbers column by column; fewer stand for a mounting that is not said."""
+        """Nine or sixteen numbers column by column; fewer stand for a mounting that is not stated."""
         numbers = self._read("imuToCameraMatrix", _numbers)
         return numbers if numbers is not None and len(numbers) > 1 else None
 

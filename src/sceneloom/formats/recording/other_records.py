@@ -18,7 +18,7 @@ _FIXED_KEYS = frozenset({"rtkgps", "groundTruth", "pose"})
 
 
 def is_pressure(value: object) -> bool:
-    """Whether what stands under `barometer` tells the pressure of the air."""
+    """Whether what stands under `barometer` reports the pressure of the air."""
     return isinstance(value, dict) and "pressureHectopascals" in value
 
 
@@ -47,11 +47,11 @@ def other_poses(content: dict[str, Any]) -> list[tuple[Origin, Pose, bool]]:
 
 
 def _pose(value: dict[str, Any], origin: Origin, *, says_all: bool) -> tuple[Origin, Pose, bool]:
-    return origin, *_shaped(value, ExactPose, Pose, place=origin[0], says_all=says_all)
+    return origin, *_shaped(value, ExactPose, Pose, location=origin[0], says_all=says_all)
 
 
 def _east_north_up(mean: list[Any], *, says_all: bool) -> tuple[Origin, Pose, bool]:
-    """`gnssEnu`: where a receiver was, metres to the east, north and up of a point that the log does not tell."""
+    """`gnssEnu`: where a receiver was, metres to the east, north and up of a point that the log does not report."""
     if len(mean) != 3:
         raise UnfitLineError(f"gnssEnu.mean: {mean}; expected 3 numbers (east, north, up)")
     position = dict(zip("xyz", mean, strict=True))
@@ -82,11 +82,11 @@ def _may_be_fix(key: str, value: dict[str, Any]) -> bool:
 def _fix(key: str, value: dict[str, Any], *, says_all: bool) -> tuple[Origin, GnssFix, bool]:
     name = value.get("name") if key == "pose" else None
     origin = (key, name if isinstance(name, str) and name else key)
-    return origin, *_shaped(value, ExactGnssFix, GnssFix, place=key, says_all=says_all)
+    return origin, *_shaped(value, ExactGnssFix, GnssFix, location=key, says_all=says_all)
 
 
 def _shaped(
-    value: dict[str, Any], exact: type[Shape], wider: type[Shape], *, place: str, says_all: bool
+    value: dict[str, Any], exact: type[Shape], wider: type[Shape], *, location: str, says_all: bool
 ) -> tuple[Shape, bool]:
     """The record in the exact shape, else in the one that allows for more, which then says less than the line."""
     try:
@@ -96,4 +96,4 @@ def _shaped(
     try:
         return msgspec.convert(value, wider), False
     except msgspec.ValidationError as error:
-        raise UnfitLineError(json_problem(error, msgspec.json.encode(value), prefix=place)) from error
+        raise UnfitLineError(json_problem(error, msgspec.json.encode(value), prefix=location)) from error

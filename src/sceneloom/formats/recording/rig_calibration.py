@@ -14,7 +14,7 @@ from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_fault
 from sceneloom.formats.recording.mounts import MatrixNumbers, rigid_transform
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.warnings import WarningKind
 
 _FARTHEST = 1e6
 _SHORTEST = 1e-6
@@ -30,13 +30,13 @@ class Vector(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigCalibration:
-    """The fields at the root of a `calibration.json`; None for what is not said.
+    """The fields at the root of a `calibration.json`; None for what is not stated.
 
     Attributes:
         output_from_imu: `imuToOutput`, to the frame whose poses the vendor's software puts out.
         gnss_from_imu: `imuToGnss`, to the antenna of the satellite receiver.
         magnetometer_from_imu: `imuToMagnetometer`.
-        forward_imu: `imuForward`, (3,) float64, unit: the way that the vehicle drives, in the IMU's frame.
+        forward_imu: `imuForward`, (3,) float64, unit: the trajectory that the vehicle drives, in the IMU's frame.
     """
 
     output_from_imu: RigidTransform | None = None
@@ -54,7 +54,7 @@ def read_rig(path: Path, content: Mapping[str, Any], ledger: Ledger) -> RigCalib
     """
     read = {
         "imuToOutput": _transform,
-        "imuToGnss": _transform_or_place,
+        "imuToGnss": _transform_or_location,
         "imuToMagnetometer": _transform,
         "imuForward": _direction,
     }
@@ -69,7 +69,7 @@ def read_rig(path: Path, content: Mapping[str, Any], ledger: Ledger) -> RigCalib
     output = found["imuToOutput"]
     if output is not None and not np.allclose(output.matrix, np.eye(4)):
         message = "imuToOutput is not the identity; the poses of all lines are taken as those of the IMU"
-        ledger.note(NoticeKind.ASSUMED, "poses-of-imu", f"{path}: imuToOutput", message)
+        ledger.note(WarningKind.ASSUMED, "poses-of-imu", f"{path}: imuToOutput", message)
     return RigCalibration(*found.values())
 
 
@@ -77,14 +77,14 @@ def _transform(path: Path, name: str, value: object, ledger: Ledger) -> RigidTra
     return rigid_transform(_converted(path, name, value, MatrixNumbers), f"{path}: {name}", ledger)
 
 
-def _transform_or_place(path: Path, name: str, value: object, ledger: Ledger) -> RigidTransform:
-    """Read a matrix, or the antenna's place in the IMU's frame as the vendor's recorders take it."""
+def _transform_or_location(path: Path, name: str, value: object, ledger: Ledger) -> RigidTransform:
+    """Read a matrix, or the antenna's location in the IMU's frame as the vendor's recorders take it."""
     if isinstance(value, list) and (len(value) != 3 or any(isinstance(number, list) for number in value)):
         return _transform(path, name, value, ledger)
-    place_imu = _vector(path, name, value)
+    position_imu = _vector(path, name, value)
     message = f"{name} is a vector: taken to be where the antenna is, in the IMU's frame"
-    ledger.note(NoticeKind.ASSUMED, "antenna-place", f"{path}: {name}", message)
-    return RigidTransform(np.eye(3), -place_imu)
+    ledger.note(WarningKind.ASSUMED, "antenna-location", f"{path}: {name}", message)
+    return RigidTransform(np.eye(3), -position_imu)
 
 
 def _direction(path: Path, name: str, value: object, ledger: Ledger) -> Float64Array:

@@ -14,10 +14,10 @@ from sceneloom.formats.recording.calibration import CALIBRATION_FILE, Calibratio
 from sceneloom.formats.recording.camera_building import CameraSources, build_cameras
 from sceneloom.formats.recording.camera_shifts import CAMERA_SHIFTS, applied_shifts
 from sceneloom.formats.recording.further_contents import RecordingContents, further_contents
+from sceneloom.formats.recording.image_files import ALIGNMENTS, OpenImages
 from sceneloom.formats.recording.lidar_building import build_lidars
 from sceneloom.formats.recording.lines import read_lines
 from sceneloom.formats.recording.number_sensors import build_number_sensors
-from sceneloom.formats.recording.picture_files import ALIGNMENTS, OpenPictures
 from sceneloom.formats.recording.spec import DATA_FILE
 from sceneloom.formats.recording.trajectories import build_trajectories
 from sceneloom.formats.recording.zipped import is_zip, unpack
@@ -31,7 +31,7 @@ def _nothing() -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class RecordingPlace:
+class RecordingLocation:
     """A recording's folder.
 
     Attributes:
@@ -53,31 +53,33 @@ class RecordingPlace:
 class Closing:
     """Closes what a scene holds open, then takes away what was made for it."""
 
-    pictures: OpenPictures
+    images: OpenImages
     remove: Callable[[], None]
 
     def __call__(self) -> None:
         """Close everything."""
-        self.pictures.close()
+        self.images.close()
         self.remove()
 
 
-def find_place(path: Path) -> RecordingPlace:
+def find_location(path: Path) -> RecordingLocation:
     """Find the folder of a recording that is named by its folder, its log or a zip archive of it.
 
     Raises:
         DataError: the archive is damaged, or holds something else or too much.
     """
     if path.is_dir():
-        return RecordingPlace(path, str(path), path / DATA_FILE)
+        return RecordingLocation(path, str(path), path / DATA_FILE)
     if is_zip(path):
         unpacked = unpack(path, DATA_FILE)
-        return RecordingPlace(unpacked.folder, str(path), unpacked.folder / DATA_FILE, remove=unpacked.remove)
+        return RecordingLocation(
+            unpacked.folder, str(path), unpacked.folder / DATA_FILE, remove=unpacked.remove
+        )
     if path.name == DATA_FILE:
-        return RecordingPlace(path.parent, str(path.parent), path)
+        return RecordingLocation(path.parent, str(path.parent), path)
     if path.is_file():
-        return RecordingPlace(path.parent, str(path), path, alone=True)
-    return RecordingPlace(path, str(path), path / DATA_FILE)
+        return RecordingLocation(path.parent, str(path), path, alone=True)
+    return RecordingLocation(path, str(path), path / DATA_FILE)
 
 
 def open_recording(
@@ -88,28 +90,28 @@ def open_recording(
     camera_shift: str = "ignore",
     image_index: str = "auto",
 ) -> Scene:
-    """Open a recording; pictures and points are read when asked for.
+    """Open a recording; images and points are read when asked for.
 
     Args:
         path: the folder, the `data.jsonl` in it, a zip archive, which is unpacked until the scene is closed, or any
-            other file of such lines, as methods put out; what lies beside that counts only if it has pictures or lidar.
+            other file of such lines, as methods put out; what lies beside that counts only if it has images or lidar.
         lenient: leave out and count what is wrong instead of raising.
         altitude: what the altitudes of `gps` lines are above: "wgs84", the ellipsoid, or "msl", mean sea level.
         camera_shift: what becomes of `imuToCameraShiftSeconds` of the calibration: "ignore"; "apply" adds it to the
-            times of the camera's pictures, which are then on the IMU's clock; "subtract" takes it off them.
-        image_index: which picture of a video a `frames` line means: "number": `number` is its index; "first": `number`
-            less the first one; "line": each line the next picture; "auto": "first" where there are as many pictures as
+            times of the camera's images, which are then on the IMU's clock; "subtract" takes it off them.
+        image_index: which image of a video a `frames` line means: "number": `number` is its index; "first": `number`
+            less the first one; "line": each line the next image; "auto": "first" where there are as many images as
             the numbers span, "line" where as many as lines, else that is open: an error.
 
     Raises:
         DataError: files are missing or wrong.
-        CalibrationError: a lens or a mounting is unusable.
+        CalibrationError: a camera model or a mounting is unusable.
         OptionError: a value is unknown.
     """
     check_values(altitude, camera_shift, image_index)
     ledger = Ledger(lenient=lenient)
     return read_recording(
-        find_place(path), altitude, ledger, camera_shift=camera_shift, image_index=image_index
+        find_location(path), altitude, ledger, camera_shift=camera_shift, image_index=image_index
     )[0]
 
 
@@ -129,7 +131,7 @@ def check_values(altitude: str, camera_shift: str, image_index: str = "auto") ->
 
 
 def read_recording(
-    place: RecordingPlace,
+    location: RecordingLocation,
     altitude: str,
     ledger: Ledger,
     *,
@@ -143,32 +145,32 @@ def read_recording(
     """
     try:
         with ledger.telling():
-            return _read(place, altitude, camera_shift, image_index, ledger)
+            return _read(location, altitude, camera_shift, image_index, ledger)
     except OSError as error:
-        place.remove()
-        raise DataError(place.source, "", f"cannot be read: {error}") from error
+        location.remove()
+        raise DataError(location.source, "", f"cannot be read: {error}") from error
     except BaseException:
-        place.remove()
+        location.remove()
         raise
 
 
 def _read(
-    place: RecordingPlace, altitude: str, camera_shift: str, image_index: str, ledger: Ledger
+    location: RecordingLocation, altitude: str, camera_shift: str, image_index: str, ledger: Ledger
 ) -> tuple[Scene, RecordingContents]:
-    folder, data_path = place.folder, place.data_path
+    folder, data_path = location.folder, location.data_path
     if not folder.is_dir():
         raise DataError(folder, "", "no such folder; expected a recording's folder")
     if not data_path.is_file():
         raise DataError(folder, "", f"holds no {DATA_FILE}; expected a recording's folder")
     data_file = FileIdentity.of(data_path)
     columns = read_lines(data_path, ledger)
-    alone = place.alone and not (columns.frames.cameras or columns.lidars)
+    alone = location.alone and not (columns.frames.cameras or columns.lidars)
     calibration = Calibration(folder / CALIBRATION_FILE)
     if not alone:
         calibration = read_calibration(folder, ledger, data_path=data_path, other_lines=columns.other_lines)
     trajectories = build_trajectories(columns.poses, data_path, ledger)
     ego_path = default_poses(trajectories, str(data_path), ledger)
-    opened = OpenPictures()
+    opened = OpenImages()
     with ExitStack() as stack:
         stack.callback(opened.close)
         sources = CameraSources(
@@ -198,10 +200,10 @@ def _read(
                 {trajectory.name: trajectory for trajectory in trajectories.values()}
             ),
             metadata=MappingProxyType({"recording": metadata}),
-            source=place.source,
+            source=location.source,
             format="recording",
-            notices=ledger.notices,
-            on_close=Closing(opened, place.remove),
+            warnings=ledger.warnings,
+            on_close=Closing(opened, location.remove),
         )
         stack.pop_all()
         return scene, contents

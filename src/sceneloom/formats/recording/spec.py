@@ -68,7 +68,7 @@ def _is_zipped(path: Path) -> bool:
 
 
 def _near_miss(path: Path) -> str | None:
-    """Say what keeps a path from being a recording, where it nearly is one; None where it is something else."""
+    """Report what keeps a path from being a recording, where it nearly is one; None where it is something else."""
     if not path.is_dir():
         return _damage(path)
     names = sorted(entry.name for entry in path.iterdir())
@@ -87,33 +87,35 @@ def _damage(path: Path) -> str | None:
     return damage_of_zip(path)
 
 
-_NO_PLACE = dropped("the format has none")
+_NO_POSITION = dropped("the format has none")
 _MOUNTED = ("lidar", "camera", "depth_camera")
 _STREAMS = ("accelerometer", "gyroscope", "magnetometer", "other")
 _SUPPORTS = {
     "": KEPT,
-    "sensors.radar": _NO_PLACE,
-    "sensors.points": _NO_PLACE,
-    "sensors.plain": _NO_PLACE,
-    **{f"sensors.{kind}.parent_id": _NO_PLACE for kind in (*_MOUNTED, "odometry", "imu", "gnss")},
-    "sensors.lidar.frames.points.colors": _NO_PLACE,
-    "sensors.lidar.frames.points.camera_index": _NO_PLACE,
+    "sensors.radar": _NO_POSITION,
+    "sensors.points": _NO_POSITION,
+    "sensors.plain": _NO_POSITION,
+    **{f"sensors.{kind}.parent_id": _NO_POSITION for kind in (*_MOUNTED, "odometry", "imu", "gnss")},
+    "sensors.lidar.frames.points.colors": _NO_POSITION,
+    "sensors.lidar.frames.points.camera_index": _NO_POSITION,
     **{
-        f"sensors.{kind}.coordinates": converted("places are told by the mounting and the ego's way")
+        f"sensors.{kind}.coordinates": converted(
+            "locations are reported by the mounting and the ego trajectory"
+        )
         for kind in _MOUNTED
     },
     "sensors.camera.video": converted("packets are copied into a file of another kind"),
-    "sensors.camera.pictures.encoded": dropped("pictures are written as a video, or as PNG"),
+    "sensors.camera.images.encoded": dropped("images are written as a video, or as PNG"),
     "sensors.depth_camera.video": converted("encoded anew as FFV1, which loses nothing"),
     **{
-        f"{kind}.file_seconds": converted("written anew where they do not say the exact times")
+        f"{kind}.file_seconds": converted("written anew where they do not state the exact times")
         for kind in (*(f"sensors.imu.streams.{name}" for name in _STREAMS), "sensors.gnss", "trajectories")
     },
     "sensors.odometry.id": converted("the name of a trajectory"),
     "sensors.odometry.poses": converted("written as a trajectory"),
-    "annotations": _NO_PLACE,
-    "trajectories.covariances": _NO_PLACE,
-    "attributes": _NO_PLACE,
+    "annotations": _NO_POSITION,
+    "trajectories.covariances": _NO_POSITION,
+    "attributes": _NO_POSITION,
     "time_offset_ns": converted("times are written whole"),
 }
 
@@ -127,7 +129,7 @@ FORMAT = FormatSpec(
     read_options=("lenient", "altitude", "camera_shift", "image_index"),
     examiner="sceneloom.formats.recording.examination:examine_recording",
     writer="sceneloom.formats.recording.writer:write_recording",
-    write_options=("pictures",),
+    write_options=("images",),
     output_check="sceneloom.formats.recording.writer:check_outside_recordings",
     supports=MappingProxyType(_SUPPORTS),
 )

@@ -1,4 +1,4 @@
-"""The trajectories of a recording: the ego's way under each name, and where sensors were along the default one."""
+"""The trajectories of a recording: the ego trajectory under each name, and where sensors were along the default one."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,8 +11,8 @@ from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.poses import GREATEST_NORM_ERROR
 from sceneloom.formats.recording.column_arrays import SortedColumns, by_time
 from sceneloom.formats.recording.columns import PoseColumns
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.warnings import WarningKind
 
 RANKS: Mapping[str, int] = {"groundTruth": 0, "pose": 1, "externalPose": 1}
 """Which root keys are taken for the default trajectory before others."""
@@ -85,27 +85,27 @@ def _check_orientations(
 
 
 def _note_missing(name: str, missing: BoolArray, lines: Int64Array, path: Path, ledger: Ledger) -> None:
-    """Say how many poses lack the orientation that others have: nothing is made up for them."""
+    """Report how many poses lack the orientation that others have: nothing is made up for them."""
     count = int(missing.sum())
     if count:
         message = (
             f"{count} of {len(missing)} poses of {name!r} have no orientation, while others have one; they are left "
             "out of the trajectory"
         )
-        place = f"{path}: line {lines[np.flatnonzero(missing)[0]]}"
-        ledger.note(NoticeKind.SKIPPED, "poses-without-orientation", place, message, count=count)
+        location = f"{path}: line {lines[np.flatnonzero(missing)[0]]}"
+        ledger.note(WarningKind.SKIPPED, "poses-without-orientation", location, message, count=count)
 
 
 def _first_of_each_time(
     name: str, samples: SortedColumns, usable: BoolArray, lines: Int64Array, path: Path, ledger: Ledger
 ) -> BoolArray:
-    """Keep one pose per time: a body is in one place."""
+    """Keep one pose per time: a body is in one location."""
     kept = usable.copy()
     rows = np.flatnonzero(usable)
     repeated = rows[1:][np.diff(samples.timestamps_ns[rows]) == 0]
     if len(repeated):
         kept[repeated] = False
         message = f"{name!r} has several poses at {samples.seconds[repeated[0]]} s; the first was kept"
-        place = f"{path}: line {lines[repeated[0]]}"
-        ledger.note(NoticeKind.SKIPPED, "repeated-poses", place, message, count=len(repeated))
+        location = f"{path}: line {lines[repeated[0]]}"
+        ledger.note(WarningKind.SKIPPED, "repeated-poses", location, message, count=len(repeated))
     return kept

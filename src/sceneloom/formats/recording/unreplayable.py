@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sceneloom.arrays import Int64Array
-from sceneloom.formats.loss import Fate, Loss
+from sceneloom.formats.loss import Loss, Support
 from sceneloom.formats.recording.vio_config import unknown_keys
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.depth import DepthCameraSensor
@@ -65,12 +65,12 @@ def _of_cameras(cameras: Sequence[ShootingSensor]) -> Iterator[Loss]:
 def _of_equal_times(cameras: Sequence[ShootingSensor], imu: ImuSensor | None) -> Iterator[Loss]:
     if imu is None or not cameras:
         return
-    stamps: Int64Array = np.concatenate([shots_of(camera).timestamps_ns for camera in cameras])
+    timestamps: Int64Array = np.concatenate([shots_of(camera).timestamps_ns for camera in cameras])
     measured = [samples.timestamps_ns for name, samples in imu.streams.items() if name in _NEEDED]
-    equal = int(np.isin(np.unique(stamps), np.concatenate([*measured, np.zeros(0, np.int64)])).sum())
+    equal = int(np.isin(np.unique(timestamps), np.concatenate([*measured, np.zeros(0, np.int64)])).sum())
     if equal:
         yield _loss(
-            "pictures have the very times of IMU samples, which makes the vendor's diagnosis suspect that their times "
+            "images have the very times of IMU samples, which makes the vendor's diagnosis suspect that their times "
             "were not measured; they are written as they are",
             equal,
         )
@@ -78,7 +78,7 @@ def _of_equal_times(cameras: Sequence[ShootingSensor], imu: ImuSensor | None) ->
 
 def _of_lidars(lidars: Sequence[LidarSensor]) -> Iterator[Loss]:
     if len(lidars) > 1:
-        yield _loss("the vendor's software does not tell lidars apart (`lidarInd`)", len(lidars))
+        yield _loss("the vendor's software does not report lidars apart (`lidarInd`)", len(lidars))
 
 
 def _of_settings(vio_config: str | None) -> Iterator[Loss]:
@@ -91,4 +91,4 @@ def _of_settings(vio_config: str | None) -> Iterator[Loss]:
 
 
 def _loss(what: str, count: int = 1) -> Loss:
-    return Loss(field=FIELD, what=what, count=count, fate=Fate.KEPT)
+    return Loss(field=FIELD, what=what, count=count, support=Support.KEPT)

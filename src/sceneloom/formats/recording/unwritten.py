@@ -1,8 +1,8 @@
-"""What a recording has no place for, found in a scene before it is written."""
+"""What a recording has no field for, found in a scene before it is written."""
 
 from collections.abc import Iterator, Sequence
 
-from sceneloom.formats.loss import Fate, Loss
+from sceneloom.formats.loss import Loss, Support
 from sceneloom.formats.recording.written_shots import shooting_sensors
 from sceneloom.scene.clouds import PointsSensor, RadarSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
@@ -11,7 +11,7 @@ from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.shooting import ShootingSensor
 
-_NO_PLACE = "left out: the format has none"
+_NO_POSITION = "left out: the format has none"
 _RECORDING_EXTRAS = {"calibration", "lidarInd"}
 
 
@@ -49,18 +49,18 @@ def _of_root(scene: Scene) -> Iterator[Loss]:
         **{f"metadata.{name}": 1 for name in scene.metadata if name != "recording"},
         **{f"extras.{name}": 1 for name in scene.extras},
     }
-    yield from (Loss(field=name, what=_NO_PLACE, count=count) for name, count in counts.items() if count)
+    yield from (Loss(field=name, what=_NO_POSITION, count=count) for name, count in counts.items() if count)
 
 
 def _of_sensor(sensor: Sensor) -> Iterator[Loss]:
     if isinstance(sensor, RadarSensor | PointsSensor | PlainSensor):
-        yield Loss(field=f"sensors[{sensor.id}]", what=_NO_PLACE)
+        yield Loss(field=f"sensors[{sensor.id}]", what=_NO_POSITION)
         return
     for name in sensor.extras:
         if name not in _RECORDING_EXTRAS:
-            yield Loss(field=f"sensors[{sensor.id}].{name}", what=_NO_PLACE)
+            yield Loss(field=f"sensors[{sensor.id}].{name}", what=_NO_POSITION)
     if sensor.parent_id is not None:
-        yield Loss(field=f"sensors[{sensor.id}].parent_id", what=_NO_PLACE)
+        yield Loss(field=f"sensors[{sensor.id}].parent_id", what=_NO_POSITION)
 
 
 def _of_odometry(scene: Scene, trajectories: Sequence[Trajectory]) -> Iterator[Loss]:
@@ -69,7 +69,7 @@ def _of_odometry(scene: Scene, trajectories: Sequence[Trajectory]) -> Iterator[L
     for sensor in scene.sensors:
         if isinstance(sensor, OdometrySensor):
             written = f"written as trajectory {str(sensor.id)!r}"
-            if sensor.poses.endless:
+            if sensor.poses.static:
                 written = "left out: the format has no path without end"
             elif str(sensor.id) not in names:
                 written = "left out: a trajectory says the same"
@@ -77,7 +77,7 @@ def _of_odometry(scene: Scene, trajectories: Sequence[Trajectory]) -> Iterator[L
             yield Loss(
                 field=f"sensors[{sensor.id}]",
                 what=written,
-                fate=Fate.DROPPED if left_out else Fate.CONVERTED,
+                support=Support.DROPPED if left_out else Support.CONVERTED,
             )
 
 
@@ -85,7 +85,7 @@ def _of_cameras(scene: Scene, cameras: Sequence[ShootingSensor]) -> Iterator[Los
     for camera in shooting_sensors(scene):
         if camera not in cameras:
             yield Loss(
-                field=f"sensors[{camera.id}]", what="left out: it has no pictures, while other cameras have"
+                field=f"sensors[{camera.id}]", what="left out: it has no images, while other cameras have"
             )
 
 
@@ -120,11 +120,11 @@ def _of_order(scene: Scene, cameras: Sequence[ShootingSensor], imu: ImuSensor | 
 
 
 def _of_antennas(scene: Scene) -> Iterator[Loss]:
-    """The places of antennas but that of the one receiver for which the format has a field."""
+    """The locations of antennas but that of the one receiver for which the format has a field."""
     found = [sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)]
     for sensor in found:
         if sensor.mount is not None and sensor not in main_receiver(found):
-            yield Loss(field=f"sensors[{sensor.id}].mount", what=_NO_PLACE)
+            yield Loss(field=f"sensors[{sensor.id}].mount", what=_NO_POSITION)
 
 
 def main_receiver(receivers: Sequence[GnssSensor]) -> list[GnssSensor]:
@@ -140,4 +140,4 @@ def _of_default(scene: Scene, trajectories: Sequence[Trajectory]) -> Iterator[Lo
         yield Loss(field="trajectories.order", what=f"read back with 'groundTruth' first, not {default!r}")
     for trajectory in trajectories:
         if trajectory.covariances is not None:
-            yield Loss(field=f"trajectories.{trajectory.name}.covariances", what=_NO_PLACE)
+            yield Loss(field=f"trajectories.{trajectory.name}.covariances", what=_NO_POSITION)

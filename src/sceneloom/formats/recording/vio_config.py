@@ -56,23 +56,23 @@ def read_vio_config(text: str) -> VioConfig:
 
 
 def _content(text: str) -> Iterator[tuple[int, str]]:
-    """The lines at the root that say something, without their comments."""
+    """The lines at the root that state something, without their comments."""
     for number, line in enumerate(text.lstrip("\ufeff").splitlines(), start=1):
-        said = _without_comment(line).rstrip()
-        if said and not said[0].isspace() and not said.startswith(_MARKS):
-            yield number, said
+        stated = _without_comment(line).rstrip()
+        if stated and not stated[0].isspace() and not stated.startswith(_MARKS):
+            yield number, stated
 
 
 def _without_comment(line: str) -> str:
     """Cut what stands behind a `#` that begins a comment: one that is in no quotes and follows a blank."""
     quote = ""
-    for place, letter in enumerate(line):
+    for location, letter in enumerate(line):
         if quote:
             quote = "" if letter == quote else quote
         elif letter in "\"'":
             quote = letter
-        elif letter == "#" and (place == 0 or line[place - 1].isspace()):
-            return line[:place]
+        elif letter == "#" and (location == 0 or line[location - 1].isspace()):
+            return line[:location]
     return line
 
 
@@ -82,7 +82,7 @@ def unknown_keys(text: str) -> list[str]:
 
 
 def repeated_keys(text: str) -> list[str]:
-    """The names of settings that stand there more than once; which value counts is not said."""
+    """The names of settings that stand there more than once; which value counts is not stated."""
     keys = [setting.key for setting in read_vio_config(text).settings]
     return sorted({key for key in keys if keys.count(key) > 1})
 

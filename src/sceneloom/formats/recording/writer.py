@@ -1,4 +1,4 @@
-"""A scene as a recording's folder: sorted lines, calibration, videos or PNG pictures, lidar binaries."""
+"""A scene as a recording's folder: sorted lines, calibration, videos or PNG images, lidar binaries."""
 
 import shutil
 from collections.abc import Sequence
@@ -11,22 +11,22 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError, OptionError, OutputError
-from sceneloom.formats.loss import Fate, Loss, LossReport
+from sceneloom.formats.loss import Loss, LossReport, Support
 from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.formats.recording.calibration import CALIBRATION_FILE
+from sceneloom.formats.recording.image_rows import ImageRows, grouping_losses, image_rows
 from sceneloom.formats.recording.kept_texts import SharedLines, timed_lines, untimed_lines
 from sceneloom.formats.recording.merged_lines import FRAMES, LineStream, OneByOne, WrittenLine, merged_lines
-from sceneloom.formats.recording.picture_rows import PictureRows, grouping_losses, picture_rows
 from sceneloom.formats.recording.spec import DATA_FILE
 from sceneloom.formats.recording.writing_plan import WritingPlan
 from sceneloom.formats.recording.written_calibration import antenna_entry, camera_entry, cropped, lidar_entry
 from sceneloom.formats.recording.written_frames import FrameLines
+from sceneloom.formats.recording.written_images import IMAGES, ImageSink, open_sink
 from sceneloom.formats.recording.written_lines import NumberLines, receiver_origin
-from sceneloom.formats.recording.written_pictures import PICTURES, PictureSink, open_sink
 from sceneloom.formats.recording.written_shots import of_recording
 from sceneloom.formats.recording.written_sweeps import LIDAR_MODEL, SweepWriter, sweep_stream
 from sceneloom.formats.recording.written_times import TimeWriter
-from sceneloom.scene.assumed_lenses import check_lenses
+from sceneloom.scene.assumed_camera_models import check_camera_models
 from sceneloom.scene.motion import GnssSensor
 from sceneloom.scene.scene import Scene
 
@@ -45,9 +45,7 @@ _KIND = FolderKind(
 """What a recording's folder holds; one with anything else in it is somebody's own."""
 
 
-def write_recording(
-    scene: Scene, path: Path, *, overwrite: bool = False, pictures: str = "copy"
-) -> LossReport:
+def write_recording(scene: Scene, path: Path, *, overwrite: bool = False, images: str = "copy") -> LossReport:
     """Write a scene as a recording; frames are read, written and let go one by one.
 
     Args:
@@ -55,7 +53,7 @@ def write_recording(
         path: the folder that is made.
         overwrite: replace the folder if it is a recording, or empty, but for a README; nobody else's folder is ever
             replaced.
-        pictures: "copy" copies a camera's own video packet by packet, cut to the pictures that are left, where that can
+        images: "copy" copies a camera's own video packet by packet, cut to the images that are left, where that can
             be done, and encodes H.264 else, or FFV1 where that video has lost nothing; "lossless" encodes FFV1 then;
             "h264" copies only what is H.264 already; "ffv1" (video) and "png" (files) lose nothing.
 
@@ -63,19 +61,19 @@ def write_recording(
         What the format could not hold.
 
     Raises:
-        OptionError: `pictures` is none of these.
+        OptionError: `images` is none of these.
         OutputError: the path exists, lies inside a recording, or cannot be written.
-        CalibrationError: no model of the format comes near a lens, or a camera's mounting is unknown.
+        CalibrationError: no model of the format comes near a camera model, or a camera's mounting is unknown.
         PoseError: points are in the world, and it is not known where their lidar was.
         DataError: what the scene is read from is damaged, or has nothing that a recording can hold.
     """
-    if pictures not in PICTURES:
-        raise OptionError(f"pictures {pictures!r}; expected one of: {', '.join(PICTURES)}")
+    if images not in IMAGES:
+        raise OptionError(f"images {images!r}; expected one of: {', '.join(IMAGES)}")
     check_outside_recordings(path)
     plan = WritingPlan.of(scene)
-    check_lenses(scene, plan.cameras)
+    check_camera_models(scene, plan.cameras)
     with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
-        losses = _RecordingWriter(plan, draft, pictures).write()
+        losses = _RecordingWriter(plan, draft, images).write()
         for note in path.glob("README*"):
             if note.is_file():
                 shutil.copy2(note, draft)
@@ -90,7 +88,7 @@ def check_outside_recordings(path: Path) -> None:
     """
     for above in path.absolute().parents:
         if (above / DATA_FILE).is_file():
-            raise OutputError(f"{path}: lies inside the recording {above}; choose a place beside it")
+            raise OutputError(f"{path}: lies inside the recording {above}; choose a location beside it")
 
 
 class _LosingPart(Protocol):
@@ -105,8 +103,8 @@ class _LosingPart(Protocol):
 class _RecordingWriter:
     """Writes one recording into an empty folder."""
 
-    def __init__(self, plan: WritingPlan, folder: Path, pictures: str) -> None:
-        self._plan, self._folder, self._pictures = plan, folder, pictures
+    def __init__(self, plan: WritingPlan, folder: Path, images: str) -> None:
+        self._plan, self._folder, self._images = plan, folder, images
         self._times = TimeWriter()
         self._numbers = NumberLines(self._times, plan.notes.further_keys)
         self._losses = list(plan.losses)
@@ -114,13 +112,13 @@ class _RecordingWriter:
     def write(self) -> list[Loss]:
         """Write all files; give what was lost."""
         plan = self._plan
-        rows = picture_rows(plan.cameras, plan.notes.frame_lines)
+        rows = image_rows(plan.cameras, plan.notes.frame_lines)
         with ExitStack() as stack:
             sinks = self._open_sinks(rows, stack)
             keep = of_recording(plan.scene)
             frames = FrameLines(plan.cameras, sinks, rows, self._times, keep_extras=keep)
-            pictures = frames.stream()
-            shared = SharedLines(plan.notes.shared_lines, self._hosts(pictures))
+            images = frames.stream()
+            shared = SharedLines(plan.notes.shared_lines, self._hosts(images))
             self._numbers = NumberLines(
                 self._times,
                 plan.notes.further_keys,
@@ -128,12 +126,12 @@ class _RecordingWriter:
                 sensor_barometer=plan.notes.sensor_barometer,
             )
             sweeps = self._sweep_writers(shared)
-            # of one time, the small lines come first: a filter then knows all up to a picture when it gets it
+            # of one time, the small lines come first: a filter then knows all up to an image when it gets it
             self._write_lines(
                 [
                     *self._number_streams(shared),
                     *(sweep.stream() for sweep in sweeps),
-                    pictures,
+                    images,
                     _kept_stream(untimed_lines(plan.notes.other_lines, plan.notes.other_seconds)),
                 ]
             )
@@ -146,20 +144,18 @@ class _RecordingWriter:
         self._losses.extend(loss for part in parts for loss in part.losses)
         return [*self._losses, *grouping_losses(plan.cameras, rows), *_time_losses(self._times)]
 
-    def _open_sinks(self, rows: PictureRows, stack: ExitStack) -> list[PictureSink]:
-        sinks: list[PictureSink] = []
-        for index, camera in enumerate(self._plan.cameras if len(rows.pictures) else ()):
-            sinks.append(
-                open_sink(camera, self._folder, index, rows.pictures[:, index], pictures=self._pictures)
-            )
+    def _open_sinks(self, rows: ImageRows, stack: ExitStack) -> list[ImageSink]:
+        sinks: list[ImageSink] = []
+        for index, camera in enumerate(self._plan.cameras if len(rows.images) else ()):
+            sinks.append(open_sink(camera, self._folder, index, rows.images[:, index], images=self._images))
             stack.callback(sinks[-1].abandon)
         return sinks
 
-    def _hosts(self, pictures: LineStream) -> dict[str, Int64Array]:
-        """Times of pictures and sweeps, by the names of their streams."""
+    def _hosts(self, images: LineStream) -> dict[str, Int64Array]:
+        """Times of images and sweeps, by the names of their streams."""
         lidars = self._plan.lidars
         sweeps = {sweep_stream(lidar, k): lidar.frames.timestamps_ns for k, lidar in enumerate(lidars)}
-        return {FRAMES: pictures.timestamps_ns, **sweeps}
+        return {FRAMES: images.timestamps_ns, **sweeps}
 
     def _sweep_writers(self, shared: SharedLines) -> list[SweepWriter]:
         plan = self._plan
@@ -188,12 +184,14 @@ class _RecordingWriter:
         if not any(len(stream.timestamps_ns) for stream in streams):
             raise DataError(self._plan.scene.source, "", "holds nothing that a recording could hold")
 
-    def _write_calibration(self, sinks: list[PictureSink]) -> None:
+    def _write_calibration(self, sinks: list[ImageSink]) -> None:
         plan = self._plan
         cameras: list[dict[str, Any]] = []
         for index, camera in enumerate(plan.cameras):
-            lens = cropped(camera.camera, sinks[index].width, sinks[index].height) if sinks else camera.camera
-            entry, lost = camera_entry(camera, lens, plan.mounts[index])
+            camera_model = (
+                cropped(camera.camera, sinks[index].width, sinks[index].height) if sinks else camera.camera
+            )
+            entry, lost = camera_entry(camera, camera_model, plan.mounts[index])
             cameras.append(entry)
             self._losses.extend(lost)
         lidars = [
@@ -218,5 +216,7 @@ def _time_losses(times: TimeWriter) -> list[Loss]:
     what = f"times written exactly, but a 64-bit number of seconds holds them within {times.worst_ns} ns only"
     worst = float(times.worst_ns)
     return [
-        Loss(field="timestamps", what=what, count=times.inexact, fate=Fate.CONVERTED, largest_error=worst)
+        Loss(
+            field="timestamps", what=what, count=times.inexact, support=Support.CONVERTED, largest_error=worst
+        )
     ]

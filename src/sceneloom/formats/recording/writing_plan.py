@@ -7,7 +7,7 @@ from typing import Any, Self
 import msgspec
 
 from sceneloom.errors import CalibrationError
-from sceneloom.formats.loss import Fate, Loss
+from sceneloom.formats.loss import Loss, Support
 from sceneloom.formats.recording.frame_notes import FrameNotes
 from sceneloom.formats.recording.kept_texts import SharedText
 from sceneloom.formats.recording.trajectories import RANKS
@@ -19,7 +19,7 @@ from sceneloom.formats.recording.written_shots import shooting_sensors
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.motion import ImuSensor, OdometrySensor
-from sceneloom.scene.poses import PosePath, Trajectory, same_way
+from sceneloom.scene.poses import Poses, Trajectory, same_direction
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import check_one_ego
 from sceneloom.scene.shooting import ShootingSensor, shots_of
@@ -32,14 +32,14 @@ class RecordingNotes(msgspec.Struct):
     Attributes:
         calibration: all of `calibration.json`.
         vio_config: the text of `vio_config.yaml`.
-        other_lines: lines that a scene has no place for.
+        other_lines: lines that a scene has no field for.
         other_seconds: by index in `other_lines`, the time of the line before [s], for lines without one.
         further_keys: by stream and key of a row, the text of a line that says more than its sample.
         shared_lines: lines that several streams have a part in.
         trajectory_origins: root key and name of trajectories that were renamed.
         receiver_origins: root key and name of satellite receivers that were renamed.
         sensor_barometer: whether the air pressure came in `sensor` lines.
-        frame_lines: of lines of pictures that are not what would be written else.
+        frame_lines: of lines of images that are not what would be written else.
     """
 
     calibration: dict[str, Any] = {}
@@ -74,7 +74,7 @@ class WritingPlan:
     mounts: Sequence[RigidTransform]
     trajectories: Sequence[tuple[Trajectory, tuple[str, str] | None]]
     imu: ImuSensor | None
-    ego_path: PosePath | None
+    ego_path: Poses | None
     losses: list[Loss] = field(default_factory=list)
 
     @classmethod
@@ -115,7 +115,7 @@ def _trajectories(scene: Scene, notes: RecordingNotes) -> list[tuple[Trajectory,
     found = list(scene.trajectories.values())
     for sensor in scene.sensors:
         path = sensor.poses if isinstance(sensor, OdometrySensor) else None
-        if path is not None and not path.endless and not any(same_way(path, known) for known in found):
+        if path is not None and not path.static and not any(same_direction(path, known) for known in found):
             found.append(
                 Trajectory(str(sensor.id), path.timestamps_ns, path.positions, path.quaternions_xyzw)
             )
@@ -126,22 +126,25 @@ def _ride_along(
     sensors: Sequence[ShootingSensor | LidarSensor],
     trajectories: list[tuple[Trajectory, tuple[str, str] | None]],
     losses: list[Loss],
-) -> PosePath | None:
-    """Take the way of the first sensor that has one for the ego's, so that it and the others' places are not lost."""
+) -> Poses | None:
+    """Take the trajectory of the first sensor that has one for the ego's.
+
+    So that it and the others' locations are not lost.
+    """
     for sensor in sensors:
         path = sensor.poses
         if (
             path is None
-            or path.endless
+            or path.static
             or sensor.coordinates is not Coordinates.WORLD
             or sensor.mount is not None
         ):
             continue
         name = str(sensor.id)
-        way = Trajectory(name, path.timestamps_ns, path.positions, path.quaternions_xyzw)
-        trajectories.append((way, ("pose", name)))
-        what = f"written as trajectory {name!r}, which the ego is taken to follow: the scene has no way of the ego"
-        losses.append(Loss(field=f"sensors[{sensor.id}].poses", what=what, fate=Fate.CONVERTED))
+        trajectory = Trajectory(name, path.timestamps_ns, path.positions, path.quaternions_xyzw)
+        trajectories.append((trajectory, ("pose", name)))
+        what = f"written as trajectory {name!r}, which the ego is taken to follow: the scene has no ego trajectory"
+        losses.append(Loss(field=f"sensors[{sensor.id}].poses", what=what, support=Support.CONVERTED))
         return path
     return None
 
@@ -149,14 +152,17 @@ def _ride_along(
 def _of_unplaced(
     scene: Scene, trajectories: Sequence[tuple[Trajectory, tuple[str, str] | None]]
 ) -> list[Loss]:
-    """Say that sensors lose their poses: the trajectory that reading takes for the ego's way has no orientations."""
+    """Report that sensors lose their poses.
+
+    The trajectory that reading takes for the ego trajectory has no orientations.
+    """
     posed = sum(getattr(sensor, "poses", None) is not None for sensor in scene.sensors)
     ranked = sorted(
         trajectories, key=lambda pair: RANKS.get((pair[1] or origin_for(pair[0].name))[0], len(RANKS))
     )
     if not posed or (ranked and ranked[0][0].quaternions_xyzw is not None):
         return []
-    what = "left out: there is no trajectory of the ego with orientations that recordings place sensors by"
+    what = "left out: there is no trajectory of the ego with orientations that recordings location sensors by"
     return [Loss(field="sensors[].poses", what=what, count=posed)]
 
 
@@ -167,14 +173,14 @@ def _written_imu(scene: Scene) -> ImuSensor | None:
     return next(iter([*whole, *units]), None)
 
 
-def _ego_path(scene: Scene) -> PosePath | None:
+def _ego_path(scene: Scene) -> Poses | None:
     oriented = (known.poses for known in scene.trajectories.values() if known.quaternions_xyzw is not None)
     odometry = (sensor.poses for sensor in scene.sensors if isinstance(sensor, OdometrySensor))
     return next(oriented, None) or next(odometry, None)
 
 
 def _mount(
-    sensor: ShootingSensor | LidarSensor, ego_path: PosePath | None, losses: list[Loss]
+    sensor: ShootingSensor | LidarSensor, ego_path: Poses | None, losses: list[Loss]
 ) -> RigidTransform:
     mount, lost = mounting(sensor, ego_path, each=True)
     losses.extend(lost)

@@ -1,4 +1,7 @@
-"""Lenses and mountings as the entries of `calibration.json`, in the spelling that the vendor's software reads."""
+"""Camera models and mountings as the entries of `calibration.json`.
+
+In the spelling that the vendor's software reads.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -9,7 +12,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.fitting import nearest
 from sceneloom.cameras.table import MODELS
 from sceneloom.errors import CalibrationError
-from sceneloom.formats.loss import Fate, Loss
+from sceneloom.formats.loss import Loss, Support
 from sceneloom.formats.recording.unwritten import main_receiver
 from sceneloom.formats.recording.written_mounts import matrix_entry, mount_entry
 from sceneloom.geometry.rigid import RigidTransform
@@ -21,10 +24,10 @@ from sceneloom.scene.shooting import ShootingSensor
 
 class _Writing(NamedTuple):
     model: str
-    places: tuple[int, ...]
+    locations: tuple[int, ...]
 
 
-_LENSES: Mapping[str, tuple[_Writing, ...]] = {
+_CAMERA_MODELS: Mapping[str, tuple[_Writing, ...]] = {
     "pinhole": (_Writing("pinhole", ()),),
     "fisheye": (_Writing("kannala-brandt4", (0, 1, 2, 3)),),
     "brown_conrady": (
@@ -46,62 +49,67 @@ _STAND_INS: Mapping[str, tuple[str, ...]] = {
     "omnidir": (),
     "kannala_brandt18": (),
 }
-"""Models that other lenses are fitted to, each with the coefficients of ours that the format does not have."""
+"""Models that other camera models are fitted to, each with the coefficients of ours that the format does not have."""
 
 _FARTHEST_SHARE, _LEAST_SHARE = 0.01, 0.5
-"""A lens that is further off than this share of the picture's width, in the mean square, or holds less of the picture
+"""A camera model that is further off than this share of the image's width, in the mean square.
+
+Or holds less of the image
 than that is none that stands in for another."""
 
 
 @lru_cache(maxsize=64)
-def holdable_lens(camera: Camera) -> tuple[Camera, str | None]:
-    """Give the lens that a recording can hold: the same, or the nearest one of a model that it has.
+def holdable_camera_model(camera: Camera) -> tuple[Camera, str | None]:
+    """Give the camera model that a recording can hold: the same, or the nearest one of a model that it has.
 
     Returns:
-        The lens, and in words how far it is off; None where it is the same.
+        The camera model, and in words how far it is off; None where it is the same.
 
     Raises:
         CalibrationError: the model is unknown, or none of the format's comes near.
     """
-    if camera.model in _LENSES and not _unplaced(camera):
+    if camera.model in _CAMERA_MODELS and not _unplaced(camera):
         return camera, None
     if camera.model not in MODELS:
-        raise CalibrationError(f"camera model {camera.model!r}; a recording can hold {', '.join(_LENSES)}")
+        raise CalibrationError(
+            f"camera model {camera.model!r}; a recording can hold {', '.join(_CAMERA_MODELS)}"
+        )
     found = nearest(camera, _STAND_INS)
     if found.rms_px > _FARTHEST_SHARE * camera.width or found.share < _LEAST_SHARE:
         raise CalibrationError(
-            f"{found.message(camera)}; a recording can hold {', '.join(_LENSES)}: leave the camera out, or undistort "
-            "its pictures with `sceneloom edit undistort`"
+            f"{found.message(camera)}; a recording can hold {', '.join(_CAMERA_MODELS)}: leave the camera out, or "
+            f"undistort "
+            "its images with `sceneloom edit undistort`"
         )
     return found.camera, found.message(camera)
 
 
 def _unplaced(camera: Camera) -> bool:
     """Whether a coefficient is used that no list of the format holds."""
-    held = {place for row in _LENSES[camera.model] for place in row.places}
-    return any(value != 0 for place, value in enumerate(camera.coefficients) if place not in held)
+    held = {location for row in _CAMERA_MODELS[camera.model] for location in row.locations}
+    return any(value != 0 for location, value in enumerate(camera.coefficients) if location not in held)
 
 
-def lens_entry(camera: Camera, *, model_key: str = "model") -> tuple[dict[str, Any], str | None]:
-    """Write a lens.
+def camera_model_entry(camera: Camera, *, model_key: str = "model") -> tuple[dict[str, Any], str | None]:
+    """Write a camera model.
 
     Args:
-        camera: the lens.
+        camera: the camera model.
         model_key: "model" in `calibration.json`, "distortionModel" in a line.
 
     Returns:
-        The fields, and in words how far they are off the lens; None where they hold it.
+        The fields, and in words how far they are off the camera model; None where they hold it.
 
     Raises:
         CalibrationError: the model is unknown, or none of the format's comes near.
     """
-    camera, how_far = holdable_lens(camera)
-    used = {place for place, value in enumerate(camera.coefficients) if value != 0}
-    writing = next(row for row in _LENSES[camera.model] if used <= set(row.places))
+    camera, how_far = holdable_camera_model(camera)
+    used = {location for location, value in enumerate(camera.coefficients) if value != 0}
+    writing = next(row for row in _CAMERA_MODELS[camera.model] if used <= set(row.locations))
     values = dict(enumerate(camera.coefficients))
     fields = {
         model_key: writing.model,
-        "distortionCoefficients": [float(values.get(place, 0.0)) for place in writing.places],
+        "distortionCoefficients": [float(values.get(location, 0.0)) for location in writing.locations],
         "focalLengthX": float(camera.fx),
         "focalLengthY": float(camera.fy),
         "principalPointX": float(camera.cx),
@@ -112,9 +120,9 @@ def lens_entry(camera: Camera, *, model_key: str = "model") -> tuple[dict[str, A
     return fields, how_far
 
 
-def lens_losses(field: str, how_far: str | None) -> list[Loss]:
-    """Say that a lens was fitted."""
-    return [] if how_far is None else [Loss(field=field, what=how_far, fate=Fate.APPROXIMATED)]
+def camera_model_losses(field: str, how_far: str | None) -> list[Loss]:
+    """Report that a camera model was fitted."""
+    return [] if how_far is None else [Loss(field=field, what=how_far, support=Support.APPROXIMATED)]
 
 
 def camera_entry(
@@ -124,18 +132,18 @@ def camera_entry(
 
     Args:
         sensor: whose further fields, if it came from a recording, are written back.
-        camera: its lens, for the pictures as they are written.
+        camera: its camera model, for the images as they are written.
         mount: `ego_from_camera`.
 
     Raises:
         CalibrationError: the model is unknown, or none of the format's comes near.
     """
-    lens, how_far = lens_entry(camera)
-    losses = lens_losses(f"sensors[{sensor.id}].camera", how_far)
+    camera_model, how_far = camera_model_entry(camera)
+    losses = camera_model_losses(f"sensors[{sensor.id}].camera", how_far)
     before = _entry_before(sensor)
     further = {k: v for k, v in before.items() if k not in {"imuToCameraMatrix", "distortionModel"}}
     matrix = mount_entry(mount, before, "imuToCamera", "imuToCameraMatrix")
-    return {**further, **lens, "imuToCamera": matrix}, losses
+    return {**further, **camera_model, "imuToCamera": matrix}, losses
 
 
 def lidar_entry(sensor: LidarSensor, index: int, mount: RigidTransform, model: str) -> dict[str, Any]:
@@ -149,7 +157,7 @@ def lidar_entry(sensor: LidarSensor, index: int, mount: RigidTransform, model: s
 
 
 def antenna_entry(scene: Scene, before: Mapping[str, Any]) -> dict[str, Any]:
-    """Write where the antenna of the receiver of `gps` lines sits; what a calibration said of it before stays.
+    """Write where the antenna of the receiver of `gps` lines sits; what a calibration stated of it before stays.
 
     Args:
         scene: what is written.
@@ -166,5 +174,5 @@ def _entry_before(sensor: ShootingSensor | LidarSensor) -> dict[str, Any]:
 
 
 def cropped(camera: Camera, width: int, height: int) -> Camera:
-    """The lens for pictures whose last rows and columns are cut off: nothing else changes."""
+    """The camera model for images whose last rows and columns are cut off: nothing else changes."""
     return replace(camera, width=width, height=height)

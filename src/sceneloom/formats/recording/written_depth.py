@@ -119,8 +119,8 @@ class DepthScales:
                 self._common = common_scale(self._sensor)
             return self._common
         if not 0 < frame.scale < np.inf:
-            place = f"depth camera {self._sensor.id!r}: image at {frame.timestamp_ns} ns"
-            raise OptionError(f"{place}: scale {frame.scale}; expected a length in metres")
+            location = f"depth camera {self._sensor.id!r}: image at {frame.timestamp_ns} ns"
+            raise OptionError(f"{location}: scale {frame.scale}; expected a length in metres")
         return frame.scale
 
     def fields(self, shot: Shot) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The `frames` lines: pictures of several cameras that belong together, one line for each such set."""
+"""The `frames` lines: images of several cameras that belong together, one line for each such set."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -6,22 +6,22 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.formats.loss import Fate, Loss
-from sceneloom.formats.recording.kept_parameters import LENS, MOUNT, PictureParameters
+from sceneloom.formats.loss import Loss, Support
+from sceneloom.formats.recording.image_rows import ImageRows
+from sceneloom.formats.recording.image_table import OWN_FIELDS
+from sceneloom.formats.recording.kept_parameters import CAMERA_MODEL, MOUNT, ImageParameters
 from sceneloom.formats.recording.merged_lines import FRAMES, LineStream, OneByOne, WrittenLine
-from sceneloom.formats.recording.picture_rows import PictureRows
-from sceneloom.formats.recording.picture_table import OWN_FIELDS
+from sceneloom.formats.recording.written_images import ImageSink
 from sceneloom.formats.recording.written_lines import make_line
-from sceneloom.formats.recording.written_pictures import PictureSink
 from sceneloom.formats.recording.written_shots import field_of
 from sceneloom.formats.recording.written_times import TimeWriter
 from sceneloom.scene.depth import DepthFrame
 from sceneloom.scene.shooting import ShootingSensor, Shot, shots_of
 
-_OWN_EXTRAS = OWN_FIELDS | {LENS, MOUNT}
-"""Extras of a picture that its line is made from anew."""
+_OWN_EXTRAS = OWN_FIELDS | {CAMERA_MODEL, MOUNT}
+"""Extras of an image that its line is made from anew."""
 _OWN_DEPTH_EXTRAS = frozenset({"colorFormat", "depthScale"})
-"""Those of a depth image that are told by how it is written."""
+"""Those of a depth image that are reported by how it is written."""
 _FORMATS_WORDS = {"exposureTimeSeconds"}
 """Extras that mean the same whatever a scene was read from: words of the recording format that the model took over."""
 _OWN_KEYS = {"frames", "number", "time"}
@@ -29,7 +29,7 @@ _CAMERA = re.compile(r"camera(\d+)")
 
 
 class FrameLines:
-    """Makes the `frames` lines, and hands each picture to the sink of its camera on the way.
+    """Makes the `frames` lines, and hands each image to the sink of its camera on the way.
 
     Attributes:
         losses: what could not be written.
@@ -38,8 +38,8 @@ class FrameLines:
     def __init__(
         self,
         sensors: Sequence[ShootingSensor],
-        sinks: Sequence[PictureSink],
-        rows: PictureRows,
+        sinks: Sequence[ImageSink],
+        rows: ImageRows,
         times: TimeWriter,
         *,
         keep_extras: bool,
@@ -48,17 +48,17 @@ class FrameLines:
 
         Args:
             sensors: the cameras, in the order of `cameraInd`.
-            sinks: where the pictures of each go.
-            rows: which picture of each camera each line has.
+            sinks: where the images of each go.
+            rows: which image of each camera each line has.
             times: writes the times.
-            keep_extras: whether further fields of pictures are a recording's own, to be written back.
+            keep_extras: whether further fields of images are a recording's own, to be written back.
         """
         self._losses: list[Loss] = list(rows.losses)
         self._sensors, self._sinks, self._rows, self._times = sensors, sinks, rows, times
         self._keep_extras = keep_extras
-        self._read_as = [_index_before(sensor, place) for place, sensor in enumerate(sensors)]
+        self._read_as = [_index_before(sensor, location) for location, sensor in enumerate(sensors)]
         self._parameters = [
-            PictureParameters(sensor, sink.width, sink.height)
+            ImageParameters(sensor, sink.width, sink.height)
             for sensor, sink in zip(sensors, sinks, strict=False)
         ]
         self._not_listed = 0
@@ -67,42 +67,48 @@ class FrameLines:
     def losses(self) -> list[Loss]:
         """What could not be written."""
         what = "`frames` lines that do not list every camera, as they were read: the vendor's software refuses them"
-        short = [Loss(field="replay", what=what, count=self._not_listed, fate=Fate.KEPT)][: self._not_listed]
+        short = [Loss(field="replay", what=what, count=self._not_listed, support=Support.KEPT)][
+            : self._not_listed
+        ]
         return [*self._losses, *(loss for writer in self._parameters for loss in writer.losses), *short]
 
     def stream(self) -> LineStream:
-        """The lines, each made after its pictures were handed on."""
-        pictures, seconds = self._rows.pictures, self._rows.seconds
+        """The lines, each made after its images were handed on."""
+        images, seconds = self._rows.images, self._rows.seconds
         if seconds is not None:
             return OneByOne(
                 np.array([round(time * 1e9) for time in seconds], np.int64), self._lines(), FRAMES
             )
-        stamps = np.full(pictures.shape, np.iinfo(np.int64).max)
+        timestamps = np.full(images.shape, np.iinfo(np.int64).max)
         for column, sensor in enumerate(self._sensors):
-            there = pictures[:, column] >= 0
-            stamps[there, column] = shots_of(sensor).timestamps_ns[pictures[there, column]]
-        return OneByOne(stamps.min(axis=1, initial=np.iinfo(np.int64).max), self._lines(), FRAMES)
+            there = images[:, column] >= 0
+            timestamps[there, column] = shots_of(sensor).timestamps_ns[images[there, column]]
+        return OneByOne(timestamps.min(axis=1, initial=np.iinfo(np.int64).max), self._lines(), FRAMES)
 
     def _lines(self) -> Iterator[WrittenLine]:
         seconds, numbers = self._rows.seconds, self._rows.numbers
-        for place, row in enumerate(self._rows.pictures.tolist()):
+        for location, row in enumerate(self._rows.images.tolist()):
             pairs = zip(self._sensors, row, strict=True)
             shots: list[Shot | None] = [shots_of(sensor)[k] if k >= 0 else None for sensor, k in pairs]
             first = min((shot for shot in shots if shot is not None), key=_time, default=None)
             if first is not None and seconds is None:
-                stamp, told = first.timestamp_ns, first.extras.get("file_seconds")
+                timestamp, reported = first.timestamp_ns, first.extras.get("file_seconds")
             else:
-                told = 0.0 if seconds is None else seconds[place]
-                stamp = round(told * 1e9)
-            kept = self._rows.lines.get(place)
-            time = (stamp, told) if first is None else (first.timestamp_ns, first.extras.get("file_seconds"))
+                reported = 0.0 if seconds is None else seconds[location]
+                timestamp = round(reported * 1e9)
+            kept = self._rows.lines.get(location)
+            time = (
+                (timestamp, reported)
+                if first is None
+                else (first.timestamp_ns, first.extras.get("file_seconds"))
+            )
             entries = [self._entry(c, shot, time, kept) for c, shot in enumerate(shots)]
             fields = {
                 **self._beside(first, kept),
                 "frames": [entry for entry in entries if entry is not None],
-                "number": self._rows.first + place if numbers is None else numbers[place],
+                "number": self._rows.first + location if numbers is None else numbers[location],
             }
-            yield make_line(fields, stamp, self._times, told)
+            yield make_line(fields, timestamp, self._times, reported)
 
     def _beside(self, first: Shot | None, kept: Mapping[str, Any] | None) -> Mapping[str, Any]:
         if kept is not None:
@@ -117,7 +123,7 @@ class FrameLines:
         sink = self._sinks[index]
         if shot is None:
             sink.add(None, time[0])
-            return self._without_picture(index, time, kept)
+            return self._without_image(index, time, kept)
         sink.add(shot, shot.timestamp_ns)
         entry = {
             "cameraInd": index,
@@ -127,7 +133,7 @@ class FrameLines:
         own = {**sink.fields(shot), **self._parameters[index].fields(shot, before)}
         return {**self._extras(index, shot), **entry, **own}
 
-    def _without_picture(
+    def _without_image(
         self, index: int, time: tuple[int, float | None], kept: Mapping[str, Any] | None
     ) -> dict[str, Any] | None:
         listed = kept["frames"] if kept is not None else [{"cameraInd": self._read_as[index]}]
@@ -154,10 +160,10 @@ class FrameLines:
         self._losses.append(Loss(field=field, what=what, count=count))
 
 
-def _index_before(sensor: ShootingSensor, place: int) -> int:
+def _index_before(sensor: ShootingSensor, location: int) -> int:
     """The `cameraInd` that a camera was read with."""
     found = _CAMERA.fullmatch(str(sensor.id))
-    return int(found[1]) if found else place
+    return int(found[1]) if found else location
 
 
 def _time(shot: Shot) -> tuple[int, float]:

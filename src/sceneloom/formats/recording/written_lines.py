@@ -54,7 +54,7 @@ class NumberStream:
         file_seconds: (N,) float64 [s], the numbers that the times were read from, or None.
         values: (N, K) float64, finite.
         template: a line with gaps for its numbers.
-        further: by row, the text of a line that once said more than its sample.
+        further: by row, the text of a line that once stated more than its sample.
         times: writes the times.
         name: of the stream.
     """
@@ -104,7 +104,7 @@ class NumberLines:
 
         Args:
             times: writes the times.
-            further_keys: by stream and key of a row, the text of a line that once said more than its sample.
+            further_keys: by stream and key of a row, the text of a line that once stated more than its sample.
             shared: takes the rows that are written in one line with others.
             sensor_barometer: whether the air pressure goes into `sensor` lines.
         """
@@ -118,14 +118,14 @@ class NumberLines:
         """One stream of lines per stream of the IMU."""
         streams: list[LineStream] = []
         for name, samples in sensor.streams.items():
-            place = f"sensors[{sensor.id}].streams[{name}]"
+            location = f"sensors[{sensor.id}].streams[{name}]"
             width = samples.values.shape[1]
             if width != AXES.get(name, width):
                 what = f"left out: {width} values a sample; the format's {name} has {AXES[name]}"
-                self._lose(place, what, len(samples))
+                self._lose(location, what, len(samples))
                 continue
             usable = finite_rows(samples.values)
-            self._lose(place, "left out: a value is not finite", int((~usable).sum()))
+            self._lose(location, "left out: a value is not finite", int((~usable).sum()))
             fields = self._sample_fields(name, width)
             streams.append(self._stream(f"imu.{name}", samples, samples.values, usable, fields))
         return streams
@@ -149,21 +149,21 @@ class NumberLines:
         order = writing_order(sensor.timestamps_ns, sensor.file_seconds)
         rows = order[usable[order]]
         name = receiver_stream(sensor)
-        stamps = sensor.timestamps_ns[rows]
+        timestamps = sensor.timestamps_ns[rows]
         texts = self._further_keys.get(name, {})
-        further = {row: texts[key] for key, row in rows_of(texts, stamps).items()}
+        further = {row: texts[key] for key, row in rows_of(texts, timestamps).items()}
         lines = (
-            _and_further(self._fix(sensor, row, origin), further.get(place))
-            for place, row in enumerate(rows.tolist())
+            _and_further(self._fix(sensor, row, origin), further.get(location))
+            for location, row in enumerate(rows.tolist())
         )
-        taken = self._shared.rows(name, stamps)
+        taken = self._shared.rows(name, timestamps)
         if not taken:
-            return OneByOne(stamps, lines, name)
+            return OneByOne(timestamps, lines, name)
         made = list(lines)
-        for row, place in taken.items():
-            self._shared.give(place, made[row].text)
+        for row, location in taken.items():
+            self._shared.give(location, made[row].text)
         kept = [row for row in range(len(made)) if row not in taken]
-        return OneByOne(stamps[kept], (made[row] for row in kept), name)
+        return OneByOne(timestamps[kept], (made[row] for row in kept), name)
 
     def _fix(self, sensor: GnssSensor, row: int, origin: tuple[str, str]) -> WrittenLine:
         root, name = origin
@@ -212,11 +212,11 @@ class NumberLines:
         taken = self._shared.rows(name, whole.timestamps_ns)
         if not taken:
             return whole
-        for row, place in taken.items():
-            self._shared.give(place, next(whole.lines(row, row + 1)))
+        for row, location in taken.items():
+            self._shared.give(location, next(whole.lines(row, row + 1)))
         kept = np.setdiff1d(np.arange(len(rows)), list(taken))
-        places = {row: place for place, row in enumerate(kept.tolist())}
-        further = {places[row]: text for row, text in whole.further.items() if row in places}
+        locations = {row: location for location, row in enumerate(kept.tolist())}
+        further = {locations[row]: text for row, text in whole.further.items() if row in locations}
         return replace(self._rows(name, samples, values, rows[kept], template), further=further)
 
     def _rows(
@@ -227,12 +227,12 @@ class NumberLines:
         rows: Int64Array,
         template: LineTemplate,
     ) -> NumberStream:
-        stamps = samples.timestamps_ns[rows]
+        timestamps = samples.timestamps_ns[rows]
         seconds = None if samples.file_seconds is None else samples.file_seconds[rows]
         texts = self._further_keys.get(name, {})
-        further = {row: texts[key] for key, row in rows_of(texts, stamps).items()}
-        written = written_seconds(stamps, seconds)
-        return NumberStream(stamps, written, seconds, values[rows], template, further, self._times, name)
+        further = {row: texts[key] for key, row in rows_of(texts, timestamps).items()}
+        written = written_seconds(timestamps, seconds)
+        return NumberStream(timestamps, written, seconds, values[rows], template, further, self._times, name)
 
     def _lose(self, field: str, what: str, count: int) -> None:
         if count:

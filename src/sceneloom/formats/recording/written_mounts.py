@@ -1,4 +1,4 @@
-"""Where a sensor sits on the vehicle, as one transform: what it says itself, or what its poses tell."""
+"""Where a sensor sits on the vehicle, as one transform: what it says itself, or what its poses report."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.loss import Fate, Loss
+from sceneloom.formats.loss import Loss, Support
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 from sceneloom.formats.recording.mounts import rigid_transform
 from sceneloom.formats.recording.written_shots import field_of
@@ -25,7 +25,7 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.shooting import ShootingSensor, mounts_of_shots, shots_of, with_shots
 from sceneloom.scene.types import Coordinates
@@ -33,26 +33,26 @@ from sceneloom.scene.types import Coordinates
 _RIGID_WITHIN_M, _RIGID_WITHIN_DEG = 0.001, 0.05
 """How far a sensor may move on the vehicle before it is reported that one mounting does not describe it."""
 _EACH_BEYOND_M, _EACH_BEYOND_DEG = 0.01, 0.1
-"""Beyond this, pictures get mountings of their own where the target holds them."""
+"""Beyond this, images get mountings of their own where the target holds them."""
 _REFUSED_M, _REFUSED_DEG = 0.1, 1.0
-"""Mountings of single pictures that are further apart than this are not replaced by one for all."""
+"""Mountings of single images that are further apart than this are not replaced by one for all."""
 
 
 def mounting(
-    sensor: ShootingSensor | LidarSensor, ego_path: PosePath | None, *, each: bool = False
+    sensor: ShootingSensor | LidarSensor, ego_path: Poses | None, *, each: bool = False
 ) -> tuple[RigidTransform | None, list[Loss]]:
     """Find `ego_from_sensor`: what the sensor says, else where its poses put it against the ego.
 
     Args:
         sensor: a camera or lidar.
         ego_path: `world_from_ego`, or None.
-        each: whether the target holds the mounting of each picture, so that one for all need not say it.
+        each: whether the target holds the mounting of each image, so that one for all need not state it.
 
     Returns:
-        The mounting, None where neither tells it; and what one mounting cannot say.
+        The mounting, None where neither reports it; and what one mounting cannot state.
 
     Raises:
-        CalibrationError: pictures have mountings of their own, too far from one another for a target that holds one.
+        CalibrationError: images have mountings of their own, too far from one another for a target that holds one.
     """
     own = mounts_of_shots(sensor) if isinstance(sensor, CameraSensor | DepthCameraSensor) else None
     if own is not None:
@@ -63,49 +63,49 @@ def mounting(
     relative, outside = _ego_from_sensor(sensor, ego_path)
     field, losses = f"sensors[{sensor.id}].poses", list[Loss]()
     if outside:
-        what = "left out: they lie beyond the way of the ego, by which recordings place sensors"
+        what = "left out: they lie beyond the ego trajectory, by which recordings location sensors"
         losses.append(Loss(field=field, what=what, count=outside))
     mount = sensor.mount
     if mount is None and relative is not None:
         mount = RigidTransform.from_quaternion(relative.positions[0], relative.quaternions_xyzw[0])
     if mount is None or relative is None:
         return mount, losses
-    moved, turned = _moved(mount, relative.positions, relative.quaternions_xyzw)
-    if moved > _RIGID_WITHIN_M or turned > _RIGID_WITHIN_DEG:
+    moved, rotated = _moved(mount, relative.positions, relative.quaternions_xyzw)
+    if moved > _RIGID_WITHIN_M or rotated > _RIGID_WITHIN_DEG:
         held = "as its mounting says" if sensor.mount is not None else "as at its first pose"
-        found = f"up to {round(moved, 3):g} m and {round(turned, 3):g} degrees"
+        found = f"up to {round(moved, 3):g} m and {round(rotated, 3):g} degrees"
         what = f"taken to be mounted {held}, from which it moves {found} on the vehicle"
         losses.append(
             Loss(
                 field=field,
                 what=what,
                 count=len(relative.timestamps_ns),
-                fate=Fate.APPROXIMATED,
+                support=Support.APPROXIMATED,
                 largest_error=moved,
             )
         )
     return mount, losses
 
 
-def each_mounted(scene: Scene, ego_path: PosePath | None) -> Scene:
-    """Give each picture of a camera that moves on the ego a mounting of its own, where only its poses say that it does.
+def each_mounted(scene: Scene, ego_path: Poses | None) -> Scene:
+    """Give each image of a camera that moves on the ego a mounting of its own, where only its poses state that it does.
 
-    Those of a camera that says how it is mounted, and pictures that have no pose of camera and ego, stay as they are.
+    Those of a camera that says how it is mounted, and images that have no pose of camera and ego, stay as they are.
     """
     changed = tuple(_each_mounted(sensor, ego_path) for sensor in scene.sensors)
     moved = any(new is not old for new, old in zip(changed, scene.sensors, strict=True))
     return replace(scene, sensors=changed) if moved else scene
 
 
-def _each_mounted(sensor: Any, ego_path: PosePath | None) -> Any:
+def _each_mounted(sensor: Any, ego_path: Poses | None) -> Any:
     if not isinstance(sensor, CameraSensor | DepthCameraSensor) or sensor.mount is not None:
         return sensor
     relative, _ = _ego_from_sensor(sensor, ego_path)
     if relative is None or len(relative.timestamps_ns) < 2 or mounts_of_shots(sensor) is not None:
         return sensor
     first = RigidTransform.from_quaternion(relative.positions[0], relative.quaternions_xyzw[0])
-    moved, turned = _moved(first, relative.positions, relative.quaternions_xyzw)
-    if moved <= _EACH_BEYOND_M and turned <= _EACH_BEYOND_DEG:
+    moved, rotated = _moved(first, relative.positions, relative.quaternions_xyzw)
+    if moved <= _EACH_BEYOND_M and rotated <= _EACH_BEYOND_DEG:
         return sensor
     shots, either = shots_of(sensor), cast("Any", sensor)  # the two kinds of cameras alike
     mounted = LazyFrames(shots.timestamps_ns, _MountedShots(shots, relative))
@@ -114,7 +114,7 @@ def _each_mounted(sensor: Any, ego_path: PosePath | None) -> Any:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _MountedShots:
-    """Reads pictures and gives them their mountings; what `LazyFrames` asks for.
+    """Reads images and gives them their mountings; what `LazyFrames` asks for.
 
     Attributes:
         shots: as they were.
@@ -122,7 +122,7 @@ class _MountedShots:
     """
 
     shots: LazyFrames[Any]
-    ego_from_sensor: PosePath
+    ego_from_sensor: Poses
 
     def __call__(self, k: int) -> Any:
         shot = self.shots[k]
@@ -139,29 +139,29 @@ def _moved(
 
 
 def _one_for_all(sensor: Any, mount: RigidTransform, own: Sequence[RigidTransform]) -> list[Loss]:
-    """What is lost where one mounting stands for those of all pictures.
+    """What is lost where one mounting stands for those of all images.
 
     Raises:
         CalibrationError: they are too far apart.
     """
-    moved, turned = _moved(
+    moved, rotated = _moved(
         mount, np.array([one.translation for one in own]), np.array([one.quaternion_xyzw for one in own])
     )
-    found = f"{round(moved, 3):g} m and {round(turned, 3):g} degrees"
-    if moved > _REFUSED_M or turned > _REFUSED_DEG:
+    found = f"{round(moved, 3):g} m and {round(rotated, 3):g} degrees"
+    if moved > _REFUSED_M or rotated > _REFUSED_DEG:
         raise CalibrationError(
-            f"camera {sensor.id!r}: its pictures have mountings of their own, up to {found} apart, and the target "
+            f"camera {sensor.id!r}: its images have mountings of their own, up to {found} apart, and the target "
             "holds one for all of them; write to a format that holds each (sfs, recording, mcap, ros1, ros2, "
             "nuscenes, kitti-object), or leave the camera out"
         )
-    what = f"one mounting stands for those of the pictures, which are up to {found} apart"
+    what = f"one mounting stands for those of the images, which are up to {found} apart"
     field = f"{field_of(sensor)}[].mount"
-    return [Loss(field=field, what=what, count=len(own), fate=Fate.APPROXIMATED)]
+    return [Loss(field=field, what=what, count=len(own), support=Support.APPROXIMATED)]
 
 
 def _ego_from_sensor(
-    sensor: ShootingSensor | LidarSensor, ego_path: PosePath | None
-) -> tuple[PosePath | None, int]:
+    sensor: ShootingSensor | LidarSensor, ego_path: Poses | None
+) -> tuple[Poses | None, int]:
     """The poses of a sensor on the ego, None where they are not known; and how many have none of the ego."""
     poses = sensor.poses
     if poses is None or sensor.coordinates is Coordinates.EGO:
@@ -176,7 +176,7 @@ def _ego_from_sensor(
     ego_from_world = conjugate_quaternion(ego.quaternions_xyzw[inside])
     positions = rotate_vectors(ego_from_world, poses.positions[inside] - ego.positions[inside])
     quaternions = multiply_quaternions(ego_from_world, poses.quaternions_xyzw[inside])
-    return PosePath(poses.timestamps_ns[inside], positions, quaternions), outside
+    return Poses(poses.timestamps_ns[inside], positions, quaternions), outside
 
 
 def matrix_entry(transform: RigidTransform) -> list[list[float]]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array
 from sceneloom.errors import PoseError
-from sceneloom.formats.loss import Fate, Loss
+from sceneloom.formats.loss import Loss, Support
 from sceneloom.formats.recording.column_arrays import nanoseconds
 from sceneloom.formats.recording.kept_texts import completed, rows_of
 from sceneloom.formats.recording.lidar_files import XYZIRT
@@ -24,7 +24,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import angle_between, conjugate_quaternion, rotate_vectors
 from sceneloom.scene.clouds import LidarFrame, LidarPoints, LidarSensor
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.types import Coordinates, PointsFrame
 
 LIDAR_MODEL = LIDAR_MODELS[0]
@@ -35,11 +35,11 @@ _ABSENT = (
     ("rings", "0 written: the source has none"),
     ("timestamps_ns", "the sweep's own time written: the source has none per point"),
 )
-_NO_PLACE = ("colors", "camera_index")
+_NO_POSITION = ("colors", "camera_index")
 _OWN_EXTRAS = {"file_seconds", "dataFile"}
 """Further fields of a sweep that its line holds."""
 
-_SAME_PLACE, _SAME_TURN = 1e-3, radians(0.01)
+_SAME_LOCATION, _SAME_ROTATION = 1e-3, radians(0.01)
 """How far poses may be from each other and still be the same [m], [rad]: as far as those of thinned paths are."""
 
 
@@ -60,7 +60,7 @@ class SweepWriter:
         sensor: LidarSensor,
         index: int,
         mount: RigidTransform,
-        ego_path: PosePath | None,
+        ego_path: Poses | None,
         folder: Path,
         times: TimeWriter,
         further_keys: Mapping[str, str],
@@ -74,7 +74,7 @@ class SweepWriter:
             ego_path: `world_from_ego`, or None.
             folder: the recording that is being written.
             times: writes the times.
-            further_keys: by key of a sweep, the text of a line that once said more than it.
+            further_keys: by key of a sweep, the text of a line that once stated more than it.
 
         Raises:
             PoseError: the points are in the world, and it is not known where the lidar was.
@@ -136,12 +136,12 @@ class SweepWriter:
 
     def _seconds(self, frame: LidarFrame) -> Float64Array:
         """Times as numbers: those that the file had, where they still mean the same time."""
-        stamps = _point_times(frame)
-        seconds: Float64Array = stamps / 1e9
+        timestamps = _point_times(frame)
+        seconds: Float64Array = timestamps / 1e9
         before = frame.points.extras.get("file_seconds")
-        if isinstance(before, np.ndarray) and before.shape == stamps.shape:
-            seconds = np.where(nanoseconds(before) == stamps, before, seconds)
-        inexact = int((nanoseconds(seconds) != stamps).sum())
+        if isinstance(before, np.ndarray) and before.shape == timestamps.shape:
+            seconds = np.where(nanoseconds(before) == timestamps, before, seconds)
+        inexact = int((nanoseconds(seconds) != timestamps).sum())
         self._lose("timestamps_ns", "rounded to what a 64-bit number of seconds holds", inexact)
         return seconds
 
@@ -171,7 +171,7 @@ class SweepWriter:
         points: LidarPoints = frame.points
         for name, what in _ABSENT:
             self._lose(name, what, len(points) if getattr(points, name) is None else 0)
-        further = [name for name in _NO_PLACE if getattr(points, name) is not None]
+        further = [name for name in _NO_POSITION if getattr(points, name) is not None]
         further += [name for name in points.extras if name != "file_seconds"]
         for name in further:
             self._lose(name, "left out: the format has none", len(points))
@@ -193,45 +193,45 @@ def _losses_of_all(sensor: LidarSensor) -> list[Loss]:
         losses.append(Loss(field=f"sensors[{sensor.id}].model", what=what))
     if sensor.points_frame is not PointsFrame.SENSOR:
         what = f"brought from the {sensor.points_frame} frame into the lidar's own, in which recordings keep points"
-        losses.append(Loss(field=f"sensors[{sensor.id}].points_frame", what=what, fate=Fate.CONVERTED))
+        losses.append(Loss(field=f"sensors[{sensor.id}].points_frame", what=what, support=Support.CONVERTED))
         what = f"rounded to float32 in the lidar's own frame, from the {sensor.points_frame} frame"
         field, count = f"sensors[{sensor.id}].frames[].points.positions", len(sensor.frames)
-        losses.append(Loss(field=field, what=what, count=count, fate=Fate.CONVERTED))
+        losses.append(Loss(field=field, what=what, count=count, support=Support.CONVERTED))
     return losses
 
 
 def _point_times(frame: LidarFrame) -> Int64Array:
-    stamps = frame.points.timestamps_ns
-    return np.full(len(frame.points), frame.timestamp_ns, np.int64) if stamps is None else stamps
+    timestamps = frame.points.timestamps_ns
+    return np.full(len(frame.points), frame.timestamp_ns, np.int64) if timestamps is None else timestamps
 
 
-def _world_poses(sensor: LidarSensor, mount: RigidTransform, ego_path: PosePath | None) -> PoseSource:
+def _world_poses(sensor: LidarSensor, mount: RigidTransform, ego_path: Poses | None) -> PoseSource:
     """Where the lidar was: by its own poses in the world, else by the ego's and the mounting.
 
-    Own poses may be few. Where the ego's with the mounting say the same, these tell more of the time between.
+    Own poses may be few. Where the ego's with the mounting state the same, these report more of the time between.
     """
-    stamps = sensor.frames.timestamps_ns
-    reach_ns = int(np.median(np.diff(stamps))) if len(stamps) > 1 else 0
-    riding = None if ego_path is None else PoseSource(ego_path, mount, reach_ns)
+    timestamps = sensor.frames.timestamps_ns
+    reach_ns = int(np.median(np.diff(timestamps))) if len(timestamps) > 1 else 0
+    rider_association = None if ego_path is None else PoseSource(ego_path, mount, reach_ns)
     if sensor.poses is not None and sensor.coordinates is Coordinates.WORLD:
-        if riding is not None and _agree(riding, sensor.poses):
-            return riding
+        if rider_association is not None and _agree(rider_association, sensor.poses):
+            return rider_association
         return PoseSource(sensor.poses, RigidTransform.identity(), reach_ns)
-    if riding is None:
+    if rider_association is None:
         raise PoseError(
             f"lidar {sensor.id!r}: its points are in the world and have to be brought back into its own frame, "
             "but the scene says neither where it was nor where the ego was"
         )
-    return riding
+    return rider_association
 
 
-def _agree(riding: PoseSource, poses: PosePath) -> bool:
+def _agree(rider_association: PoseSource, poses: Poses) -> bool:
     """Whether a source gives the poses of a path at all its times, but for rounding."""
-    if poses.endless:
+    if poses.static:
         return False
-    samples = riding.at(poses.timestamps_ns)
+    samples = rider_association.at(poses.timestamps_ns)
     if (samples.coverage == OUT_OF_REACH).any():
         return False
     distances = np.linalg.norm(samples.positions - poses.positions, axis=1)
     angles = angle_between(samples.quaternions_xyzw, poses.quaternions_xyzw)
-    return bool(distances.max() <= _SAME_PLACE and angles.max() <= _SAME_TURN)
+    return bool(distances.max() <= _SAME_LOCATION and angles.max() <= _SAME_ROTATION)

@@ -72,7 +72,7 @@ def writing_order(timestamps_ns: Int64Array, file_seconds: Float64Array | None) 
         file_seconds: (N,) float64 [s], the numbers, or None where there are none.
 
     Returns:
-        (N,) int64, row that stands at each place.
+        (N,) int64, row that stands at each location.
     """
     if file_seconds is None:
         return np.argsort(timestamps_ns, kind="stable").astype(np.int64)

@@ -42,7 +42,7 @@ _FAULTS = (
 
 @dataclass(frozen=True, slots=True)
 class UnpackedFolder:
-    """A folder that goes with the scene that was unpacked into it; in other processes it only names the place.
+    """A folder that goes with the scene that was unpacked into it; in other processes it only names the location.
 
     Attributes:
         folder: what holds the `data.jsonl`.

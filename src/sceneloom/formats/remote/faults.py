@@ -67,13 +67,13 @@ def _status(error: BaseException) -> int | None:
         if isinstance(value, int | str) and str(value).isdigit() and 100 <= int(value) < 600:
             return int(value)
     answer = getattr(error, "response", None)
-    told = answer.get("ResponseMetadata", {}).get("HTTPStatusCode") if isinstance(answer, dict) else None
-    return told if isinstance(told, int) else None
+    reported = answer.get("ResponseMetadata", {}).get("HTTPStatusCode") if isinstance(answer, dict) else None
+    return reported if isinstance(reported, int) else None
 
 
 @contextmanager
-def faults(url: str, place: str, *, doing: str = "read") -> Iterator[None]:
-    """Turn whatever a back end raises into errors of ours; what it said stands in them without secrets.
+def faults(url: str, location: str, *, doing: str = "read") -> Iterator[None]:
+    """Rotate whatever a back end raises into errors of ours; what it stated stands in them without secrets.
 
     Raises:
         DataError: it failed; `passing` says whether another try may do.
@@ -85,7 +85,7 @@ def faults(url: str, place: str, *, doing: str = "read") -> Iterator[None]:
     except SceneloomError:
         raise
     except Exception as error:  # noqa: BLE001 - back ends raise what the libraries of their protocols raise
-        ours = _ours(error, redacted(url), place, doing)
+        ours = _ours(error, redacted(url), location, doing)
     if ours is None:
         return
     try:
@@ -96,10 +96,10 @@ def faults(url: str, place: str, *, doing: str = "read") -> Iterator[None]:
         ours.__cause__ = ours.__context__ = None
 
 
-def _ours(error: Exception, url: str, place: str, doing: str) -> SceneloomError:
+def _ours(error: Exception, url: str, location: str, doing: str) -> SceneloomError:
     if isinstance(error, ImportError):
         return MissingExtraError(f"{url}: {error}; {EXTRA}")
-    found = DataError(url, place, _problem(error, doing))
+    found = DataError(url, location, _problem(error, doing))
     if isinstance(error, NoRangesError):
         found = DataError(url, "", "its server answers no ranges (`Range`); download the file first")
     found.passing = may_pass(error)
@@ -108,7 +108,7 @@ def _ours(error: Exception, url: str, place: str, doing: str) -> SceneloomError:
 
 def _problem(error: Exception, doing: str) -> str:
     if isinstance(error, FileNotFoundError):
-        # back ends say so, too, where no server answers
+        # back ends report it, too, where no server answers
         return f"cannot be found{f': {redacted(error.__cause__)}' if error.__cause__ else ''}"
     if isinstance(error, CutShortError):
         return redacted(error)

@@ -47,8 +47,8 @@ class Fetched:
     size: int
     remove: Callable[[], None]
 
-    def told(self) -> str:
-        """Say what is where, for people."""
+    def reported(self) -> str:
+        """Report what is where, for people."""
         mirror = mirror_of(self.path)
         if mirror is None:
             return f"{self.size / 1e6:.1f} MB were fetched to {self.path}; they go when the scene is closed"
@@ -70,7 +70,7 @@ def find_urls(pattern: str) -> list[str]:
 
 
 def names_below(url: str) -> list[str]:
-    """Names of the files and folders just below a place in a store; none where it is not there.
+    """Names of the files and folders just below a location in a store; none where it is not there.
 
     Raises:
         DataError: the store cannot be read.
@@ -167,7 +167,7 @@ def _gather_tables(path: Path, listing: Listing) -> None:
 
 
 def _listed(url: str, store: Store, found: list[Facts]) -> tuple[ListedFile, ...]:
-    """The files by their names below the place."""
+    """The files by their names below the location."""
     root = store.path.rstrip("/") + "/"
     files = []
     for facts in found:
@@ -178,7 +178,7 @@ def _listed(url: str, store: Store, found: list[Facts]) -> tuple[ListedFile, ...
         if facts.is_folder or name == MARKER:
             continue
         if facts.size is None:
-            raise DataError(url, name, "the store does not say how long it is; fetch the folder first")
+            raise DataError(url, name, "the store does not state how long it is; fetch the folder first")
         files.append(ListedFile(name, facts.size, facts.version))
     if not files:
         raise DataError(url, "", "is a folder without files")

@@ -35,13 +35,13 @@ HEAD = 64 << 10
 """So much is fetched of a file of which only the first bytes are looked at [bytes]."""
 
 PIECE = 256 << 10
-"""Length of the pieces that a file comes in where it is not fetched whole [bytes]."""
+"""Length of the chunks that a file comes in where it is not fetched whole [bytes]."""
 
 _REMEMBERED = 32 << 20
-"""So much of pieces and beginnings is remembered: all formats look at the same files [bytes]."""
+"""So much of chunks and beginnings is remembered: all formats look at the same files [bytes]."""
 
 _MUCH = 0.25
-"""Of a file of which this share was read in pieces all is fetched: who goes on would wait for each of the others."""
+"""Of a file of which this share was read in chunks all is fetched: who goes on would wait for each of the others."""
 
 _STAY = 4 * SIDE_BY_SIDE
 """So many files stay that were used last, however large they are: others may be about to open them."""
@@ -111,7 +111,7 @@ class Mirror:
         self._numbers = {file.name: number for number, file in enumerate(listing.files)}
         self._lock = Lock()
         self._store: Store | None = None
-        self._crew: ThreadPoolExecutor | None = None
+        self._thread_pool: ThreadPoolExecutor | None = None
         self._coming: dict[str, Future[None]] = {}
         self._last: dict[str, int] = {}
         self._parts: OrderedDict[tuple[str, int, int], bytes] = OrderedDict()
@@ -152,7 +152,7 @@ class Mirror:
             return self._part(file, ranged, 0, HEAD, checked=False)
 
     def read_much(self, file: ListedFile) -> bool:
-        """Whether so many pieces of a file were fetched that all of it had better be."""
+        """Whether so many chunks of a file were fetched that all of it had better be."""
         return self._read[file.name] > _MUCH * file.size
 
     def piece(self, file: ListedFile, number: int) -> bytes:
@@ -210,12 +210,12 @@ class Mirror:
         """Fetch nothing more."""
         with self._lock:
             self._closed = True
-            crew, self._crew = self._crew, None
+            thread_pool, self._thread_pool = self._thread_pool, None
             opened, self._ranged = self._ranged, {}
         for ranged in opened.values():
             ranged.close()
-        if crew is not None:
-            crew.shutdown(cancel_futures=True)
+        if thread_pool is not None:
+            thread_pool.shutdown(cancel_futures=True)
 
     def _fetching(self, file: ListedFile, *, fresh: bool = False) -> "Future[None] | None":
         """What fetches a file, begun now if nothing does; None where the file is on disk."""
@@ -223,16 +223,16 @@ class Mirror:
             coming = self._coming.get(file.name)
             if coming is not None or self._is_here(file):
                 return coming
-            if self._crew is None:
-                self._crew = ThreadPoolExecutor(SIDE_BY_SIDE, thread_name_prefix="sceneloom-fetch")
-            coming = self._coming[file.name] = self._crew.submit(self._fetch, file, fresh=fresh)
+            if self._thread_pool is None:
+                self._thread_pool = ThreadPoolExecutor(SIDE_BY_SIDE, thread_name_prefix="sceneloom-fetch")
+            coming = self._coming[file.name] = self._thread_pool.submit(self._fetch, file, fresh=fresh)
         coming.add_done_callback(lambda _: self._coming.pop(file.name, None))
         return coming
 
     def _is_here(self, file: ListedFile) -> bool:
         with suppress(FileNotFoundError):
             return self._path_of(file).stat().st_size == file.size
-        return True  # the tree is gone; who opens the file will be told
+        return True  # the tree is gone; who opens the file will be reported
 
     def _later(self, file: ListedFile) -> list[ListedFile]:
         """The files that are asked for next, if this one came soon after another one of its folder."""
@@ -324,14 +324,14 @@ class Mirror:
         return Path(self.listing.top).with_name(name)
 
 
-def fetch_whole(place: Store, size: int | None, target: Path) -> None:
+def fetch_whole(location: Store, size: int | None, target: Path) -> None:
     """Fetch a file once.
 
     Raises:
         CutShortError: another number of bytes came.
         Exception: whatever the back end raises.
     """
-    place.get(target)
+    location.get(target)
     found = target.stat().st_size
     if size is not None and found != size:
         raise CutShortError(f"the server gave {found} of {size} bytes")

@@ -12,12 +12,12 @@ from sceneloom.formats.byte_stream import ByteStream
 from sceneloom.formats.remote.mirror import HEAD, PIECE, ListedFile, Listing, Mirror
 
 WORKPLACE = "sceneloom-"
-"""What the names of the folders begin with that trees are planted in."""
+"""What the names of the folders begin with that trees are injected in."""
 
 _LISTING = "listing.json"
 
 _WORTHWHILE = 4 << 20
-"""Smaller files are fetched whole by those who could do with pieces [bytes]."""
+"""Smaller files are fetched whole by those who could do with chunks [bytes]."""
 
 _open: dict[tuple[int, str], Mirror] = {}
 """What processes fetch from: by their number, since a forked one must begin anew, and the tops of trees."""
@@ -32,12 +32,12 @@ else:
 class MirroredPath(_Path):
     """A path below a folder that stands for one behind a URL.
 
-    Whatever asks for the place of a file on disk, as `open` does, has it fetched first. Its size and time are known
+    Whatever asks for the position of a file on disk, as `open` does, has it fetched first. Its size and time are known
     without. In other processes it does the same.
     """
 
     def __fspath__(self) -> str:
-        """Have the file fetched, and give its place on disk.
+        """Have the file fetched, and give its location on disk.
 
         Raises:
             DataError: it cannot be fetched, or was changed after the folder was opened.
@@ -60,12 +60,12 @@ class MirroredPath(_Path):
         late = _LateFile(self)
         return late if buffering == 0 else io.BufferedReader(late)
 
-    def in_pieces(self) -> "Pieces | None":
+    def in_chunks(self) -> "Chunks | None":
         """Its bytes for those who read here and there; None where it had better be fetched, or is on disk."""
         mirror, file = _find(str(self))
         if mirror is None or file is None or file.size < _WORTHWHILE or mirror.is_near(file):
             return None
-        return Pieces(self)
+        return Chunks(self)
 
     def stat(self, *, follow_symlinks: bool = True) -> os.stat_result:
         """Look at it; a file that was not fetched yet is as long as it is in the store."""
@@ -99,7 +99,7 @@ class MirroredPath(_Path):
         return Path(str(self))
 
 
-class Pieces:
+class Chunks:
     """The bytes of a file of a mirror, fetched as they are looked at: whole once much of it was."""
 
     def __init__(self, path: MirroredPath) -> None:
@@ -119,8 +119,8 @@ class Pieces:
         if stop <= HEAD:
             return mirror.head(file)[start:stop]
         first = start // PIECE
-        pieces = [mirror.piece(file, number) for number in range(first, -(-stop // PIECE))]
-        return b"".join(pieces)[start - first * PIECE : stop - first * PIECE] if start < stop else b""
+        chunks = [mirror.piece(file, number) for number in range(first, -(-stop // PIECE))]
+        return b"".join(chunks)[start - first * PIECE : stop - first * PIECE] if start < stop else b""
 
     def __call__(self) -> BinaryIO:
         """Open them as a file."""
@@ -137,7 +137,7 @@ class _LateFile(ByteStream):
     """An open file that is not on disk yet: it is fetched when more than its first bytes are read."""
 
     def __init__(self, path: MirroredPath) -> None:
-        super().__init__(Pieces(path))
+        super().__init__(Chunks(path))
         self.name = str(path)
         self._path = path
         self._on_disk: io.FileIO | None = None
@@ -147,15 +147,15 @@ class _LateFile(ByteStream):
         return self._fetched().fileno()
 
     def readinto(self, buffer: Any) -> int:
-        if self._on_disk is None and self.place + len(buffer) <= HEAD:
+        if self._on_disk is None and self.location + len(buffer) <= HEAD:
             return super().readinto(buffer)
         count = self._fetched().readinto(buffer)
-        self.place += count
+        self.location += count
         return count
 
     def readall(self) -> bytes:
         content = self._fetched().readall()
-        self.place += len(content)
+        self.location += len(content)
         return content
 
     def close(self) -> None:
@@ -166,7 +166,7 @@ class _LateFile(ByteStream):
     def _fetched(self) -> io.FileIO:
         if self._on_disk is None:
             self._on_disk = io.FileIO(self._path)
-        self._on_disk.seek(self.place)
+        self._on_disk.seek(self.location)
         return self._on_disk
 
 
@@ -192,7 +192,7 @@ def uproot(workplace: Path) -> None:
 
 def _find(text: str) -> tuple[Mirror | None, ListedFile | None]:
     """What fetches a path, and the file that it means, if any."""
-    mirror = _opened(text) or _planted(Path(text).parents)
+    mirror = _opened(text) or _injected(Path(text).parents)
     if mirror is None:
         return None, None
     name = text[len(mirror.listing.top) + 1 :]
@@ -207,8 +207,8 @@ def _opened(text: str) -> Mirror | None:
     return None
 
 
-def _planted(above: Iterable[Path]) -> Mirror | None:
-    """Begin to fetch to a tree that another process has planted."""
+def _injected(above: Iterable[Path]) -> Mirror | None:
+    """Begin to fetch to a tree that another process has injected."""
     workplace = next((folder for folder in above if folder.name.startswith(WORKPLACE)), None)
     if workplace is None:
         return None

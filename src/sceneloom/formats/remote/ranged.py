@@ -50,7 +50,7 @@ class RemoteIdentity:
         """Look at a file.
 
         Raises:
-            DataError: it is not there, empty, a folder, or its server does not say how long it is.
+            DataError: it is not there, empty, a folder, or its server does not state how long it is.
             MissingExtraError: what reads such addresses is not installed.
         """
         with faults(url, ""):
@@ -59,7 +59,7 @@ class RemoteIdentity:
         if facts.is_folder:
             raise DataError(shown, "", "is a folder; expected a file")
         if facts.size is None:
-            raise DataError(shown, "", "its server does not say how long it is; fetch the file first")
+            raise DataError(shown, "", "its server does not state how long it is; fetch the file first")
         if facts.size == 0:
             raise DataError(shown, "", "is empty; expected a header")
         return cls(url, facts.size, facts.version, dict(storage_options or {}))
@@ -149,8 +149,8 @@ class RangedFile:
         blocks = [part for block in coalesced(ranges) for part in _cut(block)]
         if sum(stop - start for start, stop in blocks) > _AHEAD or len(blocks) < 2:
             return
-        with ThreadPoolExecutor(min(SIDE_BY_SIDE, len(blocks))) as crew:
-            contents = list(crew.map(lambda block: self.ask(*block), blocks))
+        with ThreadPoolExecutor(min(SIDE_BY_SIDE, len(blocks))) as thread_pool:
+            contents = list(thread_pool.map(lambda block: self.ask(*block), blocks))
         self._ahead = _joined(blocks, contents)
 
     def forget(self) -> None:

@@ -27,7 +27,7 @@ class Facts:
 
     Attributes:
         path: its name in the store.
-        size: its length [bytes]; None where the store does not say.
+        size: its length [bytes]; None where the store does not state.
         version: what changes with the content; None where the store says nothing.
         is_folder: whether it is one.
     """
@@ -40,12 +40,12 @@ class Facts:
 
 @dataclass(frozen=True, slots=True)
 class Store:
-    """A place in a store.
+    """A location in a store.
 
     Attributes:
         url: its address.
         files: the fsspec file system.
-        path: the place's name there.
+        path: the location's name there.
     """
 
     url: str
@@ -53,13 +53,13 @@ class Store:
     path: str
 
     def facts(self) -> Facts:
-        """Look at the place; what was known of it before does not count."""
+        """Look at the location; what was known of it before does not count."""
         if hasattr(self.files, "invalidate_cache"):
             self.files.invalidate_cache()
         return _facts(self.files.info(self.path))
 
     def fitting(self) -> list[str]:
-        """Addresses of what fits the place as a pattern, by their names."""
+        """Addresses of what fits the location as a pattern, by their names."""
         scheme = self.url.partition("://")[0]
         return [f"{scheme}://{path.lstrip('/')}" for path in sorted(self.files.glob(self.path))]
 
@@ -69,12 +69,12 @@ class Store:
         return Handle(self, self.files.open(self.path, "rb", cache_type="none", **known))
 
     def walk(self) -> Iterator[Facts]:
-        """All files below the place, by their names."""
+        """All files below the location, by their names."""
         found = self.files.find(self.path, detail=True)
         yield from (_facts(found[name]) for name in sorted(found))
 
     def names(self) -> list[str]:
-        """Names of the files and folders just below the place; none where it is not there."""
+        """Names of the files and folders just below the location; none where it is not there."""
         self.files.invalidate_cache()
         try:
             found = self.files.ls(self.path, detail=False)
@@ -127,7 +127,7 @@ class Store:
         self.files.invalidate_cache()
 
     def at(self, path: str) -> "Store":
-        """Another place of the same store."""
+        """Another location of the same store."""
         return Store(self.url, self.files, path)
 
 
@@ -203,17 +203,20 @@ def _abandon(file: Any) -> None:
     file.closed = True  # else the file would be finished once nothing holds it
 
 
-def _facts(told: Mapping[str, Any]) -> Facts:
-    size = told.get("size")
-    version = next((_mark(told[name]) for name in _VERSIONS if told.get(name)), None)
+def _facts(reported: Mapping[str, Any]) -> Facts:
+    size = reported.get("size")
+    version = next((_mark(reported[name]) for name in _VERSIONS if reported.get(name)), None)
     return Facts(
-        str(told["name"]), size if isinstance(size, int) else None, version, told.get("type") == "directory"
+        str(reported["name"]),
+        size if isinstance(size, int) else None,
+        version,
+        reported.get("type") == "directory",
     )
 
 
-def _mark(told: object) -> str:
+def _mark(reported: object) -> str:
     """What a back end says that changes with the content, as text; lists and single files word it differently."""
-    when = told.timestamp() if isinstance(told, datetime) else told
+    when = reported.timestamp() if isinstance(reported, datetime) else reported
     return f"{when:.6f}" if isinstance(when, float) else str(when).strip('"')
 
 

@@ -68,10 +68,10 @@ def check_remote_output(url: str, *, overwrite: bool) -> None:
     """
     output_name(url)
     shown = redacted(url)
-    with _told(), faults(url, "", doing="written"):
+    with _reported(), faults(url, "", doing="written"):
         there = patiently(lambda: _is_there(open_store(url)))
     if there and not overwrite:
-        raise OutputError(f"{shown}: exists already; choose another name or say `--overwrite`")
+        raise OutputError(f"{shown}: exists already; choose another name or state `--overwrite`")
 
 
 def upload(draft: Path, url: str) -> None:
@@ -80,7 +80,7 @@ def upload(draft: Path, url: str) -> None:
     Raises:
         OutputError: the store cannot be written to, or the connection stays broken.
     """
-    with _told(), faults(url, "", doing="written"):
+    with _reported(), faults(url, "", doing="written"):
         store = open_store(url)
         if draft.is_dir():
             _upload_folder(draft, store)
@@ -96,12 +96,12 @@ def put_first(url: str, content: bytes) -> bytes:
     Raises:
         OutputError: the store cannot be written to.
     """
-    with _told(), faults(url, "", doing="written"):
+    with _reported(), faults(url, "", doing="written"):
         return patiently(lambda: open_store(url).put_first(content))
 
 
 @contextmanager
-def _told() -> Iterator[None]:
+def _reported() -> Iterator[None]:
     """Faults of the store that is written to are those of an output."""
     try:
         yield
@@ -128,26 +128,26 @@ def _upload_folder(draft: Path, store: Store) -> None:
     marker = store.at(f"{root}/{MARKER}")
     if marker.path in before:
         marker.remove()
-    places = {
+    locations = {
         path: store.at(f"{root}/{path.relative_to(draft).as_posix()}")
         for path in sorted(draft.rglob("*"))
         if path.is_file()
     }
     try:
-        with ThreadPoolExecutor(SIDE_BY_SIDE) as crew:
-            list(crew.map(lambda path: patiently(lambda: places[path].put(path)), places))
-        for path in before - {place.path for place in places.values()} - {marker.path}:
+        with ThreadPoolExecutor(SIDE_BY_SIDE) as thread_pool:
+            list(thread_pool.map(lambda path: patiently(lambda: locations[path].put(path)), locations))
+        for path in before - {location.path for location in locations.values()} - {marker.path}:
             store.at(path).remove()
         patiently(lambda: marker.put(None))
     except BaseException:
-        _take_back([place for place in places.values() if place.path not in before])
+        _take_back([location for location in locations.values() if location.path not in before])
         raise
 
 
-def _take_back(places: list[Store]) -> None:
+def _take_back(locations: list[Store]) -> None:
     """Remove what was put, as far as the store still answers; without its marker the folder is not whole anyway."""
-    for place in places:
+    for location in locations:
         try:
-            place.remove()
-        except Exception:  # noqa: BLE001, S112 - the first error is the one to tell
+            location.remove()
+        except Exception:  # noqa: BLE001, S112 - the first error is the one to report
             continue

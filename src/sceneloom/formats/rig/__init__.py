@@ -1,1 +1,1 @@
-"""Own data: a folder of clouds and pictures that a manifest `rig.toml` describes."""
+"""Own data: a folder of clouds and images that a manifest `rig.toml` describes."""

@@ -11,13 +11,17 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.files import read_bytes
-from sceneloom.formats.rig.stamps import StampError, parse_stamp
+from sceneloom.formats.rig.timestamps import TimestampError, parse_timestamp
 
 FILE_COLUMNS = ("file", "filename", "file_name", "path", "image", "image_name", "pcd", "cloud", "name")
 _UNIT_ENDINGS = {"_ns": "nanoseconds", "_us": "microseconds", "_ms": "milliseconds", "_s": "seconds"}
 _SECONDS = ("seconds", "secs", "sec", "stamp_sec", "stamp_secs")
 TIME_COLUMNS = (
-    *(f"{name}{ending}" for name in ("timestamp", "time", "t", "stamp") for ending in ("", *_UNIT_ENDINGS)),
+    *(
+        f"{name}{ending}"
+        for name in ("timestamp", "time", "t", "timestamp")
+        for ending in ("", *_UNIT_ENDINGS)
+    ),
     *(*_SECONDS, "nanoseconds", "utc"),
 )
 """Names by which columns are known."""
@@ -64,8 +68,8 @@ class Table:
         hint = f"; did you mean {close[0]!r}?" if close else ""
         raise DataError(self.path, "line 1", f"no column {name!r}; it has {', '.join(self.names)}{hint}")
 
-    def stamps(self, column: int, unit: str | None) -> Int64Array:
-        """The times of a column, (N,) int64 [ns]; without a unit the ending of the column's name tells it.
+    def timestamps(self, column: int, unit: str | None) -> Int64Array:
+        """The times of a column, (N,) int64 [ns]; without a unit the ending of the column's name reports it.
 
         To a column of whole seconds that of the nanoseconds is added, where there is one.
 
@@ -75,25 +79,25 @@ class Table:
         name = self.names[column].lower() if self.names else ""
         ending = next((u for end, u in _UNIT_ENDINGS.items() if name.endswith(end)), None)
         ending = "nanoseconds" if name == "nanoseconds" else ending
-        stamps = np.empty(len(self.rows), np.int64)
+        timestamps = np.empty(len(self.rows), np.int64)
         for k, row in enumerate(self.rows):
             try:
-                stamps[k] = parse_stamp(row[column], unit or ending)
-            except StampError as error:
+                timestamps[k] = parse_timestamp(row[column], unit or ending)
+            except TimestampError as error:
                 raise DataError(self.path, f"line {self.lines[k]}", str(error)) from None
         parts = self.find(_PARTS_OF_SECONDS) if name in _SECONDS and unit in {None, "seconds"} else None
-        return stamps if parts is None else stamps + self._nanoseconds(parts, stamps)
+        return timestamps if parts is None else timestamps + self._nanoseconds(parts, timestamps)
 
     def _nanoseconds(self, column: int, seconds_ns: Int64Array) -> Int64Array:
         """The column that goes on from one of whole seconds, (N,) int64 [ns]."""
         for k, row in enumerate(self.rows):
-            text, place = row[column], f"line {self.lines[k]}"
+            text, location = row[column], f"line {self.lines[k]}"
             if not (text.isascii() and text.isdigit() and len(text) <= 9):
                 problem = f"{self.names[column]}: {text[:40]!r}; expected a whole number from 0 to 999999999"
-                raise DataError(self.path, place, problem)
+                raise DataError(self.path, location, problem)
             if seconds_ns[k] % 1_000_000_000:
                 problem = f"{seconds_ns[k] / 1e9:.9f} s beside a column {self.names[column]}; expected whole seconds"
-                raise DataError(self.path, place, problem)
+                raise DataError(self.path, location, problem)
         return np.array([int(row[column]) for row in self.rows], np.int64)
 
     def numbers(self, columns: Sequence[int]) -> Float64Array:
@@ -195,14 +199,14 @@ def _cells(line: str, delimiter: str | None) -> tuple[str, ...]:
 
 
 def pick_columns(
-    table: Table, wanted: Mapping[str, Sequence[str]], named: Mapping[str, str], place: str, manifest: Path
+    table: Table, wanted: Mapping[str, Sequence[str]], named: Mapping[str, str], location: str, manifest: Path
 ) -> dict[str, int]:
     """Find the columns of a table by what they are.
 
     Args:
         wanted: known names by what a column is.
         named: names that the manifest says, by what a column is.
-        place: of `columns` in the manifest, for messages.
+        location: of `columns` in the manifest, for messages.
 
     Raises:
         DataError: the manifest names something else, or a column that the file does not have.
@@ -212,7 +216,7 @@ def pick_columns(
             close = get_close_matches(role, wanted, 1, 0.5)
             hint = f"; did you mean {close[0]!r}?" if close else ""
             raise DataError(
-                manifest, f"{place}.{role}", f"unknown; expected some of {', '.join(wanted)}{hint}"
+                manifest, f"{location}.{role}", f"unknown; expected some of {', '.join(wanted)}{hint}"
             )
     columns = {role: table.column(name) for role, name in named.items()}
     for role, names in wanted.items():

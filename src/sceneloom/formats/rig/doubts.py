@@ -11,10 +11,10 @@ from sceneloom.formats.clouds.roles import find_roles
 from sceneloom.formats.ledger import Ledger
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Sensor
 from sceneloom.scene.span import frame_times
+from sceneloom.scene.warnings import WarningKind
 
 FARTHEST_MOUNT = 30.0
 """A sensor that is mounted farther than this from the ego [m] is remarked: no vehicle is as long."""
@@ -34,13 +34,13 @@ _LEANING = 0.5
 def note_odd_points(
     path: Path, positions: Float32Array, columns: Mapping[str, AnyArray], ledger: Ledger
 ) -> None:
-    """Remark points that come out of columns which are not what they are taken for.
+    """Note points that come out of columns which are not what they are taken for.
 
     Args:
         path: the file.
         positions: (N, 3) float32 [m], read from it.
         columns: of the file, by name.
-        ledger: takes the notices.
+        ledger: takes the warnings.
     """
     distances = np.linalg.norm(positions.astype(np.float64), axis=1)
     far, near = (distances > FARTHEST_POINT).sum(), (distances < _NEAREST_POINT).sum()
@@ -54,44 +54,45 @@ def note_odd_points(
     for count, what in odd:
         if count > _ODD_SHARE * max(len(distances), 1):
             message = f"{what}; does the file have the columns and types that it is taken to have?"
-            ledger.note(NoticeKind.ASSUMED, "odd-points", str(path), message, count=int(count))
+            ledger.note(WarningKind.ASSUMED, "odd-points", str(path), message, count=int(count))
 
 
-def _note_leaning(path: Path, name: str, way: Trajectory, ledger: Ledger) -> None:
-    """Remark a way on which the ego hardly ever stands upright, as another order of quaternions makes it."""
-    if way.quaternions_xyzw is None or not len(way.timestamps_ns):
+def _note_leaning(path: Path, name: str, trajectory: Trajectory, ledger: Ledger) -> None:
+    """Note a trajectory on which the ego hardly ever stands upright, as another order of quaternions makes it."""
+    if trajectory.quaternions_xyzw is None or not len(trajectory.timestamps_ns):
         return
-    x, y = way.quaternions_xyzw[:, 0], way.quaternions_xyzw[:, 1]
+    x, y = trajectory.quaternions_xyzw[:, 0], trajectory.quaternions_xyzw[:, 1]
     leaning = int((1.0 - 2.0 * (x * x + y * y) < _LEANING).sum())
-    if leaning > len(way.timestamps_ns) / 2:
+    if leaning > len(trajectory.timestamps_ns) / 2:
         message = (
-            f"trajectory {name!r} has the ego on its side or head in {leaning} of {len(way.timestamps_ns)} poses; "
+            f"trajectory {name!r} has the ego on its side or head in {leaning} of {len(trajectory.timestamps_ns)} "
+            f"poses; "
             "are the quaternions x y z w, and is the world's z axis up?"
         )
-        ledger.note(NoticeKind.ASSUMED, "ego-leaning", str(path), message)
+        ledger.note(WarningKind.ASSUMED, "ego-leaning", str(path), message)
 
 
 def note_doubts(
     path: Path, sensors: Sequence[Sensor], trajectories: Mapping[str, Trajectory], ledger: Ledger
 ) -> None:
-    """Remark what can hardly be meant.
+    """Note what can hardly be meant.
 
     Args:
         path: the manifest.
         sensors: of the scene.
         trajectories: of the scene.
-        ledger: takes the notices.
+        ledger: takes the warnings.
     """
     for sensor in sensors:
         if isinstance(sensor, LidarSensor | CameraSensor) and sensor.mount is not None:
             distance = float(np.linalg.norm(sensor.mount.translation))
             if distance > FARTHEST_MOUNT:
                 message = f"sensor {sensor.id!r} is {distance:.5g} m from the ego; are these millimetres?"
-                ledger.note(NoticeKind.ASSUMED, "far-mount", str(path), message)
-    for name, way in trajectories.items():
-        _note_leaning(path, name, way, ledger)
+                ledger.note(WarningKind.ASSUMED, "far-mount", str(path), message)
+    for name, trajectory in trajectories.items():
+        _note_leaning(path, name, trajectory, ledger)
     spans = [(f"sensor {sensor.id!r}", frame_times(sensor)) for sensor in sensors]
-    spans += [(f"trajectory {name!r}", way.timestamps_ns) for name, way in trajectories.items()]
+    spans += [(f"trajectory {name!r}", trajectory.timestamps_ns) for name, trajectory in trajectories.items()]
     ordered = sorted((int(times.min()), int(times.max()), name) for name, times in spans if len(times))
     latest = ordered[0][1] if ordered else 0
     for before, after in pairwise(ordered):
@@ -101,4 +102,4 @@ def note_doubts(
                 f"{after[2]} begins {(after[0] - latest) / 1e9:.3f} s after {before[2]} and all before it end; "
                 "are their clocks or units the same?"
             )
-            ledger.note(NoticeKind.ASSUMED, "clocks-apart", str(path), message)
+            ledger.note(WarningKind.ASSUMED, "clocks-apart", str(path), message)

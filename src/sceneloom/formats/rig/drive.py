@@ -14,7 +14,7 @@ from sceneloom.formats.rig.transforms import FrameTree
 from sceneloom.formats.rig.videos import VideoFile
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.pose_source import poses_along
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 
 
 def own_frame(record: Record) -> str:
@@ -30,32 +30,32 @@ class Drive:
         manifest: the records.
         tree: the frames.
         ego_path: `world_from_ego` of the default trajectory, or None.
-        ledger: takes notices, and faults in a lenient reading.
+        ledger: takes warnings, and faults in a lenient reading.
         videos: those that were opened; the scene closes them.
     """
 
     manifest: Manifest
     tree: FrameTree
-    ego_path: PosePath | None
+    ego_path: Poses | None
     ledger: Ledger
     videos: list[VideoFile] = field(default_factory=list)
 
-    def root(self, record: Record, place: str) -> Root:
+    def root(self, record: Record, location: str) -> Root:
         """The folder of a sensor's files.
 
         Raises:
             DataError: there is no such folder.
         """
         return open_root(
-            self.manifest.path, [record.get("root"), self.manifest.record.get("root")], f"{place}.root"
+            self.manifest.path, [record.get("root"), self.manifest.record.get("root")], f"{location}.root"
         )
 
-    def time_source(self, record: Record, place: str) -> TimeSource:
-        """What the stamps of a sensor are read with."""
-        root = self.root(record, place)
+    def time_source(self, record: Record, location: str) -> TimeSource:
+        """What the timestamps of a sensor are read with."""
+        root = self.root(record, location)
         offset_ns = int(record.get("time_offset_s", 0))
         return TimeSource(
-            record.get("times", {}), f"{place}.times", self.manifest.path, root, offset_ns, self.ledger
+            record.get("times", {}), f"{location}.times", self.manifest.path, root, offset_ns, self.ledger
         )
 
     def mount(self, record: Record) -> RigidTransform:
@@ -66,6 +66,6 @@ class Drive:
         """
         return self.tree.ego_from(own_frame(record))
 
-    def poses(self, mount: RigidTransform, timestamps_ns: Int64Array) -> PosePath | None:
+    def poses(self, mount: RigidTransform, timestamps_ns: Int64Array) -> Poses | None:
         """`world_from_sensor` at those of the times that the default trajectory covers."""
         return poses_along(self.ego_path, {0: mount}, np.zeros(len(timestamps_ns), np.int64), timestamps_ns)

@@ -13,11 +13,11 @@ FILL_IN = "still to be filled in"
 
 
 class Faults:
-    """The faults found so far, each with its place in the manifest.
+    """The faults found so far, each with its location in the manifest.
 
     Attributes:
         file: the manifest, for messages.
-        labels: what people call the parts, by place ("sensors[1]").
+        labels: what people call the parts, by location ("sensors[1]").
     """
 
     def __init__(self, file: object) -> None:
@@ -26,25 +26,25 @@ class Faults:
         self.labels: dict[str, str] = {}
         self._errors: list[DataError] = []
 
-    def add(self, place: str, problem: str) -> None:
+    def add(self, location: str, problem: str) -> None:
         """Note a fault of the manifest."""
-        self._errors.append(DataError(self.file, place, problem))
+        self._errors.append(DataError(self.file, location, problem))
 
     def __len__(self) -> int:
         return len(self._errors)
 
     @contextmanager
-    def catching(self, place: str) -> Iterator[None]:
-        """Note what goes wrong in the block instead of raising it; errors of other files keep their place."""
+    def catching(self, location: str) -> Iterator[None]:
+        """Note what goes wrong in the block instead of raising it; errors of other files keep their location."""
         try:
             yield
         except DataError as error:
             self._errors.append(error)
         except SceneloomError as error:
-            self.add(place, str(error))
+            self.add(location, str(error))
 
     def raise_all(self) -> None:
-        """Raise one error that tells all faults, if there is one.
+        """Raise one error that reports all faults, if there is one.
 
         Raises:
             DataError: the only fault, or the first with all others below it.
@@ -53,20 +53,20 @@ class Faults:
         if len(errors) == 1:
             raise errors[0]
         if errors:
-            said = [self._told(error) for error in errors if not error.problem.startswith(FILL_IN)]
-            lines = [*said, *self._to_fill_in(errors)]
+            stated = [self._reported(error) for error in errors if not error.problem.startswith(FILL_IN)]
+            lines = [*stated, *self._to_fill_in(errors)]
             if len(lines) > SHOWN:
                 lines[SHOWN:] = [f"… and {len(lines) - SHOWN} lines more"]
             raise DataError(self.file, "", "\n  ".join([f"{len(errors)} faults", *lines]))
 
     def _labelled(self, error: DataError) -> str:
-        part, dot, rest = error.place.partition(".")
+        part, dot, rest = error.location.partition(".")
         known = part in self.labels and error.file == str(self.file)
-        return f"{part} ({self.labels[part]}){dot}{rest}" if known else error.place
+        return f"{part} ({self.labels[part]}){dot}{rest}" if known else error.location
 
-    def _told(self, error: DataError) -> str:
+    def _reported(self, error: DataError) -> str:
         if error.file == str(self.file):
-            return ": ".join(filter(None, (error.place, error.problem)))
+            return ": ".join(filter(None, (error.location, error.problem)))
         return str(error)
 
     @staticmethod
@@ -75,6 +75,6 @@ class Faults:
         open_fields: dict[str, list[str]] = {}
         for error in errors:
             if error.problem.startswith(FILL_IN):
-                part, _, name = error.place.partition(".")
+                part, _, name = error.location.partition(".")
                 open_fields.setdefault(part, []).append(name)
         return [f"{part}: {FILL_IN}: {', '.join(names)}" for part, names in open_fields.items()]

@@ -59,26 +59,26 @@ class Field:
 
 
 SENSOR_TYPES = ("lidar", "camera", "imu", "gnss")
-STAMPS = ("start", "middle", "end")
+TIMESTAMPS = ("start", "middle", "end")
 UNITS = tuple(UNITS_NS)
 
 _ID = Field("id", Kind.TEXT, "name of the sensor in the scene; no other has it", required=True)
 _TYPE = Field("type", Kind.CHOICE, "what it measures", required=True, choices=SENSOR_TYPES)
 _FRAME = Field("frame", Kind.TEXT, "name of the sensor's own frame; left out: its id")
 _EXTRINSIC = Field(
-    "extrinsic", Kind.RECORD, "where the sensor is, in place of a `[[transforms]]`", record="extrinsic"
+    "extrinsic", Kind.RECORD, "where the sensor is, instead of a `[[transforms]]`", record="extrinsic"
 )
 _ROOT = Field(
     "root", Kind.TEXT, "folder of the files, seen from the manifest; left out: the manifest's `root`"
 )
-_OFFSET = Field("time_offset_s", Kind.SECONDS, "added to every stamp of the sensor", unit="s")
+_OFFSET = Field("time_offset_s", Kind.SECONDS, "added to every timestamp of the sensor", unit="s")
 _UNIT = Field("unit", Kind.CHOICE, "unit of the numbers", choices=UNITS)
-_TIMES = Field("times", Kind.RECORD, "where the time stamps come from", required=True, record="times")
+_TIMES = Field("times", Kind.RECORD, "where the timestamps come from", required=True, record="times")
 _FILES = Field(
     "files", Kind.TEXTS, "pattern of the files below `root`: `lidar/*.pcd`, `**/*.bin`, or a list of patterns"
 )
 _CSV_FILE = Field("file", Kind.TEXT, "the CSV file below `root`", required=True)
-_COLUMNS = Field("columns", Kind.NAMES, "column of the file by what it is, where its name does not tell")
+_COLUMNS = Field("columns", Kind.NAMES, "column of the file by what it is, where its name does not report")
 _MOUNTED = (_ID, _TYPE, _FRAME, _EXTRINSIC, _ROOT, _OFFSET)
 
 _ROTATIONS = (
@@ -120,14 +120,19 @@ RECORDS: Mapping[str, tuple[Field, ...]] = MappingProxyType(
                 Kind.TEXT,
                 "takes points of the sensor's frame into this frame: p_to = R·p + translation",
             ),
-            Field("from", Kind.TEXT, "in place of `to`: takes points of this frame into the sensor's frame"),
+            Field("from", Kind.TEXT, "instead of `to`: takes points of this frame into the sensor's frame"),
             *_ROTATIONS,
         ),
         "sensor lidar": (
             *_MOUNTED,
             Field(_FILES.name, _FILES.kind, _FILES.about, required=True),
             _TIMES,
-            Field("stamp", Kind.CHOICE, "what of a sweep the stamp means; left out: start", choices=STAMPS),
+            Field(
+                "timestamp",
+                Kind.CHOICE,
+                "what of a sweep the timestamp means; left out: start",
+                choices=TIMESTAMPS,
+            ),
             Field(
                 "sweep_s",
                 Kind.SECONDS,
@@ -136,7 +141,9 @@ RECORDS: Mapping[str, tuple[Field, ...]] = MappingProxyType(
                 positive=True,
             ),
             Field(
-                "deskewed", Kind.FLAG, "true: all points are placed as at the stamp, their times are not used"
+                "deskewed",
+                Kind.FLAG,
+                "true: all points are placed as at the timestamp, their times are not used",
             ),
             Field("points_in", Kind.TEXT, "frame of the points, or `world`; left out: the sensor's own"),
             Field("point_times", Kind.RECORD, "what the times of single points mean", record="point_times"),
@@ -147,7 +154,7 @@ RECORDS: Mapping[str, tuple[Field, ...]] = MappingProxyType(
             Field(
                 "use",
                 Kind.NAMES,
-                "column by what it is: x y z intensity ring red green blue, where names do not tell",
+                "column by what it is: x y z intensity ring red green blue, where names do not report",
             ),
             Field(
                 "intensity_max",
@@ -160,7 +167,7 @@ RECORDS: Mapping[str, tuple[Field, ...]] = MappingProxyType(
         "sensor camera": (
             *_MOUNTED,
             _FILES,
-            Field("video", Kind.TEXT, "a video below `root`, in place of `files`"),
+            Field("video", Kind.TEXT, "a video below `root`, instead of `files`"),
             _TIMES,
             Field("axes", Kind.AXES, "how the axes of the camera's frame lie; left out: optical"),
             Field(
@@ -171,7 +178,7 @@ RECORDS: Mapping[str, tuple[Field, ...]] = MappingProxyType(
                 positive=True,
             ),
             Field("shutter_left_to_right", Kind.FLAG, "true: it takes columns from the left, not rows"),
-            Field("lens", Kind.RECORD, "the intrinsics", required=True, record="lens"),
+            Field("camera_model", Kind.RECORD, "the intrinsics", required=True, record="camera_model"),
         ),
         "sensor imu": (
             *_MOUNTED,
@@ -186,23 +193,27 @@ RECORDS: Mapping[str, tuple[Field, ...]] = MappingProxyType(
             Field(
                 "pattern",
                 Kind.TEXT,
-                "stamps in the file names: `{ns}`, `{s}_{ns}`, `*_{us}`, `{index}` with a rate",
+                "timestamps in the file names: `{ns}`, `{s}_{ns}`, `*_{us}`, `{index}` with a rate",
             ),
-            Field("csv", Kind.TEXT, "stamps in a CSV file below `root`"),
-            Field("column", Kind.TEXT, "column of the stamps in the CSV; left out: timestamp, time, t, …"),
+            Field("csv", Kind.TEXT, "timestamps in a CSV file below `root`"),
+            Field(
+                "column", Kind.TEXT, "column of the timestamps in the CSV; left out: timestamp, time, t, …"
+            ),
             Field(
                 "file_column",
                 Kind.TEXT,
                 "column of the file names in the CSV; left out: file, filename, … if any",
             ),
             Field(
-                "lines", Kind.TEXT, "stamps in a text file below `root`, one line per file: numbers or dates"
+                "lines",
+                Kind.TEXT,
+                "timestamps in a text file below `root`, one line per file: numbers or dates",
             ),
             Field("rate_hz", Kind.NUMBER, "files come evenly, so many a second", unit="1/s", positive=True),
             Field(
                 "start_s",
                 Kind.SECONDS,
-                "stamp of index 0, or of a video's first picture; left out: 0",
+                "timestamp of index 0, or of a video's first image; left out: 0",
                 unit="s",
             ),
             Field("container", Kind.FLAG, "true: the times that the video itself has"),
@@ -214,18 +225,19 @@ RECORDS: Mapping[str, tuple[Field, ...]] = MappingProxyType(
             Field(
                 "relative_to",
                 Kind.CHOICE,
-                "what they count from: the file's stamp, the sweep's start, or the clock's zero; left out: stamp",
-                choices=("stamp", "start", "clock"),
+                "what they count from: the file's timestamp, the sweep's start, or the clock's zero; left out: "
+                "timestamp",
+                choices=("timestamp", "start", "clock"),
             ),
         ),
-        "lens": (
+        "camera_model": (
             Field(
                 "model", Kind.TEXT, "projection model; left out: pinhole, or brown_conrady with coefficients"
             ),
             Field(
                 "width",
                 Kind.INTEGER,
-                "picture size that the numbers hold for; left out: the pictures'",
+                "image size that the numbers hold for; left out: the images'",
                 unit="px",
                 positive=True,
             ),
@@ -234,28 +246,28 @@ RECORDS: Mapping[str, tuple[Field, ...]] = MappingProxyType(
             Field("fy", Kind.NUMBER, "focal length; left out: fx", unit="px", positive=True),
             Field("cx", Kind.NUMBER, "principal point; (0, 0) is the centre of the first pixel", unit="px"),
             Field("cy", Kind.NUMBER, "the same", unit="px"),
-            Field("K", Kind.MATRIX, "in place of fx fy cx cy", unit="px", shapes=((3, 3),)),
+            Field("K", Kind.MATRIX, "instead of fx fy cx cy", unit="px", shapes=((3, 3),)),
             Field(
                 "P",
                 Kind.MATRIX,
-                "in place of them: K·[I t], as KITTI and ROS give it",
+                "instead of them: K·[I t], as KITTI and ROS give it",
                 unit="px",
                 shapes=((3, 4),),
             ),
             Field("coefficients", Kind.NUMBERS, "distortion: a list in OpenCV's order, or by name"),
             Field(
-                "undistorted", Kind.FLAG, "true: the pictures are rectified, so the coefficients are not used"
+                "undistorted", Kind.FLAG, "true: the images are rectified, so the coefficients are not used"
             ),
         ),
         "trajectory": (
             Field("name", Kind.TEXT, "what it is called; left out: pose"),
             Field("file", Kind.TEXT, "the file below `root`", required=True),
             Field("form", Kind.CHOICE, "how it is written", required=True, choices=("tum", "kitti", "csv")),
-            Field("frame", Kind.TEXT, "the frame whose way it is; left out: the ego's"),
+            Field("frame", Kind.TEXT, "the frame whose trajectory it is; left out: the ego's"),
             Field(
                 "world_axes", Kind.CHOICE, "axes of its world; left out: z_up", choices=("z_up", "optical")
             ),
-            Field("times", Kind.TEXT, "stamps of a kitti file: a text file, one line per pose"),
+            Field("times", Kind.TEXT, "timestamps of a kitti file: a text file, one line per pose"),
             _COLUMNS,
             _UNIT,
             _ROOT,

@@ -37,12 +37,12 @@ class Manifest:
         faults = Faults(self.path)
         for name, key in _NAMED:
             faults.labels.update(
-                {place: record[key] for place, record in self.records(name) if key in record}
+                {location: record[key] for location, record in self.records(name) if key in record}
             )
         return faults
 
     def records(self, name: str) -> list[tuple[str, Record]]:
-        """The tables of a list, each with its place."""
+        """The tables of a list, each with its location."""
         return [(f"{name}[{k}]", record) for k, record in enumerate(self.record.get(name, []))]
 
 
@@ -58,7 +58,7 @@ def read_manifest(path: Path) -> Manifest:
     """Read a manifest.
 
     Raises:
-        DataError: the file cannot be read, is no TOML, or has faults; all of them are told at once.
+        DataError: the file cannot be read, is no TOML, or has faults; all of them are reported at once.
     """
     raw = _parse(path)
     faults = Faults(path)

@@ -22,19 +22,19 @@ class FieldError(ValueError):
     """A value is not what its field holds."""
 
 
-def read_record(raw: Mapping[str, Any], record: str, place: str, faults: Faults) -> Record:
+def read_record(raw: Mapping[str, Any], record: str, location: str, faults: Faults) -> Record:
     """Read one record; fields that are at fault are noted and left out.
 
     Args:
         raw: as `tomllib` gives it, numbers with a point as Decimal.
         record: its name in the table.
-        place: where it stands, for messages.
+        location: where it stands, for messages.
         faults: takes all that is wrong.
     """
     fields = fields_of(record)
     values: Record = {}
     for name, value in raw.items():
-        where = f"{place}.{name}" if place else name
+        where = f"{location}.{name}" if location else name
         if name not in fields:
             faults.add(where, f"unknown; {_nearest(name, record)}")
             continue
@@ -45,7 +45,8 @@ def read_record(raw: Mapping[str, Any], record: str, place: str, faults: Faults)
     for field in fields.values():
         if field.required and field.name not in raw:
             faults.add(
-                f"{place}.{field.name}" if place else field.name, f"missing; expected {_expected(field)}"
+                f"{location}.{field.name}" if location else field.name,
+                f"missing; expected {_expected(field)}",
             )
     return values
 
@@ -88,22 +89,22 @@ def _wrong(value: Any, field: Field) -> FieldError:
     return FieldError(f"{_found(value)}; expected {_expected(field)}")
 
 
-def _read_text(value: Any, field: Field, place: str, faults: Faults) -> str:
-    del place, faults
+def _read_text(value: Any, field: Field, location: str, faults: Faults) -> str:
+    del location, faults
     if isinstance(value, str) and value.strip() and "\0" not in value:
         return value
     raise _wrong(value, field)
 
 
-def _read_texts(value: Any, field: Field, place: str, faults: Faults) -> list[str]:
+def _read_texts(value: Any, field: Field, location: str, faults: Faults) -> list[str]:
     texts = [value] if isinstance(value, str) else value
     if not isinstance(texts, list) or not texts:
         raise _wrong(value, field)
-    return [_read_text(text, field, place, faults) for text in texts]
+    return [_read_text(text, field, location, faults) for text in texts]
 
 
-def _read_choice(value: Any, field: Field, place: str, faults: Faults) -> str:
-    del place, faults
+def _read_choice(value: Any, field: Field, location: str, faults: Faults) -> str:
+    del location, faults
     if isinstance(value, str) and value in field.choices:
         return value
     close = get_close_matches(value, field.choices, 1, 0.5) if isinstance(value, str) else []
@@ -111,15 +112,15 @@ def _read_choice(value: Any, field: Field, place: str, faults: Faults) -> str:
     raise FieldError(f"{_found(value)}; expected {_expected(field)}{hint}")
 
 
-def _read_flag(value: Any, field: Field, place: str, faults: Faults) -> bool:
-    del place, faults
+def _read_flag(value: Any, field: Field, location: str, faults: Faults) -> bool:
+    del location, faults
     if isinstance(value, bool):
         return value
     raise _wrong(value, field)
 
 
-def _read_integer(value: Any, field: Field, place: str, faults: Faults) -> int:
-    del place, faults
+def _read_integer(value: Any, field: Field, location: str, faults: Faults) -> int:
+    del location, faults
     if type(value) is int and abs(value) < _LARGEST and (value > 0 or not field.positive):
         return value
     if _is_nan(value):
@@ -139,17 +140,17 @@ def _number(value: Any, field: Field) -> float:
     raise _wrong(value, field)
 
 
-def _read_number(value: Any, field: Field, place: str, faults: Faults) -> float:
-    del place, faults
+def _read_number(value: Any, field: Field, location: str, faults: Faults) -> float:
+    del location, faults
     number = _number(value, field)
     if field.positive and not number > 0:
         raise _wrong(value, field)
     return number
 
 
-def _read_seconds(value: Any, field: Field, place: str, faults: Faults) -> int:
+def _read_seconds(value: Any, field: Field, location: str, faults: Faults) -> int:
     """Read seconds as nanoseconds, exactly."""
-    del place, faults
+    del location, faults
     if _is_nan(value):
         raise FieldError(f"{FILL_IN}: {field.about} [s]")
     try:
@@ -161,15 +162,15 @@ def _read_seconds(value: Any, field: Field, place: str, faults: Faults) -> int:
     return int((number * 10**9).to_integral_value())
 
 
-def _read_vector(value: Any, field: Field, place: str, faults: Faults) -> Any:
-    del place, faults
+def _read_vector(value: Any, field: Field, location: str, faults: Faults) -> Any:
+    del location, faults
     if not isinstance(value, list) or (len(value),) not in field.shapes:
         raise _wrong(value, field)
     return np.array([_number(item, field) for item in value])
 
 
-def _read_matrix(value: Any, field: Field, place: str, faults: Faults) -> Any:
-    del place, faults
+def _read_matrix(value: Any, field: Field, location: str, faults: Faults) -> Any:
+    del location, faults
     rows = value if isinstance(value, list) else []
     widths = {len(row) if isinstance(row, list) else -1 for row in rows}
     if len(widths) != 1 or (len(rows), *widths) not in field.shapes:
@@ -177,8 +178,8 @@ def _read_matrix(value: Any, field: Field, place: str, faults: Faults) -> Any:
     return np.array([[_number(item, field) for item in row] for row in rows])
 
 
-def _read_numbers(value: Any, field: Field, place: str, faults: Faults) -> Any:
-    del place, faults
+def _read_numbers(value: Any, field: Field, location: str, faults: Faults) -> Any:
+    del location, faults
     if isinstance(value, list):
         return [_number(item, field) for item in value]
     if isinstance(value, dict):
@@ -186,15 +187,15 @@ def _read_numbers(value: Any, field: Field, place: str, faults: Faults) -> Any:
     raise _wrong(value, field)
 
 
-def _read_names(value: Any, field: Field, place: str, faults: Faults) -> dict[str, str]:
+def _read_names(value: Any, field: Field, location: str, faults: Faults) -> dict[str, str]:
     if not isinstance(value, dict):
         raise _wrong(value, field)
-    return {name: _read_text(item, field, place, faults) for name, item in value.items()}
+    return {name: _read_text(item, field, location, faults) for name, item in value.items()}
 
 
-def _read_axes(value: Any, field: Field, place: str, faults: Faults) -> tuple[str, ...]:
+def _read_axes(value: Any, field: Field, location: str, faults: Faults) -> tuple[str, ...]:
     """Read axes as the three of them that are right, down and forward, or as one word."""
-    del place, faults
+    del location, faults
     if isinstance(value, dict) and set(value) == {"right", "down", "forward"}:
         value = ",".join(map(str, (value["right"], value["down"], value["forward"])))
     if not isinstance(value, str):
@@ -202,39 +203,39 @@ def _read_axes(value: Any, field: Field, place: str, faults: Faults) -> tuple[st
     return tuple(word.strip().lower() for word in value.split(","))
 
 
-def _read_inner(value: Any, field: Field, place: str, faults: Faults) -> Record:
+def _read_inner(value: Any, field: Field, location: str, faults: Faults) -> Record:
     if not isinstance(value, dict):
         raise _wrong(value, field)
-    return read_record(value, field.record, place, faults)
+    return read_record(value, field.record, location, faults)
 
 
-def _read_list(value: Any, field: Field, place: str, faults: Faults) -> list[Record]:
+def _read_list(value: Any, field: Field, location: str, faults: Faults) -> list[Record]:
     if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
         raise FieldError(f"{_found(value)}; expected {field.kind.value}: one `[[{field.name}]]` each")
     read = _read_sensor if field.record == "sensor" else read_record
     for k, item in enumerate(value):
         label = item.get("id", item.get("name"))
         if isinstance(label, str):
-            faults.labels[f"{place}[{k}]"] = label
-    return [read(item, field.record, f"{place}[{k}]", faults) for k, item in enumerate(value)]
+            faults.labels[f"{location}[{k}]"] = label
+    return [read(item, field.record, f"{location}[{k}]", faults) for k, item in enumerate(value)]
 
 
-def _read_sensor(raw: Mapping[str, Any], record: str, place: str, faults: Faults) -> Record:
+def _read_sensor(raw: Mapping[str, Any], record: str, location: str, faults: Faults) -> Record:
     """Read a sensor by the record of its type; of one without a known type only the type is judged."""
     del record
     kind = raw.get("type")
     if kind in SENSOR_TYPES:
-        return read_record(raw, f"sensor {kind}", place, faults)
+        return read_record(raw, f"sensor {kind}", location, faults)
     field = fields_of(f"sensor {SENSOR_TYPES[0]}")["type"]
     if kind is None:
         close = get_close_matches("type", raw, 1, 0.6)
         hint = f"; {close[0]!r} is unknown: is it meant?" if close else ""
-        faults.add(f"{place}.type", f"missing; expected {_expected(field)}{hint}")
+        faults.add(f"{location}.type", f"missing; expected {_expected(field)}{hint}")
     else:
         try:
-            _read_choice(kind, field, place, faults)
+            _read_choice(kind, field, location, faults)
         except FieldError as error:
-            faults.add(f"{place}.type", str(error))
+            faults.add(f"{location}.type", str(error))
     return {}
 
 

@@ -24,19 +24,19 @@ class Root:
     folder: Path
     manifest: Path
 
-    def file(self, name: str, place: str) -> Path:
+    def file(self, name: str, location: str) -> Path:
         """Find one file.
 
         Raises:
             DataError: there is no such file, or it lies outside the folder.
         """
-        path = self.folder / self._checked(name, place)
+        path = self.folder / self._checked(name, location)
         if not path.is_file():
-            raise DataError(self.manifest, place, f"{name!r}: {why_no_file(path)} in {self.folder}")
-        self._check_inside([path], place)
+            raise DataError(self.manifest, location, f"{name!r}: {why_no_file(path)} in {self.folder}")
+        self._check_inside([path], location)
         return path
 
-    def files(self, patterns: Sequence[str], place: str) -> list[Path]:
+    def files(self, patterns: Sequence[str], location: str) -> list[Path]:
         """Find the files of some patterns, in the order in which people number them: 2 before 10.
 
         Raises:
@@ -46,20 +46,22 @@ class Root:
         for pattern in patterns:
             try:
                 matches = [
-                    path for path in self.folder.glob(self._checked(pattern, place)) if not path.is_dir()
+                    path for path in self.folder.glob(self._checked(pattern, location)) if not path.is_dir()
                 ]
             except (ValueError, NotImplementedError, IndexError, re.error) as error:
-                raise DataError(self.manifest, place, f"{pattern!r} is no pattern: {error}") from error
+                raise DataError(self.manifest, location, f"{pattern!r} is no pattern: {error}") from error
             if not matches:
                 raise DataError(
-                    self.manifest, place, f"{pattern!r}: no such files in {self.folder}{self._hint(pattern)}"
+                    self.manifest,
+                    location,
+                    f"{pattern!r}: no such files in {self.folder}{self._hint(pattern)}",
                 )
             found.update(matches)
         files = sorted(found, key=natural_key)
         odd = next((path for path in files if not path.is_file()), None)
         if odd is not None:
-            raise DataError(self.manifest, place, f"{self.relative(odd)!r}: {why_no_file(odd)}")
-        self._check_inside(files, place)
+            raise DataError(self.manifest, location, f"{self.relative(odd)!r}: {why_no_file(odd)}")
+        self._check_inside(files, location)
         return files
 
     def relative(self, path: Path) -> str:
@@ -67,15 +69,15 @@ class Root:
         # of many thousands of files, each asked for: cutting the text is ten times as fast as `relative_to`
         return str(path)[len(str(self.folder)) :].lstrip(os.sep).replace(os.sep, "/")
 
-    def _checked(self, name: str, place: str) -> str:
+    def _checked(self, name: str, location: str) -> str:
         windows = PureWindowsPath(name)
         outside = PurePosixPath(name).is_absolute() or windows.drive or windows.root or ".." in windows.parts
         if outside:
             problem = f"{name!r}; expected a path below {self.folder}; name another folder with `root`"
-            raise DataError(self.manifest, place, problem)
+            raise DataError(self.manifest, location, problem)
         return name
 
-    def _check_inside(self, files: Sequence[Path], place: str) -> None:
+    def _check_inside(self, files: Sequence[Path], location: str) -> None:
         """Refuse links that lead out; folders are looked up once each."""
         resolved: dict[Path, bool] = {}
         for path in files:
@@ -89,10 +91,10 @@ class Root:
                     f"{self.relative(path)!r} leads out of {self.folder} by a link, to {path.resolve()}; "
                     "name the folder that the files are in as `root`"
                 )
-                raise DataError(self.manifest, place, problem)
+                raise DataError(self.manifest, location, problem)
 
     def _hint(self, pattern: str) -> str:
-        """Say what there is in place of a pattern without matches."""
+        """Report what there is instead of a pattern without matches."""
         folder = self.folder
         for part in PurePosixPath(pattern).parts[:-1]:
             if any(sign in part for sign in "*?["):
@@ -126,12 +128,12 @@ def natural_key(path: Path) -> tuple[tuple[int, int, str], ...]:
     )
 
 
-def open_root(manifest: Path, names: Sequence[str | None], place: str) -> Root:
+def open_root(manifest: Path, names: Sequence[str | None], location: str) -> Root:
     """Find the folder of some files.
 
     Args:
         manifest: the manifest, from whose folder a relative root is seen.
-        names: `root` of the sensor and of the manifest, None where not said; the first that is said counts.
+        names: `root` of the sensor and of the manifest, None where not stated; the first that is stated counts.
 
     Raises:
         DataError: there is no such folder.
@@ -141,7 +143,7 @@ def open_root(manifest: Path, names: Sequence[str | None], place: str) -> Root:
     try:
         resolved = folder.resolve()
     except (OSError, RuntimeError) as error:
-        raise DataError(manifest, place, f"{name!r} cannot be read: {error}") from error
+        raise DataError(manifest, location, f"{name!r} cannot be read: {error}") from error
     if not resolved.is_dir():
-        raise DataError(manifest, place, f"{name!r}: no such folder; expected the folder of the files")
+        raise DataError(manifest, location, f"{name!r}: no such folder; expected the folder of the files")
     return Root(resolved, manifest)

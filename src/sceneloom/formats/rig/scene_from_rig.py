@@ -23,10 +23,10 @@ from sceneloom.formats.rig.spec import MANIFEST, manifest_path
 from sceneloom.formats.rig.trajectories import build_trajectory
 from sceneloom.formats.rig.transforms import Edge, FrameTree, read_transform
 from sceneloom.formats.rig.videos import VideoFile
-from sceneloom.scene.assumed_lenses import with_assumed_models
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.assumed_camera_models import with_assumed_models
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.warnings import WarningKind
 
 _BUILDERS: Mapping[str, Callable[[Drive, Record, str], Sensor]] = MappingProxyType(
     {"lidar": build_lidar, "camera": build_camera, "imu": build_imu, "gnss": build_gnss}
@@ -37,15 +37,15 @@ RESERVED_NAMES = {"gnss", "lidar", "identity"}
 
 
 def open_rig(path: Path, *, lenient: bool = False, assume_model: bool = False) -> Scene:
-    """Open a folder with a `rig.toml`, or a manifest itself; pictures and points are read when asked for.
+    """Open a folder with a `rig.toml`, or a manifest itself; images and points are read when asked for.
 
     Args:
         path: the folder, or the manifest.
         lenient: leave out sensors and trajectories that are at fault, files without time and times without file.
-        assume_model: allow computing with lenses whose formulas nothing confirms.
+        assume_model: allow computing with camera models whose formulas nothing confirms.
 
     Raises:
-        DataError: the manifest, or what it names, is at fault; all faults are told at once.
+        DataError: the manifest, or what it names, is at fault; all faults are reported at once.
     """
     manifest = read_manifest(manifest_path(path))
     ledger = Ledger(lenient=lenient)
@@ -65,9 +65,9 @@ def _open(manifest: Manifest, ledger: Ledger) -> Scene:
     closing = CloseVideos(drive.videos)
     sensors: list[Sensor] = []
     try:
-        for place, record in manifest.records("sensors"):
-            with _judging(place, faults, ledger):
-                sensors.append(_BUILDERS[record["type"]](drive, record, place))
+        for location, record in manifest.records("sensors"):
+            with _judging(location, faults, ledger):
+                sensors.append(_BUILDERS[record["type"]](drive, record, location))
         faults.raise_all()
     except BaseException:
         closing()
@@ -80,7 +80,7 @@ def _open(manifest: Manifest, ledger: Ledger) -> Scene:
         metadata=MappingProxyType({"rig": _about(manifest, tree)}),
         source=str(manifest.path.parent if manifest.path.name == MANIFEST else manifest.path),
         format="rig",
-        notices=ledger.notices,
+        warnings=ledger.warnings,
         on_close=closing,
     )
 
@@ -98,20 +98,20 @@ class CloseVideos:
 
 
 @contextmanager
-def _judging(place: str, faults: Faults, ledger: Ledger) -> Iterator[None]:
+def _judging(location: str, faults: Faults, ledger: Ledger) -> Iterator[None]:
     """Note what goes wrong with one part; a lenient reading leaves the part out."""
     if not ledger.lenient:
-        with faults.catching(place):
+        with faults.catching(location):
             yield
         return
     try:
         yield
     except SceneloomError as error:
-        where, problem = place, str(error)
-        if isinstance(error, DataError) and error.file == str(faults.file) and error.place:
-            where, problem = error.place, error.problem
+        where, problem = location, str(error)
+        if isinstance(error, DataError) and error.file == str(faults.file) and error.location:
+            where, problem = error.location, error.problem
         message = f"left out: {problem}"
-        ledger.note(NoticeKind.SKIPPED, "parts-at-fault", f"{faults.file}: {where}", message)
+        ledger.note(WarningKind.SKIPPED, "parts-at-fault", f"{faults.file}: {where}", message)
 
 
 def _frame_tree(manifest: Manifest, faults: Faults, ledger: Ledger) -> FrameTree:
@@ -122,21 +122,22 @@ def _frame_tree(manifest: Manifest, faults: Faults, ledger: Ledger) -> FrameTree
     """
     edges = []
     tables = [
-        (place, record, record["from"], record["to"]) for place, record in manifest.records("transforms")
+        (location, record, record["from"], record["to"])
+        for location, record in manifest.records("transforms")
     ]
-    for place, sensor in manifest.records("sensors"):
+    for location, sensor in manifest.records("sensors"):
         if "extrinsic" not in sensor:
             continue
-        where, record, frame = f"{place}.extrinsic", sensor["extrinsic"], own_frame(sensor)
+        where, record, frame = f"{location}.extrinsic", sensor["extrinsic"], own_frame(sensor)
         if ("to" in record) == ("from" in record):
             found = "to and from" if "to" in record else "neither to nor from"
             faults.add(where, f"{found}; expected `to`: the frame that points of {frame!r} are taken into")
             continue
         tables.append((where, record, record.get("from", frame), record.get("to", frame)))
-    for place, record, source, target in tables:
-        with faults.catching(place):
-            where = f"{manifest.path}: {place}"
-            edges.append(Edge(source, target, read_transform(record, where, ledger), place))
+    for location, record, source, target in tables:
+        with faults.catching(location):
+            where = f"{manifest.path}: {location}"
+            edges.append(Edge(source, target, read_transform(record, where, ledger), location))
     faults.raise_all()
     try:
         return FrameTree(manifest.ego, edges)
@@ -148,15 +149,18 @@ def _trajectories(
     manifest: Manifest, tree: FrameTree, faults: Faults, ledger: Ledger
 ) -> dict[str, Trajectory]:
     trajectories = {}
-    for place, record in manifest.records("trajectories"):
+    for location, record in manifest.records("trajectories"):
         name = record.get("name", "pose")
         if name in RESERVED_NAMES:
-            faults.add(f"{place}.name", f"{name!r} stands for a way that is computed; expected another name")
+            faults.add(
+                f"{location}.name",
+                f"{name!r} stands for a trajectory that is computed; expected another name",
+            )
         elif name in trajectories:
-            faults.add(f"{place}.name", f"a second trajectory {name!r}; expected different names")
+            faults.add(f"{location}.name", f"a second trajectory {name!r}; expected different names")
         else:
-            with _judging(place, faults, ledger):
-                trajectories[name] = build_trajectory(manifest, record, place, tree, ledger)
+            with _judging(location, faults, ledger):
+                trajectories[name] = build_trajectory(manifest, record, location, tree, ledger)
     return trajectories
 
 
@@ -164,17 +168,17 @@ def _note_frames_and_roots(drive: Drive) -> None:
     path = drive.manifest.path
     if drive.tree.loose:
         message = f"frames {', '.join(map(repr, drive.tree.loose))} are not connected with {drive.tree.ego!r}; not used"
-        drive.ledger.note(NoticeKind.SKIPPED, "loose-frames", str(path), message)
+        drive.ledger.note(WarningKind.SKIPPED, "loose-frames", str(path), message)
     records = [drive.manifest.record, *(record for _, record in drive.manifest.records("sensors"))]
     for name in dict.fromkeys(record["root"] for record in records if "root" in record):
         root = open_root(path, [name], "root").folder
         if not root.is_relative_to(path.parent.resolve()):
             message = f"files are read from {root}, outside the manifest's folder"
-            drive.ledger.note(NoticeKind.ASSUMED, "root-elsewhere", str(path), message)
+            drive.ledger.note(WarningKind.ASSUMED, "root-elsewhere", str(path), message)
 
 
 def _about(manifest: Manifest, tree: FrameTree) -> dict[str, Any]:
-    """What the manifest says that the model has no other place for: its name, and `ego_from_frame` of all frames."""
+    """What the manifest says that the model has no other location for: its name, and `ego_from_frame` of all frames."""
     frames = {
         name: [*tree.ego_from(name).translation.tolist(), *tree.ego_from(name).quaternion_xyzw.tolist()]
         for name in tree.frames

@@ -33,6 +33,6 @@ FORMAT = FormatSpec(
     sniff=_looks_like_manifest,
     reader="sceneloom.formats.rig.scene_from_rig:open_rig",
     read_options=("lenient", "assume_model"),
-    instead="a rig is only read; write a scene file (drive.sfs) or a recording (a folder) in its place, or begin a "
+    instead="a rig is only read; write a scene file (drive.sfs) or a recording (a folder) in its location, or begin a "
     "manifest with `sceneloom formats --template rig.toml`",
 )

@@ -14,9 +14,9 @@ from sceneloom.formats.clouds.layout import KITTI, NUSCENES, FieldLayout
 from sceneloom.formats.clouds.table import cloud_suffix, read_cloud
 from sceneloom.formats.rig.column_hints import column_hints
 from sceneloom.formats.rig.csv_files import FILE_COLUMNS, TIME_COLUMNS, Table, read_lines, read_table
-from sceneloom.formats.rig.pictures import PICTURE_SUFFIXES, picture_size
+from sceneloom.formats.rig.images import IMAGE_SUFFIXES, image_size
 from sceneloom.formats.rig.roots import natural_key
-from sceneloom.formats.rig.stamps import StampError, parse_stamp
+from sceneloom.formats.rig.timestamps import TimestampError, parse_timestamp
 
 VIDEO_SUFFIXES = (".mp4", ".mkv", ".mov", ".avi", ".ts", ".webm")
 _TEXT_SUFFIXES = (".txt", ".csv", ".tum")
@@ -27,7 +27,7 @@ _LARGEST_TEXT = 50_000_000
 _FARTHEST = 1000.0
 _DIGITS = re.compile(r"\d+")
 _UNITS_BY_DIGITS = {19: "{ns}", 16: "{us}", 13: "{ms}", 10: "{s}"}
-"""Units of stamps of our years by their number of digits."""
+"""Units of timestamps of our years by their number of digits."""
 _PARTS_BY_DIGITS = {9: "{ns}", 6: "{us}", 3: "{ms}"}
 """Units of what stands behind whole seconds."""
 
@@ -44,7 +44,7 @@ class FoundSensor:
         files: how the manifest names its files.
         about: how many there are and of which kind, for people.
         times: the `times` of the manifest; empty where the file holds them.
-        size: width and height of pictures [px], None for other sensors.
+        size: width and height of images [px], None for other sensors.
         further: more lines of the manifest.
     """
 
@@ -89,7 +89,7 @@ def survey(folder: Path) -> Finding:
     """Look into a folder; heads of first files are read, and text files.
 
     Raises:
-        DataError: a picture or video that stands first in its folder cannot be read.
+        DataError: an image or video that stands first in its folder cannot be read.
     """
     files = sorted(_walk(folder), key=natural_key)
     texts = [
@@ -112,30 +112,30 @@ def survey(folder: Path) -> Finding:
 
 def _walk(folder: Path) -> Iterator[Path]:
     count = 0
-    for place, folders, names in os.walk(folder):
-        depth = len(Path(place).relative_to(folder).parts)
+    for location, folders, names in os.walk(folder):
+        depth = len(Path(location).relative_to(folder).parts)
         folders[:] = sorted(name for name in folders if not name.startswith(".")) if depth < _DEEPEST else []
         for name in sorted(names):
             count += 1
             if count > _MOST_FILES:
                 return
             if not name.startswith("."):
-                yield Path(place, name)
+                yield Path(location, name)
 
 
 def _is_frame(path: Path) -> bool:
-    return cloud_suffix(path) is not None or path.suffix.lower() in PICTURE_SUFFIXES
+    return cloud_suffix(path) is not None or path.suffix.lower() in IMAGE_SUFFIXES
 
 
 def _groups(root: Path, files: Sequence[Path]) -> Iterator[_Group]:
-    """Group files by folder and ending, and by the text of their names where a few texts are told apart."""
+    """Group files by folder and ending, and by the text of their names where a few texts are distinguished."""
     by_folder: dict[tuple[Path, str], dict[str, list[Path]]] = {}
     for path in files:
         shapes = by_folder.setdefault((path.parent, path.suffix), {})
         shapes.setdefault(_DIGITS.sub("*", path.name), []).append(path)
     for (folder, suffix), shapes in by_folder.items():
-        place = folder.relative_to(root).as_posix()
-        prefix = "" if place == "." else f"{escape(place)}/"
+        location = folder.relative_to(root).as_posix()
+        prefix = "" if location == "." else f"{escape(location)}/"
         if len(shapes) == 1 or len(shapes) > _MOST_SHAPES:
             alike = [path for paths in shapes.values() for path in paths]
             name = _own_name(folder, root) if prefix else _longest_word(next(iter(shapes)), suffix)
@@ -148,7 +148,7 @@ def _groups(root: Path, files: Sequence[Path]) -> Iterator[_Group]:
 
 
 def _longest_word(shape: str, suffix: str) -> str:
-    """The word of a name that tells most, without the numbers around it."""
+    """The word of a name that reports most, without the numbers around it."""
     words = [word for word in re.split(r"[*\W]+|__", shape.rpartition(".")[0]) if len(word) > 1]
     return max(words, key=len, default=suffix[1:])
 
@@ -194,7 +194,7 @@ def _lidar(root: Path, group: _Group, texts: Sequence[Path]) -> FoundSensor:
         further += column_hints(cloud.columns)
     except DataError as error:
         about = f"{_several(group)}; the first cannot be read: {error.problem}"
-    further.append('stamp = "start"   # of the sweep; or "middle", "end" together with sweep_s')
+    further.append('timestamp = "start"   # of the sweep; or "middle", "end" together with sweep_s')
     times = _times(root, group, texts)
     return FoundSensor(
         group.name, "lidar", {"files": group.pattern}, " ".join(about.split()), times, further=further
@@ -202,21 +202,21 @@ def _lidar(root: Path, group: _Group, texts: Sequence[Path]) -> FoundSensor:
 
 
 def _guess_layout(path: Path) -> FieldLayout | None:
-    """The known layout whose numbers look like places and brightness; None where neither does."""
+    """The known layout whose numbers look like locations and brightness; None where neither does."""
     for layout in (NUSCENES, KITTI) if path.name.lower().endswith(".pcd.bin") else (KITTI, NUSCENES):
         try:
             columns = read_cloud(path, layout=layout).columns
         except DataError:
             continue
-        places = np.stack([columns[name] for name in "xyz"])
-        finite = np.isfinite(places) & (np.abs(places) < _FARTHEST)
+        locations = np.stack([columns[name] for name in "xyz"])
+        finite = np.isfinite(locations) & (np.abs(locations) < _FARTHEST)
         if finite.size and finite.mean() > 0.99 and (columns["intensity"] >= 0).mean() > 0.99:
             return layout
     return None
 
 
 def _camera(root: Path, group: _Group, texts: Sequence[Path]) -> FoundSensor:
-    size = picture_size(group.files[0])
+    size = image_size(group.files[0])
     times = _times(root, group, texts)
     return FoundSensor(group.name, "camera", {"files": group.pattern}, _several(group), times, size)
 
@@ -229,7 +229,7 @@ def _video(root: Path, path: Path) -> FoundSensor:
     from sceneloom.formats.video.reader import open_video
 
     with open_video(path) as video:
-        size, about = (video.width, video.height), f"{video.count} pictures, {video.codec}"
+        size, about = (video.width, video.height), f"{video.count} images, {video.codec}"
     name = path.relative_to(root).as_posix()
     return FoundSensor(
         _plain(path.stem), "camera", {"video": name}, about, {"container": True, "start_s": 0.0}, size
@@ -243,7 +243,7 @@ def _times(root: Path, group: _Group, texts: Sequence[Path]) -> Times:
         return listed
     stem = group.files[0].name.removesuffix(group.files[0].suffix)
     stem = stem.removesuffix(".pcd")
-    for pattern in _stamp_patterns(stem):
+    for pattern in _timestamp_patterns(stem):
         return {"pattern": pattern}
     runs = list(_DIGITS.finditer(stem))
     if runs and len(group.files) > 1:
@@ -252,8 +252,8 @@ def _times(root: Path, group: _Group, texts: Sequence[Path]) -> Times:
     return {"rate_hz": float("nan"), "start_s": 0.0}
 
 
-def _stamp_patterns(stem: str) -> Iterator[str]:
-    """Patterns that find a stamp of our years in a name, the likeliest first."""
+def _timestamp_patterns(stem: str) -> Iterator[str]:
+    """Patterns that find a timestamp of our years in a name, the likeliest first."""
     split = re.search(r"(?<!\d)(\d{10})(?:\.\d+|([_-])(\d{9}|\d{6}|\d{3}))(?!\d)", stem)
     if split:
         # after a point stand decimals, of which some programs leave out the last zeros
@@ -267,7 +267,7 @@ def _stamp_patterns(stem: str) -> Iterator[str]:
 
 
 def _rest(stem: str, start: int) -> str:
-    """What follows a stamp in a pattern; numbers in it may be others in the next name."""
+    """What follows a timestamp in a pattern; numbers in it may be others in the next name."""
     return _DIGITS.sub("*", stem[start:])
 
 
@@ -283,7 +283,7 @@ def _listed_times(root: Path, group: _Group, texts: Sequence[Path]) -> Times:
                 known = {file.name for file in group.files} | {file.stem for file in group.files}
                 if files is None or Path(table.rows[0][files]).name in known:
                     return {"csv": name, "column": table.names[column]}
-        if path.suffix.lower() == ".txt" and _count_stamps(path) == len(group.files):
+        if path.suffix.lower() == ".txt" and _count_timestamps(path) == len(group.files):
             return {"lines": name}
     return {}
 
@@ -295,13 +295,13 @@ def _table(path: Path) -> Table | None:
         return None
 
 
-def _count_stamps(path: Path) -> int | None:
+def _count_timestamps(path: Path) -> int | None:
     """How many times a text file holds, one per line; None where a line is something else."""
     try:
         lines = read_lines(path)
         for _, line in lines:
-            parse_stamp(line, None)
-    except (DataError, StampError):
+            parse_timestamp(line, None)
+    except (DataError, TimestampError):
         return None
     return len(lines)
 
@@ -337,6 +337,6 @@ def _trajectory(root: Path, path: Path, texts: Sequence[Path]) -> FoundTrajector
         return FoundTrajectory(stem, name, "tum")
     if len(rows.rows[0]) != 12:
         return None
-    stamped = [text for text in texts if text != path and _count_stamps(text) == len(rows.rows)]
-    times = stamped[0].relative_to(root).as_posix() if stamped else "times.txt"
+    timestamped = [text for text in texts if text != path and _count_timestamps(text) == len(rows.rows)]
+    times = timestamped[0].relative_to(root).as_posix() if timestamped else "times.txt"
     return FoundTrajectory(stem, name, "kitti", times)

@@ -1,4 +1,4 @@
-"""What the columns of a lidar's files mean: said by the manifest, else seen in the first files, with a notice."""
+"""What the columns of a lidar's files mean: stated by the manifest, else seen in the first files, with a warning."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -18,10 +18,10 @@ from sceneloom.formats.clouds.table import cloud_suffix
 from sceneloom.formats.rig.drive import Drive
 from sceneloom.formats.rig.records import Record
 from sceneloom.formats.rig.sweep_reader import SweepReader
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.warnings import WarningKind
 
 _LOOKED_AT = 10
-"""Files that are looked through for one that is bright enough to tell the scale of brightness."""
+"""Files that are looked through for one that is bright enough to report the scale of brightness."""
 
 _ROLES = (*(role for role in ALIASES if role != "time"), *ROW_ALIASES)
 
@@ -35,13 +35,13 @@ _KNOWN_TIMES: dict[tuple[str, str], PointTimes] = {
 }
 """What columns of point times mean that well-known drivers write, by name and kind of number.
 
-Source: Ouster's and Livox' drivers for ROS (t, offset_time: uint32 nanoseconds from the stamp), Velodyne's (time:
-float32 seconds from the stamp), Hesai's and RoboSense's (timestamp: float64 seconds of the clock); Argoverse 2
+Source: Ouster's and Livox' drivers for ROS (t, offset_time: uint32 nanoseconds from the timestamp), Velodyne's (time:
+float32 seconds from the timestamp), Hesai's and RoboSense's (timestamp: float64 seconds of the clock); Argoverse 2
 (offset_ns).
 """
 
 
-def choose_layout(drive: Drive, record: Record, place: str, first: Path) -> FieldLayout | None:
+def choose_layout(drive: Drive, record: Record, location: str, first: Path) -> FieldLayout | None:
     """The columns that the manifest says, or those that files without a head are taken to have.
 
     Raises:
@@ -51,18 +51,18 @@ def choose_layout(drive: Drive, record: Record, place: str, first: Path) -> Fiel
         try:
             return parse_layout(record["fields"], default=record.get("dtype", "float32"))
         except OptionError as error:
-            raise DataError(drive.manifest.path, f"{place}.fields", str(error)) from None
+            raise DataError(drive.manifest.path, f"{location}.fields", str(error)) from None
     if "dtype" in record:
-        raise DataError(drive.manifest.path, f"{place}.dtype", "says nothing without `fields`")
+        raise DataError(drive.manifest.path, f"{location}.dtype", "says nothing without `fields`")
     if cloud_suffix(first) != ".bin":
         return None
     layout = default_layout(first)
-    message = f"`fields` not said; the points are taken to be {layout}"
-    drive.ledger.note(NoticeKind.ASSUMED, "fields-assumed", f"{drive.manifest.path}: {place}", message)
+    message = f"`fields` not stated; the points are taken to be {layout}"
+    drive.ledger.note(WarningKind.ASSUMED, "fields-assumed", f"{drive.manifest.path}: {location}", message)
     return layout
 
 
-def named_columns(drive: Drive, record: Record, place: str) -> Mapping[str, str]:
+def named_columns(drive: Drive, record: Record, location: str) -> Mapping[str, str]:
     """The columns that the manifest's `use` names, by role.
 
     Raises:
@@ -74,24 +74,24 @@ def named_columns(drive: Drive, record: Record, place: str) -> Mapping[str, str]
             problem = (
                 f"unknown; expected some of {', '.join(_ROLES)}; times of points go into point_times.field"
             )
-            raise DataError(drive.manifest.path, f"{place}.use.{role}", problem)
+            raise DataError(drive.manifest.path, f"{location}.use.{role}", problem)
     return MappingProxyType(named)
 
 
-def with_columns(drive: Drive, record: Record, place: str, reader: SweepReader) -> SweepReader:
-    """Settle what brightness and times mean, looking at the first files where the manifest does not say it.
+def with_columns(drive: Drive, record: Record, location: str, reader: SweepReader) -> SweepReader:
+    """Settle what brightness and times mean, looking at the first files where the manifest does not state it.
 
     Raises:
         DataError: the first file cannot be read, or its brightness fits no scale.
     """
     columns = reader.cloud(0).columns
     roles = find_roles(columns, reader.mapping.named)
-    where = f"{drive.manifest.path}: {place}"
+    where = f"{drive.manifest.path}: {location}"
     scale = None
     if "intensity_max" in record:
         scale = IntensityScale(record["intensity_max"])
     elif roles.get("intensity") in columns:
-        scale = _detected_scale(drive, place, _telling(reader, roles["intensity"]), roles["intensity"])
+        scale = _detected_scale(drive, location, _telling(reader, roles["intensity"]), roles["intensity"])
     times = _point_times(drive, record, where, columns, roles)
     settled = replace(reader, mapping=PointMapping(reader.mapping.named, scale, times))
     return (
@@ -116,25 +116,27 @@ def _with_tried_times(drive: Drive, where: str, reader: SweepReader, times: Poin
     try:
         reader.read(0)
     except DataError as error:
-        if not error.place.startswith(f"{times.field}["):
+        if not error.location.startswith(f"{times.field}["):
             raise
-        message = f"column {times.field!r} looks like times of points, but {error.problem}; say `point_times` to use it"
-        drive.ledger.note(NoticeKind.SKIPPED, "point-times-not-used", where, message)
+        message = f"column {times.field!r} looks like times of points, but {error.problem}; state `point_times` to use it"
+        drive.ledger.note(WarningKind.SKIPPED, "point-times-not-used", where, message)
         return replace(reader, mapping=replace(reader.mapping, times=None))
     message = f"column {times.field!r} is taken for times of points: {times.unit} relative to the {times.relative_to}"
-    drive.ledger.note(NoticeKind.ASSUMED, "point-times-assumed", where, message)
+    drive.ledger.note(WarningKind.ASSUMED, "point-times-assumed", where, message)
     return reader
 
 
-def _detected_scale(drive: Drive, place: str, cloud: Cloud, name: str) -> IntensityScale:
+def _detected_scale(drive: Drive, location: str, cloud: Cloud, name: str) -> IntensityScale:
     scale = detect_scale(cloud.columns[name])
     if scale is None:
-        problem = f"up to {cloud.columns[name].max()}; say what becomes 255 with {place}.intensity_max"
+        problem = f"up to {cloud.columns[name].max()}; state what becomes 255 with {location}.intensity_max"
         raise DataError(cloud.file, name, problem)
     if cloud.columns[name].dtype != np.uint8:
-        message = f"`intensity_max` not said; {name} goes up to {cloud.columns[name].max():g}"
+        message = f"`intensity_max` not stated; {name} goes up to {cloud.columns[name].max():g}"
         message += f", so {scale.maximum:g} becomes 255" if len(cloud.columns[name]) else ""
-        drive.ledger.note(NoticeKind.ASSUMED, "intensity-scale", f"{drive.manifest.path}: {place}", message)
+        drive.ledger.note(
+            WarningKind.ASSUMED, "intensity-scale", f"{drive.manifest.path}: {location}", message
+        )
     return scale
 
 
@@ -144,15 +146,15 @@ def _point_times(
 ) -> PointTimes | None:  # fmt: skip
     if record.get("deskewed", False):
         return None
-    said = record.get("point_times")
-    if said is not None:
-        return PointTimes(said["unit"], said.get("relative_to", "stamp"), said.get("field"))
+    stated = record.get("point_times")
+    if stated is not None:
+        return PointTimes(stated["unit"], stated.get("relative_to", "timestamp"), stated.get("field"))
     name = roles.get("time")
     if name is None:
         return None
     known = _KNOWN_TIMES.get((name.lower(), columns[name].dtype.kind))
     if known is None:
-        message = f"column {name!r} looks like times of points; say `point_times` to use it"
-        drive.ledger.note(NoticeKind.SKIPPED, "point-times-not-used", where, message)
+        message = f"column {name!r} looks like times of points; state `point_times` to use it"
+        drive.ledger.note(WarningKind.SKIPPED, "point-times-not-used", where, message)
         return None
     return replace(known, field=name)

@@ -23,13 +23,13 @@ class SweepReader:
     Attributes:
         files: of each sweep.
         names: of the files, seen from their root.
-        clocks_ns: (N, 2) int64 [ns]: the file's stamp and the sweep's start.
+        clocks_ns: (N, 2) int64 [ns]: the file's timestamp and the sweep's start.
         timestamps_ns: (N,) int64 [ns], of the frames.
         zero_ns: what the sensor's own clock is ahead by [ns].
-        layout: columns of files that do not say them.
+        layout: columns of files that do not state them.
         mapping: what the columns mean.
-        turn: takes points of the files into the frame that they are given in, None where they are in it.
-        deskewed: whether the points are placed as at the stamp, which then is the time of all of them.
+        rotation: takes points of the files into the frame that they are given in, None where they are in it.
+        deskewed: whether the points are placed as at the timestamp, which then is the time of all of them.
     """
 
     files: tuple[Path, ...]
@@ -39,7 +39,7 @@ class SweepReader:
     zero_ns: int
     layout: FieldLayout | None
     mapping: PointMapping
-    turn: RigidTransform | None = None
+    rotation: RigidTransform | None = None
     deskewed: bool = False
 
     def __call__(self, k: int) -> LidarFrame:
@@ -49,7 +49,7 @@ class SweepReader:
             DataError: its file is missing or wrong.
         """
         read = self.read(k)
-        points = read.points if self.turn is None else _turned(read.points, self.turn)
+        points = read.points if self.rotation is None else _rotated(read.points, self.rotation)
         if self.deskewed:
             times_ns = np.full(len(points), self.timestamps_ns[k], np.int64)
             points = replace(points, timestamps_ns=read_only(times_ns))
@@ -60,13 +60,13 @@ class SweepReader:
 
     def read(self, k: int) -> ReadPoints:
         """Read the points of sweep `k` in the frame of the file."""
-        stamp_ns, start_ns = self.clocks_ns[k].tolist()
-        return points_of(self.cloud(k), self.mapping, SweepClock(stamp_ns, start_ns, self.zero_ns))
+        timestamp_ns, start_ns = self.clocks_ns[k].tolist()
+        return points_of(self.cloud(k), self.mapping, SweepClock(timestamp_ns, start_ns, self.zero_ns))
 
     def cloud(self, k: int) -> Cloud:
         """Read the columns of sweep `k`."""
         return read_cloud(self.files[k], layout=self.layout)
 
 
-def _turned(points: LidarPoints, turn: RigidTransform) -> LidarPoints:
-    return replace(points, positions=read_only(turn.apply(points.positions), np.float32))
+def _rotated(points: LidarPoints, rotation: RigidTransform) -> LidarPoints:
+    return replace(points, positions=read_only(rotation.apply(points.positions), np.float32))

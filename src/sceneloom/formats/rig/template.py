@@ -7,7 +7,7 @@ from sceneloom.formats.output import replacing
 from sceneloom.formats.rig.survey import FoundSensor, FoundTrajectory, Times, survey
 
 TEMPLATE = """\
-# rig.toml describes a folder of clouds and pictures, so that sceneloom opens it as one drive:
+# rig.toml describes a folder of clouds and images, so that sceneloom opens it as one drive:
 #     sceneloom info FOLDER
 #     sceneloom fuse FOLDER -o drive.sfs
 # Lengths are metres, times seconds unless a unit is named, `nan` is what has to be filled in. Sensors that you do not
@@ -22,10 +22,10 @@ id = "lidar_top"
 type = "lidar"
 files = "lidar_top/*.pcd"          # .pcd .ply .bin .npz .npy
 times = { pattern = "{ns}" }       # the name is the time: 1532402927647951000.pcd; also {us} {ms} {s} {s}_{ns}
-stamp = "start"                    # of the sweep; or "middle", "end" together with sweep_s
+timestamp = "start"                    # of the sweep; or "middle", "end" together with sweep_s
 # sweep_s = 0.1
 # intensity_max = 255              # the brightness that becomes 255
-# point_times = { field = "t", unit = "nanoseconds", relative_to = "stamp" }
+# point_times = { field = "t", unit = "nanoseconds", relative_to = "timestamp" }
 # fields = ["x", "y", "z", "intensity", "ring:uint16"]   # of .bin files; float32 where no type is named
 
 # p_base = R · p_lidar_top + translation: `translation` is where the lidar is, seen from base.
@@ -44,14 +44,14 @@ times = { pattern = "{ns}" }
 # times = { rate_hz = 10, start_s = 0.0 }
 axes = "optical"                   # of frame cam_front: x right, y down, z forward; "flu": x forward, y left, z up
 
-[sensors.lens]
+[sensors.camera_model]
 model = "brown_conrady"            # pinhole, brown_conrady (OpenCV's), fisheye (OpenCV's)
 fx = nan
 fy = nan
 cx = nan
 cy = nan
-coefficients = [nan, nan, nan, nan, nan]   # k1 k2 p1 p2 k3; [] where the pictures are rectified
-# width = 1920                     # where the numbers hold for another picture size
+coefficients = [nan, nan, nan, nan, nan]   # k1 k2 p1 p2 k3; [] where the images are rectified
+# width = 1920                     # where the numbers hold for another image size
 # height = 1080
 
 [sensors.extrinsic]
@@ -66,7 +66,7 @@ matrix = [
 # [[trajectories]]
 # file = "poses.txt"
 # form = "tum"                     # lines of: time x y z qx qy qz qw; or "kitti", "csv"
-# frame = "base"                   # the frame whose way it is
+# frame = "base"                   # the frame whose trajectory it is
 """
 
 
@@ -74,7 +74,7 @@ def template_text(*, folder: Path | None = None, root: str | None = None) -> str
     """Give a manifest to fill in.
 
     Args:
-        folder: look into it and say what is there; None: the general template.
+        folder: look into it and state what is there; None: the general template.
         root: how the manifest names the folder, None where it stands in it.
 
     Raises:
@@ -84,11 +84,11 @@ def template_text(*, folder: Path | None = None, root: str | None = None) -> str
         return TEMPLATE
     if not folder.is_dir():
         problem = "is a file" if folder.exists() else "no such folder"
-        raise DataError(folder, "", f"{problem}; expected a folder with clouds, pictures or videos")
+        raise DataError(folder, "", f"{problem}; expected a folder with clouds, images or videos")
     found = survey(folder)
     if not found.sensors:
         raise DataError(
-            folder, "", "no clouds, pictures or videos in it; expected pcd ply bin npz, png jpg, mp4 …"
+            folder, "", "no clouds, images or videos in it; expected pcd ply bin npz, png jpg, mp4 …"
         )
     lidars = [sensor.id for sensor in found.sensors if sensor.type == "lidar"]
     ego = lidars[0] if lidars else "base"
@@ -109,7 +109,7 @@ def write_template(path: Path, *, folder: Path | None = None, overwrite: bool = 
 
     Args:
         path: the file to write, usually `rig.toml`.
-        folder: look into it and say what is there; None: the general template.
+        folder: look into it and state what is there; None: the general template.
         overwrite: replace a file that is there.
 
     Raises:
@@ -148,7 +148,7 @@ def quoted(text: str) -> str:
 
 
 def _is_control(sign: str) -> bool:
-    """Whether TOML has no place for a character, be it in a comment."""
+    """Whether TOML has no field for a character, be it in a comment."""
     return ord(sign) < 32 or ord(sign) == 127
 
 
@@ -173,11 +173,13 @@ def _sensor(sensor: FoundSensor, ego: str) -> str:
         lines += [
             'axes = "optical"   # of its frame: x right, y down, z forward; "flu": x forward, y left, z up'
         ]
-        lens = "fx = nan, fy = nan, cx = nan, cy = nan, coefficients = []"
-        lines.append(f"lens = {{ {lens}, width = {sensor.size[0]}, height = {sensor.size[1]} }}")
+        camera_model = "fx = nan, fy = nan, cx = nan, cy = nan, coefficients = []"
+        lines.append(
+            f"camera_model = {{ {camera_model}, width = {sensor.size[0]}, height = {sensor.size[1]} }}"
+        )
     if sensor.id != ego and sensor.type != "gnss":
-        place = "translation = [nan, nan, nan], quaternion_xyzw = [nan, nan, nan, nan]"
-        lines.append(f"extrinsic = {{ to = {quoted(ego)}, {place} }}")
+        location = "translation = [nan, nan, nan], quaternion_xyzw = [nan, nan, nan, nan]"
+        lines.append(f"extrinsic = {{ to = {quoted(ego)}, {location} }}")
     return "\n".join(lines)
 
 
@@ -188,6 +190,6 @@ def _trajectory(trajectory: FoundTrajectory, ego: str) -> str:
         f"file = {quoted(trajectory.file)}",
         f"form = {quoted(trajectory.form)}",
         *([f"times = {quoted(trajectory.times)}"] if trajectory.times else []),
-        f"frame = {quoted(ego)}   # the frame whose way it is",
+        f"frame = {quoted(ego)}   # the frame whose trajectory it is",
     ]
     return "\n".join(lines)

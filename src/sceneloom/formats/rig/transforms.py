@@ -13,16 +13,16 @@ from sceneloom.formats.rig.records import Record
 from sceneloom.geometry.euler import rotation_from_cuboid_angles
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import GREATEST_ERROR, SILENT_ERROR, matrix_from_quaternion
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.warnings import WarningKind
 
 _ROTATIONS = ("quaternion_xyzw", "quaternion_wxyz", "rotation_matrix", "euler_deg")
 _NORM_ERROR = 0.01
 _FARTHEST = 1e6
 
 _QUARTER_ERROR = 0.003
-"""Angles rounded to 1.57 and 3.14 are quarter turns in radians within this share; 1.5 and 3 degrees are not."""
+"""Angles rounded to 1.57 and 3.14 are quarter rotations in radians within this share; 1.5 and 3 degrees are not."""
 
-_AGREEMENT_TURN = 2e-3
+_AGREEMENT_ROTATION = 2e-3
 _AGREEMENT_SHIFT = 0.01
 """Two ways between the same frames may differ by this much [rad, m]: what rounding in files comes to."""
 
@@ -37,7 +37,7 @@ forward left up, or forward right down."""
 _DIRECTIONS = {sign + axis: value for axis in "xyz" for sign, value in (("+", 1.0), ("-", -1.0), ("", 1.0))}
 
 
-def read_transform(record: Record, place: str, ledger: Ledger) -> RigidTransform:
+def read_transform(record: Record, location: str, ledger: Ledger) -> RigidTransform:
     """Build a transform from `matrix`, or from `translation` and one form of rotation.
 
     Raises:
@@ -47,7 +47,7 @@ def read_transform(record: Record, place: str, ledger: Ledger) -> RigidTransform
     if "matrix" in record:
         if forms or "translation" in record:
             raise CalibrationError(f"matrix beside {(forms or ['translation'])[0]}; expected one of them")
-        return _checked(record["matrix"], place, ledger)
+        return _checked(record["matrix"], location, ledger)
     if len(forms) > 1:
         raise CalibrationError(f"{' and '.join(forms)}; expected one of them")
     if not forms and "translation" not in record:
@@ -61,12 +61,12 @@ def read_transform(record: Record, place: str, ledger: Ledger) -> RigidTransform
         message = (
             f"euler_deg {record['euler_deg'].tolist()} look like radians; degrees are expected, as 90 or -180"
         )
-        ledger.note(NoticeKind.ASSUMED, "angles-in-radians", place, message)
-    return _checked(matrix, place, ledger)
+        ledger.note(WarningKind.ASSUMED, "angles-in-radians", location, message)
+    return _checked(matrix, location, ledger)
 
 
 def _are_radians(angles: Float64Array) -> bool:
-    """Whether all angles lie within a turn in radians, and one is a quarter or half turn of them."""
+    """Whether all angles lie within a rotation in radians, and one is a quarter or half rotation of them."""
     quarters = np.abs(angles) / (np.pi / 2)
     whole = (np.abs(quarters - np.round(quarters)) < _QUARTER_ERROR) & (np.round(quarters) > 0)
     return bool(np.abs(angles).max() < 2 * np.pi and whole.any())
@@ -89,7 +89,7 @@ def _rotation(record: Record, form: str) -> Float64Array:
     return matrix_from_quaternion(quaternion_xyzw)
 
 
-def _checked(matrix: Float64Array, place: str, ledger: Ledger) -> RigidTransform:
+def _checked(matrix: Float64Array, location: str, ledger: Ledger) -> RigidTransform:
     if np.abs(matrix[:3, 3]).max() > _FARTHEST or np.abs(matrix[:3, :3]).max() > 2:
         problem = f"{matrix.tolist()}; expected a rotation and a translation in metres within {_FARTHEST:g}"
         raise CalibrationError(problem)
@@ -102,12 +102,12 @@ def _checked(matrix: Float64Array, place: str, ledger: Ledger) -> RigidTransform
         raise CalibrationError(f"rotation {problem}; {expected}")
     if error > SILENT_ERROR:
         message = f"rotation off by {error:.2g} (max abs of R Rᵀ - I); the nearest rotation was taken"
-        ledger.note(NoticeKind.REPAIRED, "rotation-normalised", place, message)
+        ledger.note(WarningKind.REPAIRED, "rotation-normalised", location, message)
     return transform
 
 
 def frame_from_optical(axes: tuple[str, ...]) -> RigidTransform:
-    """Turn from the optical axes (x right, y down, z forward) to those of a frame.
+    """Rotate from the optical axes (x right, y down, z forward) to those of a frame.
 
     Args:
         axes: a word out of `AXES`, or the axes of the frame that point right, down and forward.
@@ -140,11 +140,11 @@ class Edge:
     source: str
     target: str
     target_from_source: RigidTransform
-    place: str
+    location: str
 
 
 class FrameTree:
-    """Frames and the ways between them.
+    """Frames and the trajectories between them.
 
     Attributes:
         ego: the frame that everything is seen from.
@@ -160,7 +160,9 @@ class FrameTree:
         self._edges = tuple(edges)
         for edge in self._edges:
             if edge.source == edge.target:
-                raise CalibrationError(f"{edge.place}: from {edge.source!r} to itself; expected two frames")
+                raise CalibrationError(
+                    f"{edge.location}: from {edge.source!r} to itself; expected two frames"
+                )
         self._ego_from: dict[str, RigidTransform] = {}
         self._towards_ego: dict[str, str] = {}
         self._spread(ego)
@@ -197,9 +199,7 @@ class FrameTree:
             with_frame = ", ".join(map(repr, near[1:]))
             return f"it is connected with {with_frame}, the ego's with {with_ego}: one is missing between"
         known = ", ".join(map(repr, self.frames))
-        return (
-            f'no transform names it (known frames: {known}); give it an `extrinsic`, or say `ego = "{frame}"`'
-        )
+        return f'no transform names it (known frames: {known}); give it an `extrinsic`, or state `ego = "{frame}"`'
 
     def _connected(self, frame: str) -> list[str]:
         reached = [frame]
@@ -223,29 +223,30 @@ class FrameTree:
                         self._towards_ego[far] = near
                         waiting.append(far)
 
-    def _way(self, frame: str) -> list[str]:
+    def _trajectory(self, frame: str) -> list[str]:
         """The frames from one to the ego."""
-        way = [frame]
-        while way[-1] != self.ego:
-            way.append(self._towards_ego[way[-1]])
-        return way
+        trajectory = [frame]
+        while trajectory[-1] != self.ego:
+            trajectory.append(self._towards_ego[trajectory[-1]])
+        return trajectory
 
     def _loop(self, edge: Edge) -> str:
         """The frames between those of a transform, on the other way."""
-        source, target = self._way(edge.source), self._way(edge.target)
+        source, target = self._trajectory(edge.source), self._trajectory(edge.target)
         meeting = next(frame for frame in source if frame in target)
-        way = [*source[: source.index(meeting) + 1], *reversed(target[: target.index(meeting)])]
-        return " - ".join(map(repr, way))
+        trajectory = [*source[: source.index(meeting) + 1], *reversed(target[: target.index(meeting)])]
+        return " - ".join(map(repr, trajectory))
 
     def _check(self, edge: Edge) -> None:
-        """Compare a transform with what the others say of its two frames."""
+        """Compare a transform with what the others state of its two frames."""
         if edge.source not in self._ego_from:
             return
         target_from_source = self._ego_from[edge.target].inverse() @ self._ego_from[edge.source]
-        turn = float(np.abs(target_from_source.rotation - edge.target_from_source.rotation).max())
+        rotation = float(np.abs(target_from_source.rotation - edge.target_from_source.rotation).max())
         shift = float(np.abs(target_from_source.translation - edge.target_from_source.translation).max())
-        if turn > _AGREEMENT_TURN or shift > _AGREEMENT_SHIFT:
+        if rotation > _AGREEMENT_ROTATION or shift > _AGREEMENT_SHIFT:
             raise CalibrationError(
-                f"{edge.place}: from {edge.source!r} to {edge.target!r} contradicts the way {self._loop(edge)} by "
-                f"{shift:.3g} m and {np.degrees(turn):.3g}°; is one of these transforms the other way round?"
+                f"{edge.location}: from {edge.source!r} to {edge.target!r} contradicts the trajectory "
+                f"{self._loop(edge)} by "
+                f"{shift:.3g} m and {np.degrees(rotation):.3g}°; is one of these transforms the other way round?"
             )

@@ -1,4 +1,4 @@
-"""A video as the pictures of a camera: opened when it is first needed, by each process for itself."""
+"""A video as the images of a camera: opened when it is first needed, by each process for itself."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -14,7 +14,7 @@ from sceneloom.errors import DataError
 from sceneloom.formats.files import open_file
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.video.reader import VideoReader, open_video
-from sceneloom.scene.cameras import Picture, VideoContent
+from sceneloom.scene.cameras import CameraImage, VideoContent
 
 
 class VideoFile:
@@ -74,11 +74,11 @@ class VideoFile:
             if count == 0:
                 raise error from None
             problem = f"{error.problem}; its first {count} images are read"
-            ledger.fault("unreadable-videos", DataError(error.file, error.place, problem))
+            ledger.fault("unreadable-videos", DataError(error.file, error.location, problem))
         return self.reader()
 
     def rgb(self, index: int) -> UInt8Array:
-        """Decode one picture."""
+        """Decode one image."""
         return self.reader().rgb(index)
 
     def container_ns(self) -> Int64Array:
@@ -98,7 +98,7 @@ class VideoFile:
         return open_file(self.path)
 
     def content(self, chosen: Int64Array) -> VideoContent | None:
-        """The video for those who copy it, with the pictures that are used of it; None for what is left of one."""
+        """The video for those who copy it, with the images that are used of it; None for what is left of one."""
         if self.cut_off:
             return None
         reader = self.reader()
@@ -106,7 +106,7 @@ class VideoFile:
         return VideoContent(self.open_binary, reader.codec, None if whole else tuple(chosen.tolist()))
 
     def close(self) -> None:
-        """Release the file; no picture can be read afterwards."""
+        """Release the file; no image can be read afterwards."""
         with self._lock:
             self._closed = True
             if self._reader is not None:
@@ -115,14 +115,14 @@ class VideoFile:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class VideoPictures:
-    """Makes the pictures of one camera from a video.
+class VideoImages:
+    """Makes the images of one camera from a video.
 
     Attributes:
         video: the file.
-        chosen: (N,) int64, number of each picture in the video.
+        chosen: (N,) int64, number of each image in the video.
         timestamps_ns: (N,) int64 [ns].
-        camera: the lens of all.
+        camera: the camera model of all.
     """
 
     video: VideoFile
@@ -130,6 +130,8 @@ class VideoPictures:
     timestamps_ns: Int64Array
     camera: Camera
 
-    def __call__(self, k: int) -> Picture:
-        """Make picture `k` without decoding it."""
-        return Picture(int(self.timestamps_ns[k]), self.camera, partial(self.video.rgb, int(self.chosen[k])))
+    def __call__(self, k: int) -> CameraImage:
+        """Make image `k` without decoding it."""
+        return CameraImage(
+            int(self.timestamps_ns[k]), self.camera, partial(self.video.rgb, int(self.chosen[k]))
+        )

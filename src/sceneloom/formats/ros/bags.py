@@ -31,7 +31,7 @@ from sceneloom.formats.mcap.index import McapIndex, read_index
 from sceneloom.formats.topics.chunks import Chunk, ChunkedMessages, decompress
 from sceneloom.formats.topics.file_bytes import FileBytes
 from sceneloom.formats.topics.spec import METADATA, ROOT_KEY
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.warnings import WarningKind
 
 _ROS1_MAGIC = b"#ROSBAG V2.0\n"
 _LONGEST_HEAD = 1 << 20
@@ -92,14 +92,14 @@ def open_bags(path: Path, ledger: Ledger) -> list[Bag]:
     Raises:
         DataError: a file is missing, damaged, or packed as a whole.
     """
-    told = _metadata(path, ledger) if path.is_dir() else {}
-    files = _files(path, told, ledger) if path.is_dir() else [path]
-    packed = str(told.get("compression_mode") or "").lower() == "message"
+    reported = _metadata(path, ledger) if path.is_dir() else {}
+    files = _files(path, reported, ledger) if path.is_dir() else [path]
+    packed = str(reported.get("compression_mode") or "").lower() == "message"
     bags: list[Bag] = []
     try:
         for file in files:
             bag = _open(file, ledger)
-            bags.append(_UnpackedBag(bag, str(told.get("compression_format") or "")) if packed else bag)
+            bags.append(_UnpackedBag(bag, str(reported.get("compression_format") or "")) if packed else bag)
     except BaseException:
         for bag in bags:
             bag.close()
@@ -118,27 +118,27 @@ def _open(file: Path, ledger: Ledger) -> Bag:
 
 
 def _metadata(folder: Path, ledger: Ledger) -> Mapping[str, Any]:
-    """What `metadata.yaml` says; nothing, with a notice, where it is missing."""
+    """What `metadata.yaml` says; nothing, with a warning, where it is missing."""
     path = folder / METADATA
     if not path.is_file():
         message = f"{METADATA} is missing; all files of messages were read (`ros2 bag reindex` makes it anew)"
-        ledger.note(NoticeKind.ASSUMED, "metadata-missing", str(folder), message)
+        ledger.note(WarningKind.ASSUMED, "metadata-missing", str(folder), message)
         return {}
     try:
         text = read_bytes(path).decode()
         if _TOO_DEEP.search(text):
-            raise ValueError("nested deeper than 64 levels")  # noqa: TRY301 - one place for all that can be wrong
+            raise ValueError("nested deeper than 64 levels")  # noqa: TRY301 - one location for all that can be wrong
         root = YAML(typ="safe").load(text)[ROOT_KEY]
         if not isinstance(root, dict):
-            raise TypeError(f"{ROOT_KEY} is no mapping")  # noqa: TRY301 - one place for all that can be wrong
+            raise TypeError(f"{ROOT_KEY} is no mapping")  # noqa: TRY301 - one location for all that can be wrong
     except (YAMLError, OSError, ValueError, RecursionError, KeyError, TypeError) as error:
         ledger.fault("metadata-at-fault", DataError(path, "", f"cannot be read: {error}"))
         return {}
     return root
 
 
-def _files(folder: Path, told: Mapping[str, Any], ledger: Ledger) -> list[Path]:
-    named = told.get("relative_file_paths")
+def _files(folder: Path, reported: Mapping[str, Any], ledger: Ledger) -> list[Path]:
+    named = reported.get("relative_file_paths")
     if not named:
         found = sorted(file for file in folder.iterdir() if file.suffix.lower() in {".db3", ".mcap"})
         if not found:
@@ -146,8 +146,10 @@ def _files(folder: Path, told: Mapping[str, Any], ledger: Ledger) -> list[Path]:
         return found
     files = []
     for name in map(str, named):
-        # old bags say the path from where they were recorded
-        file = next((place for place in (folder / name, folder / Path(name).name) if place.is_file()), None)
+        # old bags state the path from where they were recorded
+        file = next(
+            (location for location in (folder / name, folder / Path(name).name) if location.is_file()), None
+        )
         if file is None or not file.resolve().is_relative_to(folder.resolve()):
             error = DataError(
                 folder / METADATA, "relative_file_paths", f"{name!r}; expected a file of the folder"
@@ -275,7 +277,7 @@ class _Ros1Scan:
     def _take(self, header: Header, start: int, size: int) -> None:
         op = header.get_uint8("op")
         if op == RecordType.BAGHEADER and header.get_uint64("index_pos") == 0:
-            problem = "the bag was not closed, its index is missing; say `--lenient` to read what is whole"
+            problem = "the bag was not closed, its index is missing; state `--lenient` to read what is whole"
             self._fault("bag-unfinished", start, problem)
         elif op == RecordType.CONNECTION:
             self._take_connection(header, self.file.read(start, size))
@@ -502,18 +504,18 @@ class _UnpackedBag:
         Raises:
             DataError: it is damaged, or of another compression than zstd.
         """
-        place = f"{self.connections[number].topic}[{k}]"
+        location = f"{self.connections[number].topic}[{k}]"
         if self.compression != "zstd":
-            raise DataError(place, "", f"compression {self.compression!r}; expected zstd")
+            raise DataError(location, "", f"compression {self.compression!r}; expected zstd")
         packed = bytes(self.bag.data(number, k))
         most = most_unpacked(len(packed))
         try:
             content = memoryview(decompress(self.compression, packed, most))
         except ValueError as error:
-            raise DataError(place, "", str(error)) from error
+            raise DataError(location, "", str(error)) from error
         if len(content) == most:
             problem = f"{len(packed)} bytes that unpack to {most} or more; expected less"
-            raise DataError(place, "", problem)
+            raise DataError(location, "", problem)
         return content
 
     def heads(self, number: int, size: int) -> Iterator[bytes]:

@@ -20,17 +20,17 @@ from sceneloom.formats.ros.typestores import store_of
 from sceneloom.formats.topics.log import Topic
 from sceneloom.formats.topics.records import AnyRecord, Kind, TransformRecord
 from sceneloom.formats.topics.scene_from_topics import scene_from_topics
-from sceneloom.scene.assumed_lenses import with_assumed_models
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.assumed_camera_models import with_assumed_models
 from sceneloom.scene.scene import Scene
+from sceneloom.scene.warnings import WarningKind
 
 NOTES_TOPIC = "/sceneloom/scene"
-"""The topic of what no message has a place for."""
+"""The topic of what no message has a location for."""
 
-_STAMPS = {"cdr": (4, "iI"), "ros1": (4, "II")}
+_TIMESTAMPS = {"cdr": (4, "iI"), "ros1": (4, "II")}
 """Where the time stands in messages that begin with a header, and in which form.
 
-In CDR four bytes say the byte order, in ROS 1 four bytes are a number that counts messages.
+In CDR four bytes state the byte order, in ROS 1 four bytes are a number that counts messages.
 """
 
 _FIXED = "tf_static"
@@ -56,26 +56,26 @@ def open_bag(
     form: str,
     lenient: bool = False,
     assume_model: bool = False,
-    stamps: str | None = None,
+    timestamps: str | None = None,
     ego: str | None = None,
     world: str | None = None,
     distro: str | None = None,
 ) -> Scene:
-    """Open a bag: its index and all small messages are read, pictures and points when they are asked for.
+    """Open a bag: its index and all small messages are read, images and points when they are asked for.
 
     Args:
         path: a `.bag`, a folder of ROS 2, or a file of it.
         form: name of the format.
         lenient: read what is whole of a bag that was not closed, is cut off or damaged; leave out topics and messages
-            that are at fault; go by receive times where stamps are of another clock.
-        assume_model: allow computing with lenses whose formulas nothing confirms.
-        stamps: which time of a message counts: "header" or "receive"; None: that of its header.
+            that are at fault; go by receive times where timestamps are of another clock.
+        assume_model: allow computing with camera models whose formulas nothing confirms.
+        timestamps: which time of a message counts: "header" or "receive"; None: that of its header.
         ego, world: names of the frames that are to be the ego and the world; None: chosen from the transforms.
         distro: of ROS, "humble", "noetic", …: whose types count where the bag does not define its own.
 
     Raises:
         DataError: the bag is damaged, or a message is wrong.
-        OptionError: there is no such distribution or frame, or `stamps` is none of the two.
+        OptionError: there is no such distribution or frame, or `timestamps` is none of the two.
     """
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
@@ -87,7 +87,9 @@ def open_bag(
             for bag in bags:
                 bag.close()
             raise
-        scene = scene_from_topics(log, ledger, form=form, metadata={}, stamps=stamps, ego=ego, world=world)
+        scene = scene_from_topics(
+            log, ledger, form=form, metadata={}, timestamps=timestamps, ego=ego, world=world
+        )
     return with_assumed_models(scene) if assume_model else scene
 
 
@@ -119,17 +121,17 @@ class RosLog:
         """When each message was recorded, (N,) int64 [ns]."""
         return _joined([self.bags[file].received(number) for file, number, _ in self.parts[topic.number]])
 
-    def stamps(self, topic: Topic) -> tuple[Int64Array, bool]:
+    def timestamps(self, topic: Topic) -> tuple[Int64Array, bool]:
         """The time that each message says itself; all of them are looked at."""
         found: list[int] = []
         for file, number, _ in self.parts[topic.number]:
-            place, form = _STAMPS[self.bags[file].connections[number].encoding]
+            location, form = _TIMESTAMPS[self.bags[file].connections[number].encoding]
             cdr = self.bags[file].connections[number].encoding == "cdr"
-            for k, head in enumerate(self.bags[file].heads(number, place + 8)):
-                if len(head) < place + 8:
+            for k, head in enumerate(self.bags[file].heads(number, location + 8)):
+                if len(head) < location + 8:
                     raise DataError(self.name, f"{topic.name}[{k}]", f"{len(head)} bytes; expected a message")
                 order = "<" if not cdr or head[1] & 1 else ">"
-                seconds, nanoseconds = struct.unpack_from(order + form, head, place)
+                seconds, nanoseconds = struct.unpack_from(order + form, head, location)
                 found.append(seconds * 1_000_000_000 + nanoseconds)
         return np.array(found, np.int64), True
 
@@ -166,8 +168,8 @@ class RosLog:
 def _fixed(record: AnyRecord) -> AnyRecord:
     if not isinstance(record, TransformRecord):
         return record
-    place = record.position, record.quaternion_xyzw
-    return TransformRecord(record.timestamp_ns, record.parent, record.child, *place, fixed=True)
+    location = record.position, record.quaternion_xyzw
+    return TransformRecord(record.timestamp_ns, record.parent, record.child, *location, fixed=True)
 
 
 def _joined(parts: Sequence[Int64Array]) -> Int64Array:
@@ -182,13 +184,13 @@ def log_of(name: str, bags: Sequence[Bag], distro: str | None) -> RosLog:
             key = connection.topic, connection.type, connection.encoding
             groups.setdefault(key, []).append((file, number))
     topics, parts = [], {}
-    for identifier, places in enumerate(groups.values()):
+    for identifier, locations in enumerate(groups.values()):
         rows, count = [], 0
-        for file, number in places:
+        for file, number in locations:
             rows.append((file, number, count))
             count += len(bags[file].received(number))
         parts[identifier] = tuple(rows)
-        connection = bags[places[0][0]].connections[places[0][1]]
+        connection = bags[locations[0][0]].connections[locations[0][1]]
         topics.append(_topic(identifier, connection, count, distro))
     log = RosLog(name, tuple(bags), tuple(topics), MappingProxyType(parts), distro)
     return RosLog(name, log.bags, log.topics, log.parts, distro, _notes(log))
@@ -196,8 +198,8 @@ def log_of(name: str, bags: Sequence[Bag], distro: str | None) -> RosLog:
 
 def _topic(number: int, connection: Connection, count: int, distro: str | None) -> Topic:
     named = connection.topic, connection.type
-    if connection.encoding not in _STAMPS:
-        why = f"in the encoding {connection.encoding!r}; expected {' or '.join(_STAMPS)}"
+    if connection.encoding not in _TIMESTAMPS:
+        why = f"in the encoding {connection.encoding!r}; expected {' or '.join(_TIMESTAMPS)}"
         return Topic(number, *named, None, count, why)
     known = READERS.get(connection.type)
     if known is None or (known[0] is Kind.NOTES and connection.topic != NOTES_TOPIC):
@@ -205,7 +207,7 @@ def _topic(number: int, connection: Connection, count: int, distro: str | None) 
     try:
         store_of(connection, distro)
     except ValueError as error:
-        return Topic(number, *named, None, count, f"{error}; say which distribution of ROS with distro=")
+        return Topic(number, *named, None, count, f"{error}; state which distribution of ROS with distro=")
     return Topic(number, *named, known[0], count)
 
 
@@ -218,11 +220,11 @@ def _notes(log: RosLog) -> str | None:
 
 
 def _note_not_read(log: RosLog, ledger: Ledger) -> None:
-    """Tell what is left out of messages that are read."""
+    """Report what is left out of messages that are read."""
     if log.notes is not None:
         return
     for topic in log.topics:
         if topic.kind is not None and topic.count and topic.schema in NOT_READ:
             message = f"{NOT_READ[topic.schema]} in messages {topic.schema} are not read"
-            place = f"{log.name}: {topic.name}"
-            ledger.note(NoticeKind.SKIPPED, "fields-not-read", place, message, count=topic.count)
+            location = f"{log.name}: {topic.name}"
+            ledger.note(WarningKind.SKIPPED, "fields-not-read", location, message, count=topic.count)

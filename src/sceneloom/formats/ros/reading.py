@@ -1,4 +1,4 @@
-"""What messages of ROS say.
+"""What messages of ROS state.
 
 Source: packages sensor_msgs, nav_msgs, geometry_msgs, tf2_msgs and vision_msgs of ROS 2; REP 103, 105 and 118.
 """
@@ -17,14 +17,14 @@ from sceneloom.formats.topics.records import (
     Box3D,
     Boxes2DRecord,
     Boxes3DRecord,
+    CameraModelRecord,
     CloudRecord,
+    CompressedImageRecord,
     FixRecord,
     ImageRecord,
     Kind,
-    LensRecord,
     NotesRecord,
     PackedField,
-    PictureRecord,
     PoseRecord,
     SampleRecord,
     TransformRecord,
@@ -41,14 +41,14 @@ NO_FIX = -1
 """Status of fixes without reception."""
 
 
-def stamp_ns(stamp: Any) -> int:
+def timestamp_ns(stamp: Any) -> int:
     """A time of a message [ns]."""
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
 def _head(message: Any) -> tuple[int, str]:
     """Time and frame; names of frames begin with a slash in old bags."""
-    return stamp_ns(message.header.stamp), _frame(message.header.frame_id)
+    return timestamp_ns(message.header.stamp), _frame(message.header.frame_id)
 
 
 def _frame(name: str) -> str:
@@ -59,7 +59,7 @@ def _vector(vector: Any) -> Float64Array:
     return np.array([vector.x, vector.y, vector.z])
 
 
-def _turn(quaternion: Any) -> Float64Array:
+def _rotation(quaternion: Any) -> Float64Array:
     return np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
 
 
@@ -72,7 +72,7 @@ def _transforms(message: Any) -> Iterable[TransformRecord]:
         time_ns, parent = _head(transform)
         moved = transform.transform
         child = _frame(transform.child_frame_id)
-        yield TransformRecord(time_ns, parent, child, _vector(moved.translation), _turn(moved.rotation))
+        yield TransformRecord(time_ns, parent, child, _vector(moved.translation), _rotation(moved.rotation))
 
 
 def _cloud(message: Any) -> Sequence[CloudRecord]:
@@ -113,19 +113,23 @@ def _image(message: Any) -> Sequence[ImageRecord]:
     ]
 
 
-def _picture(message: Any) -> Sequence[PictureRecord]:
-    return [PictureRecord(*_head(message), message.format.lower(), _bytes(message.data))]
+def _compressed_image(message: Any) -> Sequence[CompressedImageRecord]:
+    return [CompressedImageRecord(*_head(message), message.format.lower(), _bytes(message.data))]
 
 
-def _video(message: Any) -> Sequence[PictureRecord]:
+def _video(message: Any) -> Sequence[CompressedImageRecord]:
     form = message.format.lower()
-    return [PictureRecord(stamp_ns(message.timestamp), _frame(message.frame_id), form, _bytes(message.data))]
+    return [
+        CompressedImageRecord(
+            timestamp_ns(message.timestamp), _frame(message.frame_id), form, _bytes(message.data)
+        )
+    ]
 
 
-def _lens(message: Any) -> Sequence[LensRecord]:
+def _camera_model(message: Any) -> Sequence[CameraModelRecord]:
     numbers = {name: tuple(map(float, _either(message, name))) for name in "dkp"}
     return [
-        LensRecord(
+        CameraModelRecord(
             *_head(message),
             int(message.width),
             int(message.height),
@@ -147,9 +151,9 @@ def _pose(message: Any) -> Sequence[PoseRecord]:
     if hasattr(pose, "pose"):
         spread = np.array(pose.covariance, np.float64).reshape(6, 6)
         pose, covariance = pose.pose, spread if spread.any() else None
-    turn, body = _turn(pose.orientation), _frame(getattr(message, "child_frame_id", ""))
-    told = turn if turn.any() else None
-    return [PoseRecord(*_head(message), _vector(pose.position), told, body, covariance)]
+    rotation, body = _rotation(pose.orientation), _frame(getattr(message, "child_frame_id", ""))
+    reported = rotation if rotation.any() else None
+    return [PoseRecord(*_head(message), _vector(pose.position), reported, body, covariance)]
 
 
 def _point(message: Any) -> Sequence[PoseRecord]:
@@ -176,9 +180,9 @@ def _imu(message: Any) -> Sequence[SampleRecord]:
         values["accelerometer"] = tuple(_vector(message.linear_acceleration).tolist())
     if message.angular_velocity_covariance[0] != -1:
         values["gyroscope"] = tuple(_vector(message.angular_velocity).tolist())
-    turn = _turn(message.orientation)
-    if message.orientation_covariance[0] != -1 and not lengths_of(turn[None])[1][0]:
-        values["orientation"] = tuple(turn.tolist())
+    rotation = _rotation(message.orientation)
+    if message.orientation_covariance[0] != -1 and not lengths_of(rotation[None])[1][0]:
+        values["orientation"] = tuple(rotation.tolist())
     return [SampleRecord(*_head(message), values)]
 
 
@@ -206,17 +210,17 @@ def _boxes_3d(message: Any) -> Sequence[Boxes3DRecord]:
     time_ns, frame = _head(message)
     boxes = []
     for detection in message.detections:
-        label, told = _label(detection)
+        label, reported = _label(detection)
         center = detection.bbox.center
         boxes.append(
             Box3D(
                 str(getattr(detection, "id", "")),
                 _frame(detection.header.frame_id) or frame,
                 _vector(center.position),
-                _turn(center.orientation),
+                _rotation(center.orientation),
                 _vector(detection.bbox.size),
                 label,
-                MappingProxyType(told),
+                MappingProxyType(reported),
             )
         )
     return [Boxes3DRecord(time_ns, tuple(boxes))]
@@ -224,19 +228,19 @@ def _boxes_3d(message: Any) -> Sequence[Boxes3DRecord]:
 
 def _boxes_2d(message: Any) -> Sequence[Boxes2DRecord]:
     time_ns, frame = _head(message)
-    boxes, turned = [], 0
+    boxes, rotated = [], 0
     for detection in message.detections:
-        label, told = _label(detection)
+        label, reported = _label(detection)
         box = detection.bbox
         center = getattr(box.center, "position", box.center)
         if box.center.theta != 0:
-            turned += 1
+            rotated += 1
             continue
         width, height = float(box.size_x), float(box.size_y)
         corner = float(center.x) - width / 2, float(center.y) - height / 2
         named = str(getattr(detection, "id", ""))
-        boxes.append(Box2D(named, (*corner, width, height), label, MappingProxyType(told)))
-    return [Boxes2DRecord(time_ns, frame, tuple(boxes), turned)]
+        boxes.append(Box2D(named, (*corner, width, height), label, MappingProxyType(reported)))
+    return [Boxes2DRecord(time_ns, frame, tuple(boxes), rotated)]
 
 
 def _notes(message: Any) -> Sequence[NotesRecord]:
@@ -249,16 +253,16 @@ READERS: Mapping[str, tuple[Kind, Reader]] = MappingProxyType(
     {
         "tf2_msgs/msg/TFMessage": (Kind.TRANSFORM, _transforms),
         "tf/msg/tfMessage": (Kind.TRANSFORM, _transforms),
-        "geometry_msgs/msg/TransformStamped": (Kind.TRANSFORM, _transforms),
+        "geometry_msgs/msg/TransformTimestamped": (Kind.TRANSFORM, _transforms),
         "sensor_msgs/msg/PointCloud2": (Kind.CLOUD, _cloud),
         "sensor_msgs/msg/Image": (Kind.IMAGE, _image),
-        "sensor_msgs/msg/CompressedImage": (Kind.PICTURE, _picture),
+        "sensor_msgs/msg/CompressedImage": (Kind.COMPRESSED_IMAGE, _compressed_image),
         "foxglove_msgs/msg/CompressedVideo": (Kind.VIDEO, _video),
-        "sensor_msgs/msg/CameraInfo": (Kind.LENS, _lens),
+        "sensor_msgs/msg/CameraInfo": (Kind.CAMERA_MODEL, _camera_model),
         "nav_msgs/msg/Odometry": (Kind.POSE, _pose),
-        "geometry_msgs/msg/PoseStamped": (Kind.POSE, _pose),
-        "geometry_msgs/msg/PoseWithCovarianceStamped": (Kind.POSE, _pose),
-        "geometry_msgs/msg/PointStamped": (Kind.POSE, _point),
+        "geometry_msgs/msg/PoseTimestamped": (Kind.POSE, _pose),
+        "geometry_msgs/msg/PoseWithCovarianceTimestamped": (Kind.POSE, _pose),
+        "geometry_msgs/msg/PointTimestamped": (Kind.POSE, _point),
         "sensor_msgs/msg/NavSatFix": (Kind.FIX, _fix),
         "sensor_msgs/msg/Imu": (Kind.SAMPLE, _imu),
         "sensor_msgs/msg/MagneticField": (Kind.SAMPLE, _magnetic),
@@ -268,7 +272,7 @@ READERS: Mapping[str, tuple[Kind, Reader]] = MappingProxyType(
         "std_msgs/msg/String": (Kind.NOTES, _notes),
     }
 )
-"""The types that are read, by name: what they say, and what reads them."""
+"""The types that are read, by name: what they state, and what reads them."""
 
 NOT_READ: Mapping[str, str] = MappingProxyType(
     {

@@ -16,7 +16,7 @@ from sceneloom.formats.topics.names import ros_part
 from sceneloom.formats.topics.records import AnyRecord, NotesRecord
 from sceneloom.formats.topics.scene_streams import FIXED_FRAMES_TOPIC, SceneStreams
 from sceneloom.formats.topics.streams import merged
-from sceneloom.formats.topics.written_pictures import check_pictures
+from sceneloom.formats.topics.written_images import check_images
 from sceneloom.scene.scene import Scene
 
 STORAGES = ("sqlite3", "mcap")
@@ -32,7 +32,7 @@ def _dialect(*, videos: bool) -> Dialect:
         ego="base_link",
         part=ros_part,
         fisheye="equidistant",
-        lens_topic="camera_info",
+        camera_model_topic="camera_info",
         sample_topics=MappingProxyType(
             {
                 "accelerometer": "data",
@@ -43,7 +43,7 @@ def _dialect(*, videos: bool) -> Dialect:
         ),
         videos=videos,
         covariances=True,
-        each_lens=True,
+        each_camera_model=True,
         intensity="f4",
     )
 
@@ -52,7 +52,7 @@ _KIND = FolderKind("bag of ROS 2", (r"metadata\.yaml", r"(?P<one>.+)\.(mcap|db3)
 
 
 def write_ros1(
-    scene: Scene, path: Path, *, overwrite: bool = False, pictures: str = "jpeg", distro: str = "noetic"
+    scene: Scene, path: Path, *, overwrite: bool = False, images: str = "jpeg", distro: str = "noetic"
 ) -> LossReport:
     """Write a `.bag`; one message is in memory at a time.
 
@@ -60,17 +60,17 @@ def write_ros1(
         scene: the drive.
         path: of the file.
         overwrite: whether a file that is there may be replaced.
-        pictures: see `write_ros2`.
+        images: see `write_ros2`.
         distro: of ROS 1, whose types are written.
 
     Raises:
-        OptionError: there is no such distribution, or way of writing pictures.
+        OptionError: there is no such distribution, or way of writing images.
         OutputError: the file exists, or cannot be written.
     """
     from rosbags.rosbag1 import Writer
 
     with replacing(path, overwrite=overwrite) as draft, Writer(draft) as bag:
-        return _write(scene, bag, distro, pictures, ros1=True)
+        return _write(scene, bag, distro, images, ros1=True)
 
 
 def write_ros2(
@@ -79,7 +79,7 @@ def write_ros2(
     *,
     overwrite: bool = False,
     storage: str = "mcap",
-    pictures: str = "jpeg",
+    images: str = "jpeg",
     distro: str = "humble",
 ) -> LossReport:
     """Write a folder with `metadata.yaml`; one message is in memory at a time.
@@ -89,12 +89,12 @@ def write_ros2(
         path: of the folder.
         overwrite: whether a folder that is there may be replaced.
         storage: "mcap" or "sqlite3".
-        pictures: "jpeg" and "copy" write JPEG files, copied where the scene has them, "png" and "raw" lose nothing,
+        images: "jpeg" and "copy" write JPEG files, copied where the scene has them, "png" and "raw" lose nothing,
             "video" hands on videos packet by packet as messages of foxglove_msgs.
         distro: of ROS 2, whose types are written.
 
     Raises:
-        OptionError: there is no such storage, distribution, or way of writing pictures.
+        OptionError: there is no such storage, distribution, or way of writing images.
         OutputError: the folder exists, or cannot be written.
     """
     from rosbags.rosbag2 import StoragePlugin, Writer
@@ -105,14 +105,14 @@ def write_ros2(
     with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
         draft.rmdir()
         with Writer(draft, version=9, storage_plugin=plugin) as bag:
-            return _write(scene, bag, distro, pictures, ros1=False)
+            return _write(scene, bag, distro, images, ros1=False)
 
 
-def _write(scene: Scene, bag: Any, distro: str, pictures: str, *, ros1: bool) -> LossReport:
-    videos = pictures == "video"
-    form = "copy" if videos or pictures == "jpeg" else pictures
-    check_pictures(form)
-    plan = SceneStreams(scene, _dialect(videos=videos), pictures=form)
+def _write(scene: Scene, bag: Any, distro: str, images: str, *, ros1: bool) -> LossReport:
+    videos = images == "video"
+    form = "copy" if videos or images == "jpeg" else images
+    check_images(form)
+    plan = SceneStreams(scene, _dialect(videos=videos), images=form)
     shift_ns = -(plan.start_ns // _SECOND_NS) * _SECOND_NS if plan.start_ns < 0 else 0
     store = distro_store(distro)
     if ("std_msgs/msg/Header" in store.types) and _has_number(store) is not ros1:

@@ -12,7 +12,7 @@ from sceneloom.formats.ros.bags import Connection
 
 DEFINITIONS: Mapping[str, str] = MappingProxyType(
     {
-        "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
+        "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformTimestamped[] transforms\n",
         "vision_msgs/msg/Point2D": "float64 x\nfloat64 y\n",
         "vision_msgs/msg/Pose2D": "vision_msgs/Point2D position\nfloat64 theta\n",
         "vision_msgs/msg/BoundingBox2D": "vision_msgs/Pose2D center\nfloat64 size_x\nfloat64 size_y\n",
@@ -42,7 +42,7 @@ Source: packages vision_msgs (4.0), tf2_msgs and foxglove_msgs of ROS 2.
 """
 
 USUAL_DISTRO = {"ros1": "noetic", "cdr": "humble"}
-"""The distribution whose types are taken where nothing is said, by the encoding of messages."""
+"""The distribution whose types are taken where nothing is stated, by the encoding of messages."""
 
 
 def distros() -> tuple[str, ...]:

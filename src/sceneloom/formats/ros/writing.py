@@ -15,12 +15,12 @@ from sceneloom.formats.topics.records import (
     AnyRecord,
     Boxes2DRecord,
     Boxes3DRecord,
+    CameraModelRecord,
     CloudRecord,
+    CompressedImageRecord,
     FixRecord,
     ImageRecord,
-    LensRecord,
     NotesRecord,
-    PictureRecord,
     PoseRecord,
     SampleRecord,
     TransformRecord,
@@ -52,7 +52,7 @@ class Messages:
         """Give the type of a record's message, and the message.
 
         Raises:
-            OutputError: there is no message for it, or its time is beyond what ROS can say.
+            OutputError: there is no message for it, or its time is beyond what ROS can state.
         """
         make = _MAKERS.get(type(record))
         if make is None:
@@ -84,9 +84,9 @@ class Messages:
     def pose(self, position: Any, quaternion_xyzw: Any) -> Any:
         """A pose."""
         point = self.make("geometry_msgs/msg/Point", *map(float, position))
-        return self.make("geometry_msgs/msg/Pose", point, self.turn(quaternion_xyzw))
+        return self.make("geometry_msgs/msg/Pose", point, self.rotation(quaternion_xyzw))
 
-    def turn(self, quaternion_xyzw: Any) -> Any:
+    def rotation(self, quaternion_xyzw: Any) -> Any:
         """A quaternion."""
         return self.make("geometry_msgs/msg/Quaternion", *map(float, quaternion_xyzw))
 
@@ -100,11 +100,11 @@ class Messages:
     def transform(self, record: TransformRecord) -> Message:
         """Where a frame is."""
         moved = self.make(
-            "geometry_msgs/msg/Transform", self.vector(record.position), self.turn(record.quaternion_xyzw)
+            "geometry_msgs/msg/Transform", self.vector(record.position), self.rotation(record.quaternion_xyzw)
         )
         head = self.header(record.timestamp_ns, record.parent)
-        stamped = self.make("geometry_msgs/msg/TransformStamped", head, record.child, moved)
-        return "tf2_msgs/msg/TFMessage", self.make("tf2_msgs/msg/TFMessage", [stamped])
+        timestamped = self.make("geometry_msgs/msg/TransformTimestamped", head, record.child, moved)
+        return "tf2_msgs/msg/TFMessage", self.make("tf2_msgs/msg/TFMessage", [timestamped])
 
     def cloud(self, record: CloudRecord) -> Message:
         """Points."""
@@ -143,8 +143,8 @@ class Messages:
             data=np.frombuffer(record.data, np.uint8),
         )
 
-    def picture(self, record: PictureRecord) -> Message:
-        """A picture's file, or a packet of a video."""
+    def compressed_image(self, record: CompressedImageRecord) -> Message:
+        """An image's file, or a packet of a video."""
         data = np.frombuffer(record.data, np.uint8)
         if record.form in _VIDEOS:
             name = "foxglove_msgs/msg/CompressedVideo"
@@ -152,8 +152,8 @@ class Messages:
         name = "sensor_msgs/msg/CompressedImage"
         return name, self.make(name, self.header(record.timestamp_ns, record.frame_id), record.form, data)
 
-    def lens(self, record: LensRecord) -> Message:
-        """A lens."""
+    def camera_model(self, record: CameraModelRecord) -> Message:
+        """A camera model."""
         name = "sensor_msgs/msg/CameraInfo"
         numbers = {"d": record.coefficients, "k": record.k, "r": np.eye(3).reshape(-1), "p": record.p}
         named = {
@@ -172,12 +172,14 @@ class Messages:
             **named,
         )
 
-    def way(self, record: PoseRecord) -> Message:
+    def trajectory(self, record: PoseRecord) -> Message:
         """Where a body was; a point, where its orientation is not known."""
         head = self.header(record.timestamp_ns, record.frame_id)
         if record.quaternion_xyzw is None:
             point = self.make("geometry_msgs/msg/Point", *map(float, record.position))
-            return "geometry_msgs/msg/PointStamped", self.make("geometry_msgs/msg/PointStamped", head, point)
+            return "geometry_msgs/msg/PointTimestamped", self.make(
+                "geometry_msgs/msg/PointTimestamped", head, point
+            )
         pose = self.spread_pose(self.pose(record.position, record.quaternion_xyzw), record.covariance)
         still = self.make("geometry_msgs/msg/Twist", self.vector((0, 0, 0)), self.vector((0, 0, 0)))
         twist = self.make("geometry_msgs/msg/TwistWithCovariance", still, np.zeros(36))
@@ -207,7 +209,7 @@ class Messages:
             name = "sensor_msgs/msg/Temperature"
             return name, self.make(name, head, values["imuTemperature"][0] - ZERO_CELSIUS, 0.0)
         name, missing = "sensor_msgs/msg/Imu", np.array([-1.0, *np.zeros(8)])
-        parts: list[Any] = [self.turn((0, 0, 0, 1)), missing]
+        parts: list[Any] = [self.rotation((0, 0, 0, 1)), missing]
         for stream in ("gyroscope", "accelerometer"):
             parts += [
                 self.vector(values.get(stream, (0, 0, 0))),
@@ -236,7 +238,7 @@ class Messages:
         return name, self.make(name, self.header(record.timestamp_ns, frame), detections)
 
     def boxes_2d(self, record: Boxes2DRecord) -> Message:
-        """Boxes in a picture."""
+        """Boxes in an image."""
         detections = []
         for box in record.boxes:
             left, top, width, height = box.box_ltwh
@@ -257,12 +259,12 @@ class Messages:
     def _hypotheses(self, label: str | None) -> list[Any]:
         if label is None:
             return []
-        told = self.make("vision_msgs/msg/ObjectHypothesis", label, 1.0)
+        reported = self.make("vision_msgs/msg/ObjectHypothesis", label, 1.0)
         nowhere = self.spread_pose(self.pose((0, 0, 0), (0, 0, 0, 1)), None)
-        return [self.make("vision_msgs/msg/ObjectHypothesisWithPose", told, nowhere)]
+        return [self.make("vision_msgs/msg/ObjectHypothesisWithPose", reported, nowhere)]
 
     def notes(self, record: NotesRecord) -> Message:
-        """What no message has a place for."""
+        """What no message has a location for."""
         return "std_msgs/msg/String", self.make("std_msgs/msg/String", record.text)
 
 
@@ -271,9 +273,9 @@ _MAKERS: Mapping[type[Any], Callable[[Messages, Any], Message]] = MappingProxyTy
         TransformRecord: Messages.transform,
         CloudRecord: Messages.cloud,
         ImageRecord: Messages.image,
-        PictureRecord: Messages.picture,
-        LensRecord: Messages.lens,
-        PoseRecord: Messages.way,
+        CompressedImageRecord: Messages.compressed_image,
+        CameraModelRecord: Messages.camera_model,
+        PoseRecord: Messages.trajectory,
         FixRecord: Messages.fix,
         SampleRecord: Messages.sample,
         Boxes3DRecord: Messages.boxes_3d,

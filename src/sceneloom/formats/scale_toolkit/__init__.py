@@ -1,1 +1,1 @@
-"""Folders as Scale's lidar toolkit recommends them: clouds, pictures and poses that share the names of frames."""
+"""Folders as Scale's lidar toolkit recommends them: clouds, images and poses that share the names of frames."""

@@ -1,4 +1,4 @@
-"""The names of frames, which clouds, pictures and poses share, and the times that they stand for."""
+"""The names of frames, which clouds, images and poses share, and the times that they stand for."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.warnings import WarningKind
 
 _UNITS = ((18, 20, 1, "nanoseconds"), (15, 18, 1_000, "microseconds"), (12, 15, 1_000_000, "milliseconds"))
 """From so many digits up to so many a name is a time since 1970 in a unit of so many nanoseconds."""
@@ -39,13 +39,13 @@ def _is_number(name: str) -> bool:
     return name.isascii() and name.isdigit() and len(name) < 20 and int(name) < 1 << 63
 
 
-def times_of(names: Sequence[str], rate_hz: float | None, place: Path, ledger: Ledger) -> Int64Array:
+def times_of(names: Sequence[str], rate_hz: float | None, location: Path, ledger: Ledger) -> Int64Array:
     """The times of frames [ns], by their names where these are times, else so many a second.
 
     Args:
         names: of the frames, in order.
         rate_hz: frames a second; None: 10, unless the names are times.
-        place: the folder, for messages.
+        location: the folder, for messages.
         ledger: takes what is assumed.
 
     Raises:
@@ -56,25 +56,31 @@ def times_of(names: Sequence[str], rate_hz: float | None, place: Path, ledger: L
     if numbers and rate_hz is None and len(lengths) == 1:
         for low, high, unit_ns, word in _UNITS:
             if low <= min(lengths) < high:
-                ledger.note(NoticeKind.ASSUMED, "names-are-times", str(place), f"names of frames are {word}")
-                return _ascending(np.array([int(name) * unit_ns for name in names], np.int64), names, place)
+                ledger.note(
+                    WarningKind.ASSUMED, "names-are-times", str(location), f"names of frames are {word}"
+                )
+                return _ascending(
+                    np.array([int(name) * unit_ns for name in names], np.int64), names, location
+                )
     period_ns = round(_SECOND / (10.0 if rate_hz is None else rate_hz))
     if rate_hz is None:
         message = "the folder has no times; 10 frames a second, from 0"
-        ledger.note(NoticeKind.ASSUMED, "nominal-times", str(place), message, count=len(names))
+        ledger.note(WarningKind.ASSUMED, "nominal-times", str(location), message, count=len(names))
     counts = [int(name) - int(names[0]) for name in names] if numbers else range(len(names))
     if numbers and counts and counts[-1] > _LONGEST:
-        raise DataError(place, names[-1], f"frame {names[-1]} after {names[0]}; expected numbers of frames")
-    return _ascending(np.array(counts, np.int64) * period_ns, names, place)
+        raise DataError(
+            location, names[-1], f"frame {names[-1]} after {names[0]}; expected numbers of frames"
+        )
+    return _ascending(np.array(counts, np.int64) * period_ns, names, location)
 
 
 _LONGEST = 10_000_000
 """No drive has more frames than this."""
 
 
-def _ascending(stamps_ns: Int64Array, names: Sequence[str], place: Path) -> Int64Array:
-    same = np.flatnonzero(stamps_ns[1:] <= stamps_ns[:-1])
+def _ascending(timestamps_ns: Int64Array, names: Sequence[str], location: Path) -> Int64Array:
+    same = np.flatnonzero(timestamps_ns[1:] <= timestamps_ns[:-1])
     if len(same):
         k = int(same[0])
-        raise DataError(place, names[k + 1], f"stands for the same time as {names[k]}; expected another")
-    return stamps_ns
+        raise DataError(location, names[k + 1], f"stands for the same time as {names[k]}; expected another")
+    return timestamps_ns

@@ -19,11 +19,11 @@ TRAJECTORY = "pose"
 
 
 def open_scale_toolkit(path: Path, *, rate_hz: float | str | None = None, lenient: bool = False) -> Scene:
-    """Open a folder; pictures and points are read when asked for.
+    """Open a folder; images and points are read when asked for.
 
     Args:
         path: with `pointcloud/`, `poses/` and `cameras/`.
-        rate_hz: frames a second, where the names of the frames are no times; None: 10, which is told.
+        rate_hz: frames a second, where the names of the frames are no times; None: 10, which is reported.
         lenient: go without poses and cameras that are missing or wrong, and count them.
 
     Raises:
@@ -38,12 +38,12 @@ def open_scale_toolkit(path: Path, *, rate_hz: float | str | None = None, lenien
         clouds = frame_names(path / "pointcloud", CLOUDS)
         if not clouds:
             raise DataError(path / "pointcloud", "", "no cloud; expected files such as 1.ply or 1.pcd")
-        stamps_ns = times_of(list(clouds), rate, path / "pointcloud", ledger)
-        way = _way(path, clouds, stamps_ns, ledger)
-        poses = None if way is None else way.poses
-        times = dict(zip(clouds, stamps_ns.tolist(), strict=True))
+        timestamps_ns = times_of(list(clouds), rate, path / "pointcloud", ledger)
+        trajectory = _trajectory(path, clouds, timestamps_ns, ledger)
+        poses = None if trajectory is None else trajectory.poses
+        times = dict(zip(clouds, timestamps_ns.tolist(), strict=True))
         sensors = [
-            build_lidar(clouds, stamps_ns, poses),
+            build_lidar(clouds, timestamps_ns, poses),
             *build_radar(path / "radar_points", times, poses, ledger),
         ]
         for folder in sorted(child for child in (path / "cameras").glob("*") if child.is_dir()):
@@ -53,15 +53,17 @@ def open_scale_toolkit(path: Path, *, rate_hz: float | str | None = None, lenien
                 ledger.fault("cameras", error)
     return Scene(
         sensors=tuple(sensors),
-        trajectories=MappingProxyType({} if way is None else {way.name: way}),
+        trajectories=MappingProxyType({} if trajectory is None else {trajectory.name: trajectory}),
         source=str(path),
         format="scale-toolkit",
-        notices=ledger.notices,
+        warnings=ledger.warnings,
     )
 
 
-def _way(path: Path, clouds: dict[str, Path], stamps_ns: Int64Array, ledger: Ledger) -> Trajectory | None:
-    """The ego's way: a file for each cloud, world from ego."""
+def _trajectory(
+    path: Path, clouds: dict[str, Path], timestamps_ns: Int64Array, ledger: Ledger
+) -> Trajectory | None:
+    """The ego trajectory: a file for each cloud, world from ego."""
     known, rows = [], []
     for row, name in enumerate(clouds):
         try:
@@ -74,7 +76,7 @@ def _way(path: Path, clouds: dict[str, Path], stamps_ns: Int64Array, ledger: Led
         return None
     return Trajectory(
         TRAJECTORY,
-        stamps_ns[rows],
+        timestamps_ns[rows],
         np.array([pose.translation for pose in known]),
         np.array([pose.quaternion_xyzw for pose in known]),
     )

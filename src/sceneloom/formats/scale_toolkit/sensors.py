@@ -17,23 +17,23 @@ from sceneloom.formats.files import read_bytes
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.pandaset.text_files import read_json
 from sceneloom.formats.quaternion_lengths import lengths_of
-from sceneloom.formats.rig.pictures import PICTURE_SUFFIXES, PictureReader, picture_size
+from sceneloom.formats.rig.images import IMAGE_SUFFIXES, ImageReader, image_size
 from sceneloom.formats.rig.sweep_reader import SweepReader
 from sceneloom.formats.scale_toolkit.frame_names import frame_names
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarFrame, RadarPoints, RadarSensor
 from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.pose_source import poses_along
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Sensor
 from sceneloom.scene.types import PointsFrame
+from sceneloom.scene.warnings import WarningKind
 
-_LENS = ("fx", "fy", "cx", "cy")
+_CAMERA_MODEL = ("fx", "fy", "cx", "cy")
 _RADAR_COLUMNS = 7
 _LARGEST = 1e9
-"""No place and no speed of a return is larger than this."""
+"""No location and no speed of a return is larger than this."""
 
 
 def read_pose(path: Path) -> RigidTransform:
@@ -62,7 +62,7 @@ def _numbers(path: Path, record: dict[str, Any], name: str, count: int) -> Float
     return np.array(values, np.float64)
 
 
-def build_lidar(clouds: dict[str, Path], stamps_ns: Int64Array, way: PosePath | None) -> LidarSensor:
+def build_lidar(clouds: dict[str, Path], timestamps_ns: Int64Array, trajectory: Poses | None) -> LidarSensor:
     """Build the lidar; its points are in the ego's frame. The first file is read, to see how bright it is.
 
     Raises:
@@ -75,51 +75,53 @@ def build_lidar(clouds: dict[str, Path], stamps_ns: Int64Array, way: PosePath | 
     reader = SweepReader(
         files=files,
         names=tuple(f"{file.parent.name}/{file.name}" for file in files),
-        clocks_ns=np.stack([stamps_ns, stamps_ns], axis=1),
-        timestamps_ns=stamps_ns,
+        clocks_ns=np.stack([timestamps_ns, timestamps_ns], axis=1),
+        timestamps_ns=timestamps_ns,
         zero_ns=0,
         layout=None,
         mapping=PointMapping(scale=scale),
     )
     return LidarSensor(
         id="lidar",
-        frames=LazyFrames(stamps_ns, reader),
-        poses=_placed(way, RigidTransform.identity(), stamps_ns),
+        frames=LazyFrames(timestamps_ns, reader),
+        poses=_placed(trajectory, RigidTransform.identity(), timestamps_ns),
         mount=RigidTransform.identity(),
         points_frame=PointsFrame.EGO,
         extras=MappingProxyType({} if scale is None else {"intensity_max": scale.maximum}),
     )
 
 
-def _placed(way: PosePath | None, mount: RigidTransform, stamps_ns: Int64Array) -> PosePath | None:
-    return poses_along(way, {0: mount}, np.zeros(len(stamps_ns), np.int64), stamps_ns)
+def _placed(trajectory: Poses | None, mount: RigidTransform, timestamps_ns: Int64Array) -> Poses | None:
+    return poses_along(trajectory, {0: mount}, np.zeros(len(timestamps_ns), np.int64), timestamps_ns)
 
 
-def build_camera(folder: Path, times: dict[str, int], way: PosePath | None, ledger: Ledger) -> CameraSensor:
-    """Build a camera; pictures of frames without a cloud are left out and told.
+def build_camera(
+    folder: Path, times: dict[str, int], trajectory: Poses | None, ledger: Ledger
+) -> CameraSensor:
+    """Build a camera; images of frames without a cloud are left out and reported.
 
     Raises:
-        DataError: calibration or pictures are missing or wrong.
+        DataError: calibration or images are missing or wrong.
     """
-    found = frame_names(folder, PICTURE_SUFFIXES)
+    found = frame_names(folder, IMAGE_SUFFIXES)
     kept = {name: file for name, file in found.items() if name in times}
-    _note_without(ledger, folder, "pictures", len(found) - len(kept))
+    _note_without(ledger, folder, "images", len(found) - len(kept))
     if not kept:
-        raise DataError(folder, "", "no picture with the name of a cloud; expected such as pointcloud/ has")
-    files, stamps_ns = tuple(kept.values()), np.array([times[name] for name in kept], np.int64)
+        raise DataError(folder, "", "no image with the name of a cloud; expected such as pointcloud/ has")
+    files, timestamps_ns = tuple(kept.values()), np.array([times[name] for name in kept], np.int64)
     mount = read_pose(folder / "extrinsics.json")
     record = read_json(folder / "intrinsics.json", dict[str, Any])
-    camera = _lens(folder / "intrinsics.json", record, picture_size(files[0]))
-    further = {name: value for name, value in record.items() if name not in _LENS}
+    camera = _camera_model(folder / "intrinsics.json", record, image_size(files[0]))
+    further = {name: value for name, value in record.items() if name not in _CAMERA_MODEL}
     if further:
         message = f"{', '.join(further)}: kept in the camera's extras, and not used"
-        ledger.note(NoticeKind.SKIPPED, "lens-entries", str(folder / "intrinsics.json"), message)
+        ledger.note(WarningKind.SKIPPED, "camera-model-entries", str(folder / "intrinsics.json"), message)
     names = tuple(f"cameras/{folder.name}/{file.name}" for file in files)
     return CameraSensor(
         id=folder.name,
         camera=camera,
-        pictures=LazyFrames(stamps_ns, PictureReader(files, names, stamps_ns, camera)),
-        poses=_placed(way, mount, stamps_ns),
+        images=LazyFrames(timestamps_ns, ImageReader(files, names, timestamps_ns, camera)),
+        poses=_placed(trajectory, mount, timestamps_ns),
         mount=mount,
         extras=MappingProxyType(further),
     )
@@ -128,11 +130,11 @@ def build_camera(folder: Path, times: dict[str, int], way: PosePath | None, ledg
 def _note_without(ledger: Ledger, folder: Path, what: str, count: int) -> None:
     if count:
         message = f"{what} of frames without a cloud are left out"
-        ledger.note(NoticeKind.SKIPPED, f"{what}-without-cloud", str(folder), message, count=count)
+        ledger.note(WarningKind.SKIPPED, f"{what}-without-cloud", str(folder), message, count=count)
 
 
-def _lens(path: Path, record: dict[str, Any], size: tuple[int, int]) -> Camera:
-    values = [record.get(name) for name in _LENS]
+def _camera_model(path: Path, record: dict[str, Any], size: tuple[int, int]) -> Camera:
+    values = [record.get(name) for name in _CAMERA_MODEL]
     if not all(isinstance(v, float | int) and not isinstance(v, bool) for v in values):
         raise DataError(path, "", f"fx, fy, cx, cy are {values}; expected numbers")
     fx, fy, cx, cy = (float(v) for v in values if v is not None)
@@ -191,19 +193,21 @@ def _radar_rows(path: Path) -> Float64Array:
     return np.array(rows, np.float64).reshape(-1, _RADAR_COLUMNS)
 
 
-def build_radar(folder: Path, times: dict[str, int], way: PosePath | None, ledger: Ledger) -> list[Sensor]:
+def build_radar(
+    folder: Path, times: dict[str, int], trajectory: Poses | None, ledger: Ledger
+) -> list[Sensor]:
     """Build the radar; [] where there are no points of one."""
     found = frame_names(folder, (".txt",))
     kept = {name: file for name, file in found.items() if name in times}
     _note_without(ledger, folder, "radar-points", len(found) - len(kept))
     if not kept:
         return []
-    stamps_ns = np.array([times[name] for name in kept], np.int64)
+    timestamps_ns = np.array([times[name] for name in kept], np.int64)
     return [
         RadarSensor(
             id="radar",
-            frames=LazyFrames(stamps_ns, CycleTexts(tuple(kept.values()), stamps_ns)),
-            poses=_placed(way, RigidTransform.identity(), stamps_ns),
+            frames=LazyFrames(timestamps_ns, CycleTexts(tuple(kept.values()), timestamps_ns)),
+            poses=_placed(trajectory, RigidTransform.identity(), timestamps_ns),
             mount=RigidTransform.identity(),
             points_frame=PointsFrame.EGO,
         )

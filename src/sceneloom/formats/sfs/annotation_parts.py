@@ -1,4 +1,7 @@
-"""What annotations are made of: attributes, rows that may be null, corners of shapes, all with the places of faults."""
+"""What annotations are made of: attributes, rows that may be null, corners of shapes.
+
+All with the locations of faults.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
@@ -8,10 +11,10 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array, read_only
 from sceneloom.errors import ArrayError
-from sceneloom.formats.sfs.poses import mended_path_of, rows_of, times_of
-from sceneloom.formats.sfs.records import Faults, FieldError, Place
+from sceneloom.formats.sfs.poses import repaired_path_of, rows_of, times_of
+from sceneloom.formats.sfs.records import Faults, FieldError, Location
 from sceneloom.scene.annotations.attributes import AttributePath
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 
 Record = Mapping[str, Any]
 
@@ -19,14 +22,14 @@ _ATTRIBUTE = frozenset({"name", "sensor_id", "static", "point_index", "timestamp
 
 
 @contextmanager
-def noting(faults: Faults, place: Place) -> Iterator[None]:
-    """Turn what a part refuses into a fault at its place."""
+def noting(faults: Faults, location: Location) -> Iterator[None]:
+    """Rotate what a part refuses into a fault at its location."""
     try:
         yield
     except FieldError as error:
-        faults.add(place, str(error), code=error.code)
+        faults.add(location, str(error), code=error.code)
     except ArrayError as error:
-        faults.add(place, str(error))
+        faults.add(location, str(error))
 
 
 def further(record: Record, *taken: str) -> dict[str, Any]:
@@ -66,7 +69,7 @@ def attribute_values(values: Any) -> tuple[Any, ...]:
 
 
 def check_counts(times: Sized, values: Sized, *, name: str = "values") -> None:
-    """Refuse a path with more or fewer values than time stamps.
+    """Refuse a path with more or fewer values than timestamps.
 
     Raises:
         FieldError: there are.
@@ -76,41 +79,41 @@ def check_counts(times: Sized, values: Sized, *, name: str = "values") -> None:
 
 
 def row_path(
-    record: Record, columns: int, faults: Faults, place: Place
+    record: Record, columns: int, faults: Faults, location: Location
 ) -> tuple[Int64Array, Float64Array] | None:
-    """Take the stamps [ns] and rows of numbers of a path; None where it is at fault."""
-    rows = rows_at(record["values"], columns, faults, (*place, "values"))
+    """Take the timestamps [ns] and rows of numbers of a path; None where it is at fault."""
+    rows = rows_at(record["values"], columns, faults, (*location, "values"))
     if rows is None:
         return None
     times = times_of(record["timestamps"])
-    with noting(faults, place):
+    with noting(faults, location):
         check_counts(times, rows)
         return read_only(times), read_only(rows)
     return None
 
 
-def rows_at(values: Any, columns: int, faults: Faults, place: Place) -> Float64Array | None:
+def rows_at(values: Any, columns: int, faults: Faults, location: Location) -> Float64Array | None:
     """Take rows of numbers, (N, columns) float64; each row that is none becomes a fault with its number."""
     try:
         return rows_of(values, columns)
     except FieldError as error:
         before = len(faults)
         for index, row in enumerate(values if isinstance(values, list) else ()):
-            note_bad_row(row, columns, faults, (*place, index))
+            note_bad_row(row, columns, faults, (*location, index))
         if len(faults) == before:
-            faults.add(place, str(error))
+            faults.add(location, str(error))
     return None
 
 
-def note_bad_row(row: Any, columns: int, faults: Faults, place: Place) -> bool:
-    """Note a row that is not that many numbers; say whether it is sound."""
+def note_bad_row(row: Any, columns: int, faults: Faults, location: Location) -> bool:
+    """Note a row that is not that many numbers; report whether it is sound."""
     numbers = isinstance(row, list | np.ndarray) and all(
         isinstance(value, int | float | np.number) and not isinstance(value, bool) for value in row
     )
     if numbers and len(row) == columns:
         return True
     found = f"{len(row)} numbers" if numbers else _described(row)
-    faults.add(place, f"{found}; expected {columns} numbers")
+    faults.add(location, f"{found}; expected {columns} numbers")
     return False
 
 
@@ -120,7 +123,7 @@ def _described(value: Any) -> str:
 
 
 def nullable_rows(
-    record: Record, name: str, columns: int, faults: Faults, place: Place
+    record: Record, name: str, columns: int, faults: Faults, location: Location
 ) -> Float64Array | None:
     """Take the rows of a field in which null stands for none, (N, columns) float64 with rows of NaN for null.
 
@@ -132,15 +135,15 @@ def nullable_rows(
     listed: Sequence[Any] = values.tolist() if isinstance(values, np.ndarray) else values
     kept = [index for index, row in enumerate(listed) if row is not None]
     before = len(faults)
-    with noting(faults, (*place, name)):
+    with noting(faults, (*location, name)):
         check_counts(record["timestamps"], listed, name=name)
     try:
         rows = rows_of([listed[index] for index in kept], columns)
     except FieldError as error:
         for index in kept:
-            note_bad_row(listed[index], columns, faults, (*place, name, index))
+            note_bad_row(listed[index], columns, faults, (*location, name, index))
         if len(faults) == before:
-            faults.add((*place, name), str(error))
+            faults.add((*location, name), str(error))
     if len(faults) > before:
         return None
     array = np.full((len(listed), columns), np.nan)
@@ -148,34 +151,34 @@ def nullable_rows(
     return read_only(array)
 
 
-def confirmations(record: Record, faults: Faults, place: Place) -> tuple[bool | None, ...] | None:
-    """Take `confirmed`: true, false or null for each time stamp."""
+def confirmations(record: Record, faults: Faults, location: Location) -> tuple[bool | None, ...] | None:
+    """Take `confirmed`: true, false or null for each timestamp."""
     values = record.get("confirmed")
     if values is None:
         return None
     listed = values.tolist() if isinstance(values, np.ndarray) else values
     for index, value in enumerate(listed):
         if value is not None and not isinstance(value, bool):
-            faults.add((*place, "confirmed", index), f"{_described(value)}; expected true, false or null")
-    with noting(faults, (*place, "confirmed")):
+            faults.add((*location, "confirmed", index), f"{_described(value)}; expected true, false or null")
+    with noting(faults, (*location, "confirmed")):
         check_counts(record["timestamps"], listed, name="values")
     return tuple(listed)
 
 
-def read_poses(values: Record, faults: Faults) -> PosePath | None:
+def read_poses(values: Record, faults: Faults) -> Poses | None:
     """Make the poses of a correction."""
     record = values.get("poses")
     if record is None:
         return None
     before = len(faults)
-    path = mended_path_of(record, faults)
+    path = repaired_path_of(record, faults)
     if path is None and len(faults) == before:
         faults.add(("poses",), "empty; expected at least one pose")
     return path
 
 
 def vertices_of(
-    rows: Any, dimensions: int, faults: Faults, place: Place, *, are_pairs: bool | None = None
+    rows: Any, dimensions: int, faults: Faults, location: Location, *, are_pairs: bool | None = None
 ) -> tuple[tuple[Float64Array, ...], bool]:
     """Cut rows of numbers into vertices, (V, D) float64 each.
 
@@ -183,7 +186,7 @@ def vertices_of(
         rows: the numbers of each keyframe.
         dimensions: 2 or 3.
         faults: takes what is wrong.
-        place: where the rows are.
+        location: where the rows are.
         are_pairs: whether rows that should hold triples hold pairs; None: where they fit pairs only.
 
     Returns:
@@ -191,7 +194,7 @@ def vertices_of(
         flat: whether rows that should hold triples fit pairs only; their z is 0.
     """
     listed: Sequence[Any] = list(rows)
-    arrays = [_numbers(row, faults, (*place, index)) for index, row in enumerate(listed)]
+    arrays = [_numbers(row, faults, (*location, index)) for index, row in enumerate(listed)]
     found = [array for array in arrays if array is not None]
     if len(found) != len(listed):
         return (), False
@@ -201,7 +204,7 @@ def vertices_of(
     for index, array in enumerate(found):
         if array.size % size:
             faults.add(
-                (*place, index), f"{array.size} numbers; expected a multiple of {size}, {size} per vertex"
+                (*location, index), f"{array.size} numbers; expected a multiple of {size}, {size} per vertex"
             )
     if faults.unmended:
         return (), False
@@ -215,17 +218,17 @@ def fits_pairs_only(sizes: Sequence[int]) -> bool:
 
 
 def with_height(pairs: Float64Array) -> Float64Array:
-    """Add z = 0 to (V, 2) places."""
+    """Add z = 0 to (V, 2) locations."""
     return np.column_stack([pairs, np.zeros(len(pairs))])
 
 
-def _numbers(row: Any, faults: Faults, place: Place) -> Float64Array | None:
+def _numbers(row: Any, faults: Faults, location: Location) -> Float64Array | None:
     array: AnyArray | None = None
     if isinstance(row, list | np.ndarray):
-        with noting(faults, place):
+        with noting(faults, location):
             array = _flat_array(row)
     if array is None or array.ndim != 1 or (array.size and array.dtype.kind not in "iuf"):
-        faults.add(place, f"{_described(row)}; expected a list of numbers")
+        faults.add(location, f"{_described(row)}; expected a list of numbers")
         return None
     return array.astype(np.float64)
 

@@ -1,13 +1,13 @@
-"""A record of an annotation on its way into the model: its checked values, and where its faults and notices go."""
+"""A record of an annotation on its way into the model: its checked values, and where its faults and warnings go."""
 
 from dataclasses import dataclass
 from typing import Any
 
 from sceneloom.formats.sfs.annotation_parts import Record, further, read_attributes
-from sceneloom.formats.sfs.records import Faults, Place
+from sceneloom.formats.sfs.records import Faults, Location
 from sceneloom.formats.sfs.source import Source
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.types import Identifier
+from sceneloom.scene.warnings import WarningKind
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,13 +17,13 @@ class AnnotationRecord:
     Attributes:
         source: the file.
         values: its fields, checked by the table of fields, times in nanoseconds.
-        place: where it stands.
-        faults: takes what is wrong, with places below it.
+        location: where it stands.
+        faults: takes what is wrong, with locations below it.
     """
 
     source: Source
     values: Record
-    place: Place
+    location: Location
     faults: Faults
 
     @property
@@ -41,6 +41,6 @@ class AnnotationRecord:
         return fields
 
     def note_flat(self, *below: str | int) -> None:
-        """Tell that a path in space has pairs for places."""
-        message = "pairs where places in the world were expected; their z is taken as 0"
-        self.source.notice(NoticeKind.ASSUMED, "no-height", (*self.place, *below), message)
+        """Report that a path in space has pairs for locations."""
+        message = "pairs where locations in the world were expected; their z is taken as 0"
+        self.source.warning(WarningKind.ASSUMED, "no-height", (*self.location, *below), message)

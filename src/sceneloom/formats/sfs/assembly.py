@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sceneloom.arrays import AnyArray
-from sceneloom.formats.loss import Fate
+from sceneloom.formats.loss import Support
 from sceneloom.formats.sfs.clock_keeper import ClockKeeper
 from sceneloom.formats.sfs.drafts import Losses, SensorDraft
 from sceneloom.formats.sfs.encoding import Items, RecordWriter, encode_header
@@ -13,7 +13,7 @@ from sceneloom.formats.sfs.exactness import simplified_attributes, thousandths
 from sceneloom.formats.sfs.fields import annotation_record, sensor_record
 from sceneloom.formats.sfs.profiles import Profile, attribute_fits
 from sceneloom.formats.sfs.reading import DEFAULT_EULER
-from sceneloom.formats.sfs.records import Place
+from sceneloom.formats.sfs.records import Location
 from sceneloom.formats.sfs.root import OURS
 from sceneloom.formats.sfs.spool import Blob, Spool
 from sceneloom.formats.sfs.times import TICKS_NS
@@ -110,7 +110,7 @@ class _Pass:
     items: Items = field(default_factory=list)
 
     def header(self) -> dict[str, Any]:
-        """Write everything; the places of arrays are left empty."""
+        """Write everything; the locations of arrays are left empty."""
         clock = self.writer.clock
         header: dict[str, Any] = {
             "version": VERSION,
@@ -147,23 +147,25 @@ class _Pass:
         return written
 
     def _ours(self, fields: Mapping[str, Any], aside: Mapping[str, tuple[list[Any], Any]]) -> dict[str, Any]:
-        """Write our entry of the metadata, and in it what the format or the profile has no place for."""
-        place: Place = ("metadata", OURS)
-        written = self._written(fields, OURS, place)
+        """Write our entry of the metadata, and in it what the format or the profile has no field for."""
+        location: Location = ("metadata", OURS)
+        written = self._written(fields, OURS, location)
         for name, (records, record_of) in aside.items():
             if records:
-                written[name] = self._list(records, (*place, name), record_of)
+                written[name] = self._list(records, (*location, name), record_of)
         return written
 
-    def _written(self, record: Mapping[str, Any], name: str, place: Place) -> dict[str, Any]:
+    def _written(self, record: Mapping[str, Any], name: str, location: Location) -> dict[str, Any]:
         inner: Items = []
         written = self.writer.write(record, name, inner)
-        self.items.extend(((*place, *keys), blob) for keys, blob in inner)
+        self.items.extend(((*location, *keys), blob) for keys, blob in inner)
         return written
 
-    def _list(self, records: list[dict[str, Any]], place: Place, record_of: Any) -> list[dict[str, Any]]:
+    def _list(
+        self, records: list[dict[str, Any]], location: Location, record_of: Any
+    ) -> list[dict[str, Any]]:
         return [
-            self._written(record, record_of(record["type"]), (*place, index))
+            self._written(record, record_of(record["type"]), (*location, index))
             for index, record in enumerate(records)
         ]
 
@@ -177,7 +179,7 @@ class _Pass:
             obstacle = self.profile.sensor_obstacle(record, self.writer.clock)
             (kept if obstacle is None else aside).append(record)
             if obstacle is not None:
-                self.losses.add(draft.place, obstacle, kept="metadata.sceneloom.sensors")
+                self.losses.add(draft.location, obstacle, kept="metadata.sceneloom.sensors")
             if draft.note:
                 notes.append({"id": draft.id, **draft.note})
         return self._list(kept, ("sensors",), sensor_record), aside, notes
@@ -228,7 +230,7 @@ class _Pass:
     def _count_rounding(self) -> None:
         what = "times rounded to whole microseconds, halves to even: at most 0.5 µs off"
         self.losses.add(
-            _EVERYWHERE, what, count=self.writer.rounded, fate=Fate.CONVERTED, largest_error=_ROUNDING
+            _EVERYWHERE, what, count=self.writer.rounded, support=Support.CONVERTED, largest_error=_ROUNDING
         )
         what = "numbers that are infinite or none, written as null"
         self.losses.add(_EVERYWHERE, what, count=self.writer.not_numbers)

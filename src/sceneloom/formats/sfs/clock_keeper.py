@@ -68,26 +68,26 @@ class ClockKeeper:
 
         for draft in self.drafts:
             for number, blob in enumerate(draft.point_times):
-                place = f"{draft.place}.frames[{number}]"
-                self.spool.change(blob, partial(_moved, later=later, clock=clock, place=place))
+                location = f"{draft.location}.frames[{number}]"
+                self.spool.change(blob, partial(_moved, later=later, clock=clock, location=location))
 
 
-def _moved(stamps: AnyArray, *, later: int, clock: FileClock, place: str) -> AnyArray:
+def _moved(timestamps: AnyArray, *, later: int, clock: FileClock, location: str) -> AnyArray:
     if abs(later) >= 2**63:
-        raise OptionError(f"{place}: point times {later} ticks later do not fit 64 bits")
-    since = stamps.astype(np.int64) + later
+        raise OptionError(f"{location}: point times {later} ticks later do not fit 64 bits")
+    since = timestamps.astype(np.int64) + later
     if since.size:
-        check_stamps(int(since.min()), int(since.max()), clock, place)
-    return since.astype(stamp_dtype(clock))
+        check_timestamps(int(since.min()), int(since.max()), clock, location)
+    return since.astype(timestamp_dtype(clock))
 
 
-def stamp_dtype(clock: FileClock) -> type[np.unsignedinteger[Any]]:
+def timestamp_dtype(clock: FileClock) -> type[np.unsignedinteger[Any]]:
     """The type of point times, as in `point_times_dtype`."""
     return np.uint64 if clock.tick_ns == 1 else np.uint32
 
 
-def check_stamps(lowest: int, highest: int, clock: FileClock, place: str) -> None:
-    """Refuse point times, of which the first and the last stamp are given, that the file's integers cannot hold.
+def check_timestamps(lowest: int, highest: int, clock: FileClock, location: str) -> None:
+    """Refuse point times, of which the first and the last timestamp are given, that the file's integers cannot hold.
 
     Raises:
         OptionError: naming what would hold them.
@@ -96,6 +96,6 @@ def check_stamps(lowest: int, highest: int, clock: FileClock, place: str) -> Non
     if lowest < 0 or highest > limit:
         seconds = (lowest if lowest < 0 else highest) * clock.tick_ns / 1e9
         raise OptionError(
-            f"{place}.points.timestamps: {seconds:.3f} s after the clock's zero; microseconds in 32 bits hold 0 to "
+            f"{location}.points.timestamps: {seconds:.3f} s after the clock's zero; microseconds in 32 bits hold 0 to "
             "4294.967 s: choose another time offset, or `--time-unit nanoseconds`"
         )

@@ -1,8 +1,8 @@
 """The container of `.sfs` files, reading side: a JSON header, then arrays, mapped into memory and not copied.
 
 Layout: the header is UTF-8 JSON and ends at the first NUL. Its `$items` list names the arrays: `keys` is the path of
-the array's place in the header, `offset` counts from that first NUL, `length` is in bytes; `dtype` and `shape` may be
-absent, and then the field decides.
+the array's location in the header, `offset` counts from that first NUL, `length` is in bytes; `dtype` and `shape` may
+be absent, and then the field decides.
 
 Source: scale-json-binary 0.0.7, whose files this reads; the format's description leaves the container out.
 """
@@ -24,8 +24,8 @@ from sceneloom.formats.sfs.items import (
     ItemFault,
     RawBytes,
     format_keys,
-    item_places,
-    place_items,
+    item_locations,
+    put_items,
 )
 from sceneloom.formats.sfs.mapped_file import LocalFile, MappedContent
 from sceneloom.formats.sfs.remote import RemoteContent, RemoteFile
@@ -48,7 +48,7 @@ class StoredFile(Protocol):
 
     @property
     def identity(self) -> Identity:
-        """How to tell it from a file that takes its place."""
+        """How to report it from a file that takes its location."""
         ...
 
     def header(self, limit: int) -> memoryview:
@@ -77,10 +77,10 @@ class Container:
 
     Attributes:
         file: its name, for messages.
-        identity: how to tell it from a file that takes its place.
+        identity: how to report it from a file that takes its location.
         size: its length [bytes].
-        header: the decoded header without `$items`; arrays stand in their places as read-only views. In that of a file
-            behind a URL, arrays of frames and pictures have no values: `fetch` gives them.
+        header: the decoded header without `$items`; arrays stand in their locations as read-only views. In that of a
+            file behind a URL, arrays of frames and images have no values: `fetch` gives them.
 
     Raises:
         DataError: the file cannot be read, or its header or an item is wrong.
@@ -99,10 +99,10 @@ class Container:
 
         Args:
             path: the file, or its URL.
-            faults: where items at fault are noted, in the order of `$items`; None stands in the place of each in the
+            faults: where items at fault are noted, in the order of `$items`; None stands in the position of each in the
                 header, if it has one. Without a list the first fault is raised.
             storage_options: what the fsspec back end of a URL is made with.
-            decode: makes a value of the header's text and the file's name, in place of the strict decoder.
+            decode: makes a value of the header's text and the file's name, instead of the strict decoder.
         """
         self.file = redacted(path) if is_url(path) else str(path)
         self._stored: StoredFile = (
@@ -127,9 +127,9 @@ class Container:
         self._items = header.pop(ITEMS, [])
         if not isinstance(self._items, list):
             raise DataError(self.file, ITEMS, f"a {type(self._items).__name__}; expected a list")
-        found = place_items(header, self._items, self._stored.content, self.start)
+        found = put_items(header, self._items, self._stored.content, self.start)
         if found and faults is None:
-            raise DataError(self.file, found[0].place, found[0].problem)
+            raise DataError(self.file, found[0].location, found[0].problem)
         if faults is not None:
             faults.extend(found)
         self._stored.fill(header)
@@ -146,14 +146,14 @@ class Container:
         """Have something closed together with the file."""
         self._on_close.append(close)
 
-    def check_open(self, place: str) -> None:
+    def check_open(self, location: str) -> None:
         """Refuse to read from a closed file.
 
         Raises:
             DataError: the file is closed.
         """
         if self.closed:
-            raise DataError(self.file, place, "the scene is closed; read its frames before that")
+            raise DataError(self.file, location, "the scene is closed; read its frames before that")
 
     def fetch(self, value: Any) -> Any:
         """Give an array, or whatever holds arrays, with their values; of a file on disk it is the value itself.
@@ -180,16 +180,16 @@ class Container:
         """Give an entry of `$items` as the file has it."""
         return self._items[number]
 
-    def item_number(self, place: str, header: dict[str, Any] | None = None) -> int | None:
-        """Find the item that fills a place such as `sensors[0].frames[3].points.positions`.
+    def item_number(self, location: str, header: dict[str, Any] | None = None) -> int | None:
+        """Find the item that fills a location such as `sensors[0].frames[3].points.positions`.
 
         Args:
-            place: where.
+            location: where.
             header: as it was when the file was opened, where parts have been taken out of `self.header` since.
         """
         if self._numbers is None:
-            self._numbers = item_places(self.header if header is None else header, self._items)
-        return self._numbers.get(place)
+            self._numbers = item_locations(self.header if header is None else header, self._items)
+        return self._numbers.get(location)
 
 
 def _decode(text: memoryview, file: str) -> Any:

@@ -1,4 +1,7 @@
-"""Sensors on their way into a file: what of them stands in the header, in nanoseconds, arrays already spooled."""
+"""Sensors on their trajectory into a file: what of them stands in the header, in nanoseconds.
+
+Arrays already spooled.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -7,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from sceneloom.errors import OptionError
-from sceneloom.formats.loss import Fate, Loss, joined
+from sceneloom.formats.loss import Loss, Support, joined
 from sceneloom.formats.sfs.poses import mount_rows
 from sceneloom.formats.sfs.spool import Blob
 from sceneloom.formats.sfs.times import FileClock
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.types import Identifier
 
-_LATEST_STANDING_NS = 100_000_000_000
+_LATEST_STATIONARY_NS = 100_000_000_000
 
 
 class Losses:
@@ -23,7 +26,7 @@ class Losses:
 
     def __init__(self) -> None:
         """Start without losses."""
-        self._found: dict[tuple[str, str, str | None, Fate], Loss] = {}
+        self._found: dict[tuple[str, str, str | None, Support], Loss] = {}
 
     def add(
         self,
@@ -32,15 +35,15 @@ class Losses:
         *,
         count: int = 1,
         kept: str | None = None,
-        fate: Fate = Fate.DROPPED,
+        support: Support = Support.DROPPED,
         largest_error: float | None = None,
     ) -> None:
         """Note a loss."""
         if count:
-            told = Loss(
-                field=field, what=what, count=count, kept=kept, fate=fate, largest_error=largest_error
+            reported = Loss(
+                field=field, what=what, count=count, kept=kept, support=support, largest_error=largest_error
             )
-            self._add(told)
+            self._add(reported)
 
     def add_all(self, others: "Losses") -> None:
         """Note the losses of another count."""
@@ -48,7 +51,7 @@ class Losses:
             self._add(loss)
 
     def _add(self, loss: Loss) -> None:
-        key = (loss.field, loss.what, loss.kept, loss.fate)
+        key = (loss.field, loss.what, loss.kept, loss.support)
         earlier = self._found.get(key)
         self._found[key] = loss if earlier is None else joined(earlier, loss)
 
@@ -72,7 +75,7 @@ class SensorDraft:
         further_poses: unknown fields of `poses`.
         frames: records of its frames so far; None where it has none.
         point_times: the spooled times of points.
-        lengths: of radar points, one entry per frame, where the profile has no place for them.
+        lengths: of radar points, one entry per frame, where the profile has no field for them.
         streamed: whether frames may still come.
     """
 
@@ -81,7 +84,7 @@ class SensorDraft:
     fields: dict[str, Any]
     note: dict[str, Any] = field(default_factory=dict)
     points_frame: str | None = None
-    poses: PosePath | None = None
+    poses: Poses | None = None
     mount: RigidTransform | None = None
     coordinates: str | None = None
     further_poses: Mapping[str, Any] = field(default_factory=dict)
@@ -91,75 +94,77 @@ class SensorDraft:
     streamed: bool = True
 
     @property
-    def place(self) -> str:
+    def location(self) -> str:
         """Path of the sensor, for losses and messages."""
         return f"sensors[{self.id}]"
 
     def first_ns(self) -> int | None:
-        """The earliest time stamp that stands in the sensor's record so far [ns]."""
-        stamps = [frame["timestamp"] for frame in self.frames or []]
+        """The earliest timestamp that stands in the sensor's record so far [ns]."""
+        timestamps = [frame["timestamp"] for frame in self.frames or []]
         # sensors of unknown types may have fields of these names that are something else
         fields = self.fields if self.type == "camera" else {}
-        stamps += [image["timestamp"] for image in fields.get("images") or []]
+        timestamps += [image["timestamp"] for image in fields.get("images") or []]
         video = fields.get("video")
         if video is not None and len(video["timestamps"]):
-            stamps.append(int(min(video["timestamps"])))
-        if self.poses is not None and not self.poses.endless:
-            stamps.append(self.poses.start_ns)
-        return min(stamps, default=None)
+            timestamps.append(int(min(video["timestamps"])))
+        if self.poses is not None and not self.poses.static:
+            timestamps.append(self.poses.start_ns)
+        return min(timestamps, default=None)
 
     def record(self, clock: FileClock, losses: Losses) -> dict[str, Any]:
         """Make the sensor's record; poses get the file's resolution here."""
         record: dict[str, Any] = {"id": self.id, "type": self.type}
         if self.coordinates is not None:
-            record |= self._place_in_world(clock, losses)
+            record |= self._position_in_world(clock, losses)
         elif self.poses is not None:
             record["poses"] = self._poses(self.poses, clock, losses)
         if self.poses is not None and len(self.poses.timestamps_ns) == 1:
-            self.note["poses_endless"] = self.poses.endless
+            self.note["poses_static"] = self.poses.static
         if self.frames is not None:
             record["frames"] = self.frames
         if any(length is not None for length in self.lengths):
             self.note["lengths"] = self.lengths
         return {**record, **{name: value for name, value in self.fields.items() if name not in record}}
 
-    def _place_in_world(self, clock: FileClock, losses: Losses) -> dict[str, Any]:
+    def _position_in_world(self, clock: FileClock, losses: Losses) -> dict[str, Any]:
         """Write `coordinates` and `poses`; a sensor of which only the mounting is known is placed on the ego."""
         if self.mount is not None:
             self.note["mount"] = mount_rows(self.mount)
         if self.poses is not None:
             return {"coordinates": self.coordinates, "poses": self._poses(self.poses, clock, losses)}
         if self.mount is None:
-            losses.add(f"{self.place}.poses", "not known, left out; the format wants them", fate=Fate.KEPT)
+            losses.add(
+                f"{self.location}.poses", "not known, left out; the format wants them", support=Support.KEPT
+            )
             return {"coordinates": self.coordinates}
         what = "not known; the mounting is written, in ego coordinates"
-        losses.add(f"{self.place}.poses", what, fate=Fate.KEPT)
+        losses.add(f"{self.location}.poses", what, support=Support.KEPT)
         self.note |= {"poses_from_mount": True, "coordinates": self.coordinates}
         values = [[*self.mount.translation.tolist(), *self.mount.quaternion_xyzw.tolist()]]
-        return {"coordinates": "ego", "poses": {"timestamps": [self._standing_ns(clock)], "values": values}}
+        return {"coordinates": "ego", "poses": {"timestamps": [self._stationary_ns(clock)], "values": values}}
 
-    def _poses(self, path: PosePath, clock: FileClock, losses: Losses) -> dict[str, Any]:
-        """Write a path; of poses that fall on one stamp the first stays."""
+    def _poses(self, path: Poses, clock: FileClock, losses: Losses) -> dict[str, Any]:
+        """Write a path; of poses that fall on one timestamp the first stays."""
         rows = np.hstack([path.positions, path.quaternions_xyzw])
-        if path.endless:
+        if path.static:
             return with_further(
-                {"timestamps": [self._standing_ns(clock)], "values": rows}, self.further_poses
+                {"timestamps": [self._stationary_ns(clock)], "values": rows}, self.further_poses
             )
-        stamps, _ = clock.stamp_array(path.timestamps_ns)
-        kept = np.concatenate([[True], np.diff(stamps) > 0])
+        timestamps, _ = clock.timestamp_array(path.timestamps_ns)
+        kept = np.concatenate([[True], np.diff(timestamps) > 0])
         what = "left out: within one tick of the pose before"
-        losses.add(f"{self.place}.poses", what, count=int((~kept).sum()))
+        losses.add(f"{self.location}.poses", what, count=int((~kept).sum()))
         return with_further(
             {"timestamps": path.timestamps_ns[kept], "values": rows[kept]}, self.further_poses
         )
 
-    def _standing_ns(self, clock: FileClock) -> int:
+    def _stationary_ns(self, clock: FileClock) -> int:
         """The time to be written for a pose that holds at all times."""
-        if self.poses is not None and 0 <= self.poses.start_ns - clock.offset_ns <= _LATEST_STANDING_NS:
+        if self.poses is not None and 0 <= self.poses.start_ns - clock.offset_ns <= _LATEST_STATIONARY_NS:
             return self.poses.start_ns
-        stamps = [frame["timestamp"] for frame in self.frames or []]
-        stamps += [image["timestamp"] for image in self.fields.get("images") or []]
-        return min(stamps, default=max(clock.offset_ns, 0))
+        timestamps = [frame["timestamp"] for frame in self.frames or []]
+        timestamps += [image["timestamp"] for image in self.fields.get("images") or []]
+        return min(timestamps, default=max(clock.offset_ns, 0))
 
 
 def with_further(record: dict[str, Any], further: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,15 +12,15 @@ from sceneloom.arrays import AnyArray
 from sceneloom.errors import OptionError
 from sceneloom.formats.sfs.container import DTYPES, ITEMS, format_keys
 from sceneloom.formats.sfs.fields import RECORDS, Field, Kind
-from sceneloom.formats.sfs.records import Place
+from sceneloom.formats.sfs.records import Location
 from sceneloom.formats.sfs.spool import Blob
 from sceneloom.formats.sfs.times import FileClock
 
-Items = list[tuple[Place, Blob]]
-"""The arrays below what is written first, each with its place there."""
+Items = list[tuple[Location, Blob]]
+"""The arrays below what is written first, each with its location there."""
 
 
-class StandingTime(int):
+class StationaryTime(int):
     """The time of something that holds at all times [ns]; it is written as one that the file can hold."""
 
 
@@ -28,7 +28,7 @@ class ArraySink(Protocol):
     """Takes the arrays of records."""
 
     def add(self, array: AnyArray) -> Blob:
-        """Take one, and say where it stands."""
+        """Take one, and state where it stands."""
         ...
 
 
@@ -37,11 +37,11 @@ class RecordWriter:
     """Writes records of a file whose clock is known.
 
     Attributes:
-        clock: turns nanoseconds into stamps.
+        clock: rotates nanoseconds into timestamps.
         spool: takes the arrays.
-        lowest: the lowest stamp so far, 0 at most.
+        lowest: the lowest timestamp so far, 0 at most.
         rounded: how many times were not a whole number of the file's unit.
-        not_numbers: how many numbers of the header were infinite or no number, which JSON cannot say.
+        not_numbers: how many numbers of the header were infinite or no number, which JSON cannot state.
     """
 
     clock: FileClock
@@ -49,7 +49,7 @@ class RecordWriter:
     lowest: int = 0
     rounded: int = 0
     not_numbers: int = 0
-    _place: list[str | int] = field(default_factory=list)
+    _location: list[str | int] = field(default_factory=list)
 
     def write(self, values: Mapping[str, Any], record: str, items: Items) -> dict[str, Any]:
         """Write one record; fields that are None where the table knows them are left out."""
@@ -58,34 +58,34 @@ class RecordWriter:
         for name, value in values.items():
             if type(value) is Blob:
                 written[name] = ""
-                items.append(((*self._place, name), value))
+                items.append(((*self._location, name), value))
                 continue
             field = fields.get(name)
             if value is None:
                 if field is None:
                     written[name] = None
                 continue
-            self._place.append(name)
+            self._location.append(name)
             kind = Kind.ANYTHING if field is None else field.kind
             written[name] = _WRITERS[kind](self, value, field or _UNKNOWN, items)
-            self._place.pop()
+            self._location.pop()
         return written
 
     def write_part(self, name: str, values: Mapping[str, Any], record: str, items: Items) -> dict[str, Any]:
         """Write one of several records that an object holds by name."""
-        self._place.append(name)
+        self._location.append(name)
         written = self.write(values, record, items)
-        self._place.pop()
+        self._location.pop()
         return written
 
     def write_list(self, values: Any, record: str, items: Items) -> list[Any]:
         """Write a list of records, or, as in the projections of keypoints, a list of lists of them."""
         written = []
         for index, value in enumerate(values):
-            self._place.append(index)
+            self._location.append(index)
             is_record = type(value) is dict or isinstance(value, Mapping)
             written.append((self.write if is_record else self.write_list)(value, record, items))
-            self._place.pop()
+            self._location.pop()
         return written
 
     def plain(self, value: Any, items: Items) -> Any:
@@ -103,19 +103,19 @@ class RecordWriter:
         for kind, write in _PLAIN_WRITERS.items():
             if isinstance(value, kind):
                 return write(self, value, items)
-        raise OptionError(f"{self.place}: a {type(value).__name__}; JSON and arrays cannot hold it")
+        raise OptionError(f"{self.location}: a {type(value).__name__}; JSON and arrays cannot hold it")
 
     def _array(self, value: Blob | AnyArray, items: Items) -> str:
-        """Leave the place of an array empty, as the container has it, and note its item."""
+        """Leave the position of an array empty, as the container has it, and note its item."""
         if isinstance(value, np.ndarray) and value.dtype.name not in DTYPES:
-            raise OptionError(f"{self.place}: an array of {value.dtype}; expected numbers")
-        items.append((tuple(self._place), value if isinstance(value, Blob) else self.spool.add(value)))
+            raise OptionError(f"{self.location}: an array of {value.dtype}; expected numbers")
+        items.append((tuple(self._location), value if isinstance(value, Blob) else self.spool.add(value)))
         return ""
 
     @property
-    def place(self) -> str:
+    def location(self) -> str:
         """Where the writer is, for messages."""
-        return format_keys(self._place)
+        return format_keys(self._location)
 
     def plain_object(self, value: Mapping[Any, Any], items: Items) -> dict[Any, Any]:
         """Write an object of anything."""
@@ -131,13 +131,13 @@ class RecordWriter:
     def _plain_parts(self, parts: dict[Any, Any], items: Items) -> dict[Any, Any]:
         written = {}
         for key, part in parts.items():
-            self._place.append(key)
+            self._location.append(key)
             written[key] = self.plain(part, items)
-            self._place.pop()
+            self._location.pop()
         return written
 
     def plain_number(self, value: float) -> float | None:
-        """Write a number that JSON can say; others become null and are counted."""
+        """Write a number that JSON can state; others become null and are counted."""
         if abs(value) < float("inf"):
             return value
         self.not_numbers += 1
@@ -192,18 +192,18 @@ def _write_time(writer: RecordWriter, value: Any, _: Field, items: Items) -> Any
         return writer.plain(value, items)
     clock = writer.clock
     writer.rounded += (value - clock.offset_ns) % clock.tick_ns != 0
-    stamp = clock.stamp(value)
-    writer.lowest = min(writer.lowest, stamp)
-    return stamp
+    timestamp = clock.timestamp(value)
+    writer.lowest = min(writer.lowest, timestamp)
+    return timestamp
 
 
 def _write_times(writer: RecordWriter, value: Any, field: Field, items: Items) -> Any:
-    if isinstance(value, StandingTime):
-        return [max(writer.clock.stamp(value), 0)]
+    if isinstance(value, StationaryTime):
+        return [max(writer.clock.timestamp(value), 0)]
     if isinstance(value, np.ndarray) and value.dtype.kind in "iu" and value.ndim == 1:
-        stamps, inexact = writer.clock.stamp_array(value.astype(np.int64))
+        timestamps, inexact = writer.clock.timestamp_array(value.astype(np.int64))
         writer.rounded += inexact
-        written: list[int] = stamps.tolist()
+        written: list[int] = timestamps.tolist()
         writer.lowest = min(writer.lowest, *written) if written else writer.lowest
         return written
     if isinstance(value, list | tuple) and set(map(type, value)) <= {int}:

@@ -68,7 +68,7 @@ def simplified_attributes(
     """Give attributes as Scale's library takes them, and the records that keep what was changed.
 
     Numbers become integers: an attribute with fractions is counted in thousandths. Static attributes keep their first
-    time stamp.
+    timestamp.
     """
     simplified: list[Record] = []
     records: list[Record] = []

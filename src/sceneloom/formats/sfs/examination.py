@@ -11,13 +11,13 @@ from sceneloom.formats.sfs.spec import ReadingOptions
 
 
 def examine(path: Path | str, options: ReadingOptions | None = None) -> Examination:
-    """Read a file as far as it is sound, and give every fault of it with its place; nothing is raised for them.
+    """Read a file as far as it is sound, and give every fault of it with its location; nothing is raised for them.
 
     Args:
         path: the file, or the URL of one; only its header is read.
-        options: what the file does not say itself; `lenient` plays no part.
+        options: what the file does not state itself; `lenient` plays no part.
     """
     try:
         return read_all(path, replace(options or ReadingOptions(), lenient=False), whole=True)
     except DataError as error:
-        return Examination(None, (PlacedFault(error.place, error.problem, "unreadable", vital=True),))
+        return Examination(None, (PlacedFault(error.location, error.problem, "unreadable", vital=True),))

@@ -21,13 +21,13 @@ class Kind(StrEnum):
     FLAG = "true or false"
     INTEGER = "an integer"
     NUMBER = "a number"
-    TIME = "a time stamp: an integer"
-    TIMES = "a list of time stamps"
+    TIME = "a timestamp: an integer"
+    TIMES = "a list of timestamps"
     DURATION = "a duration: a number"
     DURATIONS = "a list of durations"
     LIST = "a list"
     ARRAY = "an array"
-    POINT_TIMES = "an array of time stamps"
+    POINT_TIMES = "an array of timestamps"
     RECORD = "an object"
     RECORDS = "a list of objects"
     RECORD_OR_RECORDS = "an object or a list of objects"
@@ -297,9 +297,9 @@ _PART_RECORDS: Mapping[str, tuple[Field, ...]] = {
         _needs("cy", Kind.NUMBER, "px"),
         _needs("coefficients", Kind.LIST),
     ),
-    "pictures_note": (
+    "images_note": (
         Field("cameras", Kind.RECORDS, record="camera"),
-        Field("camera_of_picture", Kind.LIST),
+        Field("camera_of_image", Kind.LIST),
         Field("mounts", Kind.LIST, unit="rows of R, t [m]"),
         Field("extras", Kind.LIST),
     ),
@@ -309,11 +309,11 @@ _PART_RECORDS: Mapping[str, tuple[Field, ...]] = {
         Field("model", Kind.TEXT),
         Field("mount", Kind.LIST, unit="rows of R, t [m]"),
         Field("poses_from_mount", Kind.FLAG),
-        Field("poses_endless", Kind.FLAG),
+        Field("poses_static", Kind.FLAG),
         Field("coordinates", Kind.TEXT),
         Field("camera", Kind.RECORD, record="camera"),
         Field("written_camera", Kind.RECORD, record="camera"),
-        Field("pictures", Kind.RECORD, record="pictures_note"),
+        Field("images", Kind.RECORD, record="images_note"),
         Field("lengths", Kind.LIST, unit="m/s"),
     ),
     "unfused": (
@@ -336,10 +336,10 @@ _PART_RECORDS: Mapping[str, tuple[Field, ...]] = {
         _VALUES,
         _needs("written", Kind.LIST),
     ),
-    "notice": (
+    "warning": (
         _needs("kind", Kind.TEXT),
         _needs("code", Kind.TEXT),
-        _needs("place", Kind.TEXT),
+        _needs("location", Kind.TEXT),
         _needs("message", Kind.TEXT),
         _needs("count", Kind.INTEGER),
     ),
@@ -358,7 +358,7 @@ _PART_RECORDS: Mapping[str, tuple[Field, ...]] = {
         Field("trajectories", Kind.RECORDS, record="trajectory"),
         Field("unfused", Kind.RECORDS, record="unfused"),
         Field("exact_attributes", Kind.RECORDS, record="exact_attribute"),
-        Field("notices", Kind.RECORDS, record="notice"),
+        Field("warnings", Kind.RECORDS, record="warning"),
     ),
     "scene": (
         _needs("version", Kind.TEXT),

@@ -10,7 +10,7 @@ from sceneloom.formats.sfs.container import Container
 
 
 class Indexed(Protocol):
-    """A video of the file, whose list of pictures is worth taking along."""
+    """A video of the file, whose list of images is worth taking along."""
 
     index: Any
 
@@ -19,11 +19,11 @@ class FileParts:
     """The functions of an open file by name.
 
     Where it was pickled, it opens the file again when the first of them is called, makes the same functions from it,
-    and takes the lists of pictures of the videos along, for which they would have to be read from end to end.
+    and takes the lists of images of the videos along, for which they would have to be read from end to end.
     Closing it closes nothing in other processes; what is pickled after closing stays closed.
 
     Attributes:
-        videos: the videos of the file by the place of their bytes.
+        videos: the videos of the file by the position of their bytes.
     """
 
     def __init__(self, container: Container, reopen: "Callable[[Path | str], FileParts]") -> None:
@@ -66,7 +66,7 @@ class FileParts:
             self._again.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        known = {place: video.index for place, video in self.videos.items() if video.index is not None}
+        known = {location: video.index for location, video in self.videos.items() if video.index is not None}
         return {
             "_identity": self._identity,
             "_reopen": self._reopen,
@@ -84,8 +84,8 @@ class FileParts:
         if self._again is None:
             self._identity.check()
             again = self._reopen(self._identity.path)
-            for place, index in self._indices.items():
-                again.videos[place].index = index
+            for location, index in self._indices.items():
+                again.videos[location].index = index
             self.videos, self._again = again.videos, again
         return self._again
 

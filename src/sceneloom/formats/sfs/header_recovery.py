@@ -31,7 +31,7 @@ def recover_header(text: memoryview, file: str) -> tuple[Any, list[tuple[str, st
     """Decode a header as far as it is whole.
 
     Returns:
-        The header, and what is lost of it: place, problem, bytes.
+        The header, and what is lost of it: location, problem, bytes.
 
     Raises:
         DataError: nothing of it can be read.
@@ -63,110 +63,110 @@ class _Recovery:
         start = self._skip(0)
         if not self._text.startswith("{", start):
             raise DataError(
-                self._file, "header", "does not begin as the header of a scene; nothing can be told"
+                self._file, "header", "does not begin as the header of a scene; nothing can be reported"
             )
         header = self._object(start, ())[0]
         if self._broken >= 0 and ITEMS not in header:
             self._find_items(header)
         return header, self._lost
 
-    def _object(self, place: int, keys: tuple[Any, ...]) -> tuple[dict[str, Any], int]:
+    def _object(self, location: int, keys: tuple[Any, ...]) -> tuple[dict[str, Any], int]:
         """Read members until one is damaged."""
         found: dict[str, Any] = {}
-        place = self._skip(place + 1)
-        while self._text[place : place + 1] not in {"}", ""}:
+        location = self._skip(location + 1)
+        while self._text[location : location + 1] not in {"}", ""}:
             try:
-                name, place = self._name(place)
-                found[name], place = self._value(place, (*keys, name))
+                name, location = self._name(location)
+                found[name], location = self._value(location, (*keys, name))
             except _DamageError:
-                return found, self._note(place, (*keys, "…"))
+                return found, self._note(location, (*keys, "…"))
             if self._broken >= 0:
-                return found, place
-            place = self._after(place, keys)
-        return found, self._closed(place, "}", keys)
+                return found, location
+            location = self._after(location, keys)
+        return found, self._closed(location, "}", keys)
 
-    def _list(self, place: int, keys: tuple[Any, ...]) -> tuple[list[Any], int]:
+    def _list(self, location: int, keys: tuple[Any, ...]) -> tuple[list[Any], int]:
         """Read entries until one is damaged."""
         found: list[Any] = []
-        place = self._skip(place + 1)
-        while self._text[place : place + 1] not in {"]", ""}:
+        location = self._skip(location + 1)
+        while self._text[location : location + 1] not in {"]", ""}:
             try:
-                value, place = self._value(place, (*keys, len(found)))
+                value, location = self._value(location, (*keys, len(found)))
             except _DamageError:
-                return found, self._note(place, (*keys, len(found)))
+                return found, self._note(location, (*keys, len(found)))
             found.append(value)
             if self._broken >= 0:
-                return found, place
-            place = self._after(place, keys)
-        return found, self._closed(place, "]", keys)
+                return found, location
+            location = self._after(location, keys)
+        return found, self._closed(location, "]", keys)
 
-    def _name(self, place: int) -> tuple[str, int]:
-        if not self._text.startswith('"', place):
+    def _name(self, location: int) -> tuple[str, int]:
+        if not self._text.startswith('"', location):
             raise _DamageError
         try:
-            name, place = scanstring(self._text, place + 1)
+            name, location = scanstring(self._text, location + 1)
         except ValueError:
             raise _DamageError from None
-        place = self._skip(place)
-        if not self._text.startswith(":", place):
+        location = self._skip(location)
+        if not self._text.startswith(":", location):
             raise _DamageError
-        return name, self._skip(place + 1)
+        return name, self._skip(location + 1)
 
-    def _value(self, place: int, keys: tuple[Any, ...]) -> tuple[Any, int]:
+    def _value(self, location: int, keys: tuple[Any, ...]) -> tuple[Any, int]:
         try:
-            value, stop = self._decoder.raw_decode(self._text, place)
+            value, stop = self._decoder.raw_decode(self._text, location)
         except (ValueError, RecursionError):
             readers = {"{": self._object, "[": self._list} if keys in _TAKEN_APART else {}
-            reader = readers.get(self._text[place : place + 1])
+            reader = readers.get(self._text[location : location + 1])
             if reader is None:
                 raise _DamageError from None
-            return reader(place, keys)
+            return reader(location, keys)
         if isinstance(value, int | float) and stop == len(self._text):
             raise _DamageError  # further digits may have stood behind the cut
         return value, stop
 
-    def _after(self, place: int, keys: tuple[Any, ...]) -> int:
+    def _after(self, location: int, keys: tuple[Any, ...]) -> int:
         """Go over the comma behind a value; what stands there else is damage."""
-        place = self._skip(place)
-        if self._text.startswith(",", place):
-            return self._skip(place + 1)
-        if self._text[place : place + 1] not in {"}", "]", ""}:
-            return self._note(place, keys)
-        return place
+        location = self._skip(location)
+        if self._text.startswith(",", location):
+            return self._skip(location + 1)
+        if self._text[location : location + 1] not in {"}", "]", ""}:
+            return self._note(location, keys)
+        return location
 
-    def _closed(self, place: int, bracket: str, keys: tuple[Any, ...]) -> int:
-        if self._broken < 0 and self._text.startswith(bracket, place):
-            return place + 1
-        return place if self._broken >= 0 else self._note(place, keys)
+    def _closed(self, location: int, bracket: str, keys: tuple[Any, ...]) -> int:
+        if self._broken < 0 and self._text.startswith(bracket, location):
+            return location + 1
+        return location if self._broken >= 0 else self._note(location, keys)
 
-    def _note(self, place: int, keys: tuple[Any, ...]) -> int:
+    def _note(self, location: int, keys: tuple[Any, ...]) -> int:
         """Remember where the damage is; what comes after it is lost."""
         if self._broken < 0:
-            self._broken = place
-            size = len(self._text[place:].encode("utf-8", "replace"))
+            self._broken = location
+            size = len(self._text[location:].encode("utf-8", "replace"))
             problem = "the header is cut off or damaged here; what follows is lost"
             self._lost.append((format_keys(keys) or "header", problem, size))
         return len(self._text)
 
     def _find_items(self, header: dict[str, Any]) -> None:
         """Find the list of arrays behind the damage; it stands last, and each of its entries says where it belongs."""
-        place = self._text.rfind(f'"{ITEMS}"', self._broken)
-        if place < 0:
+        location = self._text.rfind(f'"{ITEMS}"', self._broken)
+        if location < 0:
             return
         self._broken = -1
         try:
-            _, place = self._name(place)
-            items, _ = self._decoder.raw_decode(self._text, place)
+            _, location = self._name(location)
+            items, _ = self._decoder.raw_decode(self._text, location)
         except (_DamageError, ValueError, RecursionError):
             return
         if isinstance(items, list):
             header[ITEMS] = items
 
-    def _skip(self, place: int) -> int:
+    def _skip(self, location: int) -> int:
         """Go over blanks."""
-        while place < len(self._text) and self._text[place] in _BLANK:
-            place += 1
-        return place
+        while location < len(self._text) and self._text[location] in _BLANK:
+            location += 1
+        return location
 
 
 class _DamageError(Exception):

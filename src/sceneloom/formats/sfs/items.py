@@ -1,4 +1,4 @@
-"""The items of a container: each puts an array into its place of the header, or is at fault."""
+"""The items of a container: each puts an array into its location of the header, or is at fault."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -54,8 +54,8 @@ class ItemFault:
 
     Attributes:
         number: which entry of `$items` it is.
-        keys: the place that it names, as it stands in the item; None where it names none.
-        path: that place as text (`sensors[0].frames[3].points.positions`), empty where it names none.
+        keys: the location that it names, as it stands in the item; None where it names none.
+        path: that location as text (`sensors[0].frames[3].points.positions`), empty where it names none.
         problem: the value and what was expected.
     """
 
@@ -65,13 +65,13 @@ class ItemFault:
     problem: str
 
     @property
-    def place(self) -> str:
+    def location(self) -> str:
         """Where in the header the fault is, for messages."""
         return f"{ITEMS}[{self.number}]" + (f" ({self.path})" if self.path else "")
 
 
-def place_items(header: dict[str, Any], items: list[Any], content: mmap, start: int) -> list[ItemFault]:
-    """Put the arrays of a file into their places of its header; None stands in the places of those at fault.
+def put_items(header: dict[str, Any], items: list[Any], content: mmap, start: int) -> list[ItemFault]:
+    """Put the arrays of a file into their locations of its header; None stands in the locations of those at fault.
 
     Args:
         header: the header, which is changed.
@@ -86,7 +86,7 @@ def place_items(header: dict[str, Any], items: list[Any], content: mmap, start: 
     problems: dict[int, str] = {}
     for number, item in enumerate(items):
         try:
-            offset, length = _place_item(header, item, content, start)
+            offset, length = _location_item(header, item, content, start)
         except _TakenError as error:
             problems[number] = str(error)
             continue
@@ -102,8 +102,8 @@ def place_items(header: dict[str, Any], items: list[Any], content: mmap, start: 
     return [_fault(number, items[number], problems[number], header) for number in sorted(problems)]
 
 
-def item_places(header: dict[str, Any], items: list[Any]) -> dict[str, int]:
-    """Number of each item by the place that it names, such as `sensors[0].frames[3].points.positions`."""
+def item_locations(header: dict[str, Any], items: list[Any]) -> dict[str, int]:
+    """Number of each item by the location that it names, such as `sensors[0].frames[3].points.positions`."""
     keys = [item.get("keys") if isinstance(item, dict) else None for item in items]
     return {format_keys(path, header): k for k, path in reversed(list(enumerate(keys))) if path}
 
@@ -145,10 +145,10 @@ class _ItemError(ValueError):
 
 
 class _TakenError(_ItemError):
-    """The item is well, but its place is not free."""
+    """The item is well, but its location is not free."""
 
 
-def _place_item(header: dict[str, Any], item: Any, content: mmap, start: int) -> tuple[int, int]:
+def _location_item(header: dict[str, Any], item: Any, content: mmap, start: int) -> tuple[int, int]:
     if not isinstance(item, dict):
         raise _ItemError(f"a {type(item).__name__}; expected an object with keys, length and offset")
     offset, length = item.get("offset"), item.get("length")
@@ -183,7 +183,7 @@ def _array(item: dict[str, Any], content: mmap, start: int, length: int) -> AnyA
 
 
 def _overlaps(extents: list[tuple[int, int, int]]) -> dict[int, str]:
-    """Say of each item that starts inside an earlier one what is wrong; extents are (start, stop, number)."""
+    """Report of each item that starts inside an earlier one what is wrong; extents are (start, stop, number)."""
     problems: dict[int, str] = {}
     reached, holder = 0, 0
     for start, stop, number in sorted(extents):
@@ -202,15 +202,15 @@ def _fault(number: int, item: Any, problem: str, header: dict[str, Any]) -> Item
 
 
 def _clear(header: dict[str, Any], item: Any, *, placed: bool) -> None:
-    """Put None in the place of an item at fault; what is not its own there stays.
+    """Put None in the position of an item at fault; what is not its own there stays.
 
     Args:
         placed: whether its array stands there already.
     """
     keys = item.get("keys") if isinstance(item, dict) else None
-    place = _find(header, keys) if isinstance(keys, list) and keys else None
-    if place is not None and (placed or _is_free(place)):
-        holder, slot = place
+    location = _find(header, keys) if isinstance(keys, list) and keys else None
+    if location is not None and (placed or _is_free(location)):
+        holder, slot = location
         cast("dict[str | int, Any]", holder)[slot] = None
 
 
@@ -234,18 +234,18 @@ def _index(key: Any) -> int | None:
 
 
 _Slot = tuple[dict[str, Any] | list[Any], str | int]
-"""A place in the header: the object or list, and the key or index in it."""
+"""A location in the header: the object or list, and the key or index in it."""
 
 
 def _put(header: dict[str, Any], keys: Any, array: AnyArray) -> None:
     if not isinstance(keys, list) or not keys:
-        raise _ItemError(f"keys {keys!r}; expected the path of the array's place")
-    place = _find(header, keys)
-    if place is None:
+        raise _ItemError(f"keys {keys!r}; expected the path of the array's location")
+    location = _find(header, keys)
+    if location is None:
         raise _ItemError(f"its keys lead nowhere: there is no {_missing(header, keys)}")
-    if not _is_free(place):
-        raise _TakenError("its place in the header is taken already")
-    holder, slot = place
+    if not _is_free(location):
+        raise _TakenError("its location in the header is taken already")
+    holder, slot = location
     cast("dict[str | int, Any]", holder)[slot] = array
 
 
@@ -274,7 +274,7 @@ def _slot(parent: dict[str, Any] | list[Any], key: Any) -> str | int | None:
     return index if index is not None and index < len(parent) else None
 
 
-def _is_free(place: _Slot) -> bool:
+def _is_free(location: _Slot) -> bool:
     """Whether an array can be put there: writers leave an empty text."""
-    held = cast("dict[str | int, Any]", place[0])[place[1]]
+    held = cast("dict[str | int, Any]", location[0])[location[1]]
     return not isinstance(held, np.ndarray) and (held is None or held in ("", [], {}))

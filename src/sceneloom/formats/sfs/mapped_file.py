@@ -24,7 +24,7 @@ class MappedFile(mmap.mmap):
     """The bytes of a file, read only.
 
     Attributes:
-        identity: how to tell the file from one that takes its place.
+        identity: how to report the file from one that takes its location.
         handed_out: bytes of arrays that were asked for since pages were last let go.
     """
 
@@ -107,7 +107,7 @@ class LocalFile:
 
     Attributes:
         content: its bytes.
-        identity: how to tell it from a file that takes its place.
+        identity: how to report it from a file that takes its location.
     """
 
     content: MappedFile

@@ -41,29 +41,32 @@ def video_codec(content: Bytes) -> str:
     Source: ISO/IEC 14496-12, 4.2 (boxes) and 8.5.2 (sample description).
     """
     movie = _box(content, b"moov")
-    place = 0
-    while (place := movie.find(b"stsd", place)) >= 0:
-        entry = movie[place + 16 : place + 20]
+    location = 0
+    while (location := movie.find(b"stsd", location)) >= 0:
+        entry = movie[location + 16 : location + 20]
         if entry in _CODECS:
             return _CODECS[entry]
-        place += 4
+        location += 4
     return UNKNOWN_CODEC
 
 
 def _box(content: Bytes, wanted: bytes) -> bytes:
     """Find a box of the outermost level and give what is in it; nothing where there is none."""
-    place = 0
+    location = 0
     for _ in range(_MOST_BOXES):
-        size, name = int.from_bytes(content[place : place + 4], "big"), bytes(content[place + 4 : place + 8])
+        size, name = (
+            int.from_bytes(content[location : location + 4], "big"),
+            bytes(content[location + 4 : location + 8]),
+        )
         header = 8
         if size == _LONG_SIZE:
-            size, header = int.from_bytes(content[place + 8 : place + 16], "big"), 16
-        stop = len(content) if size == _TO_THE_END else place + size
+            size, header = int.from_bytes(content[location + 8 : location + 16], "big"), 16
+        stop = len(content) if size == _TO_THE_END else location + size
         if name == wanted:
-            return bytes(content[place + header : stop])
-        if stop < place + header or stop >= len(content):
+            return bytes(content[location + header : stop])
+        if stop < location + header or stop >= len(content):
             break
-        place = stop
+        location = stop
     return b""
 
 
@@ -75,12 +78,12 @@ def declared_length(content: Any) -> int:
 
     Source: ISO/IEC 14496-12, 4.2.
     """
-    place, available = 0, len(content)
-    while place + 8 <= available:
-        head = bytes(content[place : place + 16])
+    location, available = 0, len(content)
+    while location + 8 <= available:
+        head = bytes(content[location : location + 16])
         size = int.from_bytes(head[:4], "big")
         size = int.from_bytes(head[8:16], "big") if size == 1 else size
         if size < 8:  # up to the end, or no box
             return available
-        place += size
-    return max(place, available)
+        location += size
+    return max(location, available)

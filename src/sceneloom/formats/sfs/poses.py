@@ -9,13 +9,13 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import ArrayError, CalibrationError
 from sceneloom.formats.sfs.records import Faults, FieldError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 
 NORM_TOLERANCE = 0.01
-"""How far from 1 the norm of a quaternion may be. Source: our reading of "PosePath", in docs/CONVENTIONS.md."""
+"""How far from 1 the norm of a quaternion may be. Source: our reading of "Poses", in docs/CONVENTIONS.md."""
 
 _LEAST_NORM = 1e-3
-"""A quaternion shorter than this tells no direction that could be trusted."""
+"""A quaternion shorter than this reports no direction that could be trusted."""
 
 
 def rows_of(values: Any, columns: int) -> Float64Array:
@@ -41,11 +41,11 @@ def times_of(timestamps_ns: Any) -> Int64Array:
     return np.asarray(timestamps_ns, np.int64).reshape(-1)
 
 
-def path_of(record: Mapping[str, Any]) -> PosePath | None:
-    """Make the PosePath of a `poses` record; None where it is empty.
+def path_of(record: Mapping[str, Any]) -> Poses | None:
+    """Make the Poses of a `poses` record; None where it is empty.
 
     Raises:
-        FieldError: it is not what a PosePath must be.
+        FieldError: it is not what a Poses must be.
     """
     timestamps_ns, rows = times_of(record["timestamps"]), rows_of(record["values"], 7)
     if len(timestamps_ns) != len(rows):
@@ -54,16 +54,16 @@ def path_of(record: Mapping[str, Any]) -> PosePath | None:
         return None
     try:
         with np.errstate(over="ignore"):
-            return PosePath(timestamps_ns, rows[:, :3], rows[:, 3:])
+            return Poses(timestamps_ns, rows[:, :3], rows[:, 3:])
     except ArrayError as error:
         raise FieldError(str(error).removeprefix("poses").lstrip(".: ")) from None
 
 
-def mended_path_of(record: Mapping[str, Any], faults: Faults) -> PosePath | None:
-    """Make the PosePath of a `poses` record, brought into order where that leaves nothing to choose.
+def repaired_path_of(record: Mapping[str, Any], faults: Faults) -> Poses | None:
+    """Make the Poses of a `poses` record, brought into order where that leaves nothing to choose.
 
     Quaternions of another length than 1 are normalised, poses out of order are sorted, and poses that stand there
-    twice are taken once; each is a mended fault. None where the record is empty, or has further faults: poses with
+    twice are taken once; each is a repaired fault. None where the record is empty, or has further faults: poses with
     numbers that are none, without a direction, or that differ at one time, each at its row.
     """
     try:
@@ -113,7 +113,7 @@ def _in_order(
     twice = np.diff(times_ns) == 0
     for k in backwards.tolist():
         problem = f"{timestamps_ns[k + 1]} ns after {timestamps_ns[k]} ns; expected strictly increasing times"
-        faults.add(("poses", "timestamps", k + 1), problem, code="pose-times-increasing", mended=True)
+        faults.add(("poses", "timestamps", k + 1), problem, code="pose-times-increasing", repaired=True)
     kept = np.concatenate(([True], ~twice))
     return times_ns[kept], sorted_rows[kept]
 
@@ -126,10 +126,10 @@ def _normalised(rows: Float64Array, faults: Faults) -> Float64Array:
         return rows
     for k in np.flatnonzero(off).tolist():
         problem = f"a quaternion of norm {norms[k]:.6g}; expected 1 within {NORM_TOLERANCE}"
-        faults.add(("poses", "values", k), problem, code="quaternion-norm", mended=True)
-    mended = rows.copy()
-    mended[off, 3:] /= norms[off, None]
-    return mended
+        faults.add(("poses", "values", k), problem, code="quaternion-norm", repaired=True)
+    repaired = rows.copy()
+    repaired[off, 3:] /= norms[off, None]
+    return repaired
 
 
 def further_of_poses(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -29,7 +29,7 @@ class Profile:
         time_units: the units that its readers know.
         sensor_obstacle: why a sensor, as a record in nanoseconds, has to stand under our metadata; None: it need not.
         annotation_obstacle: the same for an annotation.
-        exact_attributes: whether attributes may have fractions, and static ones several time stamps.
+        exact_attributes: whether attributes may have fractions, and static ones several timestamps.
         radar_lengths: whether radar points may have lengths.
         late_frames: whether a frame that was read may start later than its points.
         empty_point_times: whether a frame without points may have an array of point times.
@@ -59,11 +59,11 @@ def profile_named(name: str) -> Profile:
 
 
 _OUR_TYPES = frozenset({"imu", "gnss"})
-NO_PLACE = "the format has no such sensor"
+NO_POSITION = "the format has no such sensor"
 
 
 def _sfs_sensor(record: Record, _: FileClock) -> str | None:
-    return NO_PLACE if record["type"] in _OUR_TYPES else None
+    return NO_POSITION if record["type"] in _OUR_TYPES else None
 
 
 def _sfs_annotation(_: Record) -> None:
@@ -71,13 +71,13 @@ def _sfs_annotation(_: Record) -> None:
 
 
 def _scale_sensor(record: Record, clock: FileClock) -> str | None:
-    """Say what Scale's validator would refuse about a sensor.
+    """Report what Scale's validator would refuse about a sensor.
 
     Source: scale-sensor-fusion-io 0.5.4, validation/parser/sfs.py and validation/validate.py.
     """
     type_name = record["type"]
     if type_name in _OUR_TYPES or type_name not in SENSOR_RECORDS:
-        return NO_PLACE
+        return NO_POSITION
     if type_name not in VALIDATED_SENSORS:
         return "Scale's validator knows no such sensor"
     if record.get("poses") is None:
@@ -94,14 +94,14 @@ def _times_of(record: Record) -> dict[str, list[int]]:
     if record["type"] == "camera":
         video = record.get("video")
         content = [image["timestamp"] for image in record.get("images") or []]
-        times = {"pictures": content if video is None else list(video["timestamps"])}
+        times = {"images": content if video is None else list(video["timestamps"])}
     else:
         times = {"frames": [frame["timestamp"] for frame in record["frames"]]}
     return {**times, "poses": list(record["poses"]["timestamps"])}
 
 
 def _time_obstacle(name: str, times_ns: list[int], clock: FileClock) -> str | None:
-    fault = time_fault([clock.stamp(int(time)) for time in times_ns], paced=name != "poses")
+    fault = time_fault([clock.timestamp(int(time)) for time in times_ns], paced=name != "poses")
     return None if fault is None else f"Scale's validator refuses {name} with {fault}"
 
 
@@ -118,7 +118,7 @@ _SCALE_PARTS = {
 
 
 def _scale_annotation(record: Record) -> str | None:
-    """Say what Scale's loader would refuse about an annotation.
+    """Report what Scale's loader would refuse about an annotation.
 
     Source: scale-sensor-fusion-io 0.5.4, spec/sfs/types.py and model_converters/sfs.py.
     """

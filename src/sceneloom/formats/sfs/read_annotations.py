@@ -18,10 +18,10 @@ from sceneloom.formats.sfs.annotation_parts import (
 from sceneloom.formats.sfs.annotation_record import AnnotationRecord
 from sceneloom.formats.sfs.fields import ANNOTATION_RECORDS, annotation_record
 from sceneloom.formats.sfs.poses import times_of
-from sceneloom.formats.sfs.read_cameras import further_of_intrinsics, read_lens
+from sceneloom.formats.sfs.read_cameras import further_of_intrinsics, read_camera_model
 from sceneloom.formats.sfs.read_cuboids import read_cuboid
 from sceneloom.formats.sfs.read_keypoints import read_keypoints
-from sceneloom.formats.sfs.records import Faults, FieldError, Place
+from sceneloom.formats.sfs.records import Faults, FieldError, Location
 from sceneloom.formats.sfs.source import Source
 from sceneloom.formats.sfs.spec import PAIRS
 from sceneloom.formats.sfs.usual_cuboids import read_usual_cuboids
@@ -37,10 +37,10 @@ from sceneloom.scene.annotations.relations import (
     ObjectAnnotation,
 )
 from sceneloom.scene.annotations.shapes import DIMENSIONS, ShapeAnnotation, ShapeType, VertexPath
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.warnings import WarningKind
 
 
-def read_annotations(source: Source, raw: Any, place: Place) -> tuple[Annotation, ...]:
+def read_annotations(source: Source, raw: Any, location: Location) -> tuple[Annotation, ...]:
     """Read a list of annotations; those at fault are left out where the caller is lenient.
 
     Raises:
@@ -51,7 +51,7 @@ def read_annotations(source: Source, raw: Any, place: Place) -> tuple[Annotation
     if not isinstance(raw, list):
         faults = Faults()
         faults.add((), "expected a list of annotations")
-        source.collect(faults, place)
+        source.collect(faults, location)
         return ()
     usual = read_usual_cuboids(raw, source.clock)
     annotations: list[Annotation] = []
@@ -60,20 +60,20 @@ def read_annotations(source: Source, raw: Any, place: Place) -> tuple[Annotation
             annotations.append(usual[index])
             continue
         faults = Faults()
-        annotation = _read_annotation(source, item, (*place, index), faults)
-        if source.settle(faults, (*place, index)) and annotation is not None:
+        annotation = _read_annotation(source, item, (*location, index), faults)
+        if source.settle(faults, (*location, index)) and annotation is not None:
             annotations.append(annotation)
     return tuple(annotations)
 
 
-def _read_annotation(source: Source, raw: Any, place: Place, faults: Faults) -> Annotation | None:
+def _read_annotation(source: Source, raw: Any, location: Location, faults: Faults) -> Annotation | None:
     type_name = raw.get("type") if isinstance(raw, dict) else None
     if not isinstance(type_name, str):
         faults.add(("type",), f"{type_name!r}; expected one of {', '.join(ANNOTATION_RECORDS)}")
         return None
     if type_name == "event" and raw.get("start") is None:
-        source.notice(
-            NoticeKind.ASSUMED, "event-is-object", place, "an event without a start; read as an object"
+        source.warning(
+            WarningKind.ASSUMED, "event-is-object", location, "an event without a start; read as an object"
         )
         type_name = "object"
     known = type_name in ANNOTATION_RECORDS
@@ -83,7 +83,7 @@ def _read_annotation(source: Source, raw: Any, place: Place, faults: Faults) -> 
     if faults.unmended:
         return None
     build = _BUILDERS.get(type_name, _plain)
-    return build(AnnotationRecord(source, {**values, "type": type_name}, place, faults))
+    return build(AnnotationRecord(source, {**values, "type": type_name}, location, faults))
 
 
 def _plain(found: AnnotationRecord) -> PlainAnnotation:
@@ -178,15 +178,17 @@ def _adjustment(found: AnnotationRecord) -> LocalizationAdjustment | None:
 
 
 def _calibration(found: AnnotationRecord) -> CameraCalibration | None:
-    poses, lens = read_poses(found.values, found.faults), _lens(found)
+    poses, camera_model = read_poses(found.values, found.faults), _camera_model(found)
     if found.faults.unmended:
         return None
     fields = found.fields("sensor_id", "parent_id", taken=("poses", "intrinsics", "time_offset"))
     fields["extras"] |= _further_of_poses(found)
-    if lens is not None:
+    if camera_model is not None:
         fields["extras"] |= further_of_intrinsics(found.values["intrinsics"])
     time_offset_ns = found.values.get("time_offset")
-    return CameraCalibration(found.id, poses=poses, intrinsics=lens, time_offset_ns=time_offset_ns, **fields)
+    return CameraCalibration(
+        found.id, poses=poses, intrinsics=camera_model, time_offset_ns=time_offset_ns, **fields
+    )
 
 
 def _further_of_poses(found: AnnotationRecord) -> dict[str, Any]:
@@ -194,12 +196,12 @@ def _further_of_poses(found: AnnotationRecord) -> dict[str, Any]:
     return {"poses": unknown} if unknown else {}
 
 
-def _lens(found: AnnotationRecord) -> Camera | None:
+def _camera_model(found: AnnotationRecord) -> Camera | None:
     intrinsics = found.values.get("intrinsics")
     if intrinsics is None:
         return None
     try:
-        return read_lens(found.source, intrinsics, {}, (*found.place, "intrinsics"))
+        return read_camera_model(found.source, intrinsics, {}, (*found.location, "intrinsics"))
     except (FieldError, CalibrationError) as error:
         found.faults.add(("intrinsics",), str(error))
         return None

@@ -1,4 +1,4 @@
-"""Cameras of a file: the sensor, and its lens."""
+"""Cameras of a file: the sensor, and its camera model."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -8,69 +8,75 @@ import numpy as np
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError
+from sceneloom.formats.sfs.camera_model_readings import in_opencvs_sense
 from sceneloom.formats.sfs.container import format_keys
 from sceneloom.formats.sfs.distortion import COEFFICIENT_COUNTS
-from sceneloom.formats.sfs.lens_readings import in_opencvs_sense
-from sceneloom.formats.sfs.picture_notes import PictureNotes, camera_of, exposure_ns, lens_of, numbers_of
+from sceneloom.formats.sfs.image_notes import ImageNotes, camera_model_of, camera_of, exposure_ns, numbers_of
 from sceneloom.formats.sfs.poses import times_of
 from sceneloom.formats.sfs.read_clouds import Record, read_moving, rest_of
-from sceneloom.formats.sfs.read_pictures import PictureContent, image_content, no_content, video_content
-from sceneloom.formats.sfs.records import Faults, FieldError, Place
+from sceneloom.formats.sfs.read_images import ImageContent, image_content, no_content, video_content
+from sceneloom.formats.sfs.records import Faults, FieldError, Location
 from sceneloom.formats.sfs.source import Source
-from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.warnings import WarningKind
 
 
-def read_camera(source: Source, values: Record, place: Place, faults: Faults) -> CameraSensor | None:
+def read_camera(source: Source, values: Record, location: Location, faults: Faults) -> CameraSensor | None:
     """Make a camera of its record."""
     note = source.note(values["id"])
     intrinsics = values.pop("intrinsics")
     inner = Faults()
     try:
-        lens = read_lens(source, intrinsics, note, (*place, "intrinsics"))
+        camera_model = read_camera_model(source, intrinsics, note, (*location, "intrinsics"))
     except (FieldError, CalibrationError) as error:
         faults.add(("intrinsics",), str(error))
         return None
-    content = _content(source, values, lens, place)
-    moving = read_moving(source, values, place, inner, frame_count=len(content.starts_ns))
+    content = _content(source, values, camera_model, location)
+    moving = read_moving(source, values, location, inner, frame_count=len(content.starts_ns))
     try:
-        own = PictureNotes.of(note.get("pictures") or {}, lens, len(content.starts_ns))
+        own = ImageNotes.of(note.get("images") or {}, camera_model, len(content.starts_ns))
     except (FieldError, CalibrationError) as error:
-        inner.add(("pictures",), f"our note: {error}")
+        inner.add(("images",), f"our note: {error}")
     faults.extend(inner)
     if inner.unmended:
         return None
     extras = {**rest_of(values), **further_of_intrinsics(intrinsics), **content.further}
-    pictures = _pictures(source, content, own, exposure_ns(extras, 0), place)
+    images = _images(source, content, own, exposure_ns(extras, 0), location)
     return CameraSensor(
-        values["id"], lens, pictures, video=content.video, fps=_fps(content, note), **moving, extras=extras
+        values["id"],
+        camera_model,
+        images,
+        video=content.video,
+        fps=_fps(content, note),
+        **moving,
+        extras=extras,
     )
 
 
-def _pictures(
-    source: Source, content: PictureContent, own: PictureNotes, usual: int, place: Place
-) -> LazyFrames[Picture]:
-    """Join pictures, their own lenses and mountings, and the times of their middles."""
+def _images(
+    source: Source, content: ImageContent, own: ImageNotes, usual: int, location: Location
+) -> LazyFrames[CameraImage]:
+    """Join images, their own camera models and mountings, and the times of their middles."""
     own_fields = content.own_fields or tuple(own.extras(k) for k in range(len(content.starts_ns)))
     exposures = np.array([exposure_ns(extra, usual) for extra in own_fields], np.int64)
     middles_ns = content.starts_ns + exposures // 2
 
-    def read(index: int) -> Picture:
-        picture = content.read(index, own.camera(index))
-        extras = {**picture.extras, **own.extras(index)}
-        return replace(picture, timestamp_ns=int(middles_ns[index]), mount=own.mount(index), extras=extras)
+    def read(index: int) -> CameraImage:
+        image = content.read(index, own.camera(index))
+        extras = {**image.extras, **own.extras(index)}
+        return replace(image, timestamp_ns=int(middles_ns[index]), mount=own.mount(index), extras=extras)
 
-    return LazyFrames(middles_ns, source.parts.keep(format_keys((*place, "pictures")), read))
+    return LazyFrames(middles_ns, source.parts.keep(format_keys((*location, "images")), read))
 
 
-def _fps(content: PictureContent, note: Mapping[str, Any]) -> float | None:
-    """The rate that the video says, or our note of a camera with single pictures."""
+def _fps(content: ImageContent, note: Mapping[str, Any]) -> float | None:
+    """The rate that the video says, or our note of a camera with single images."""
     noted = note.get("fps")
     return float(noted) if content.fps is None and isinstance(noted, int | float) else content.fps
 
 
-def _content(source: Source, values: Record, lens: Camera, place: Place) -> PictureContent:
+def _content(source: Source, values: Record, camera_model: Camera, location: Location) -> ImageContent:
     """Choose between `video` and `images`; what is not chosen stays among the further fields."""
     video, images = values.get("video"), values.get("images")
     if video is not None:
@@ -79,32 +85,41 @@ def _content(source: Source, values: Record, lens: Camera, place: Place) -> Pict
             values.pop("images", None)
         else:
             message = "both video and images; the video is taken, the images are carried along"
-            source.notice(NoticeKind.ASSUMED, "video-and-images", place, message)
-        stamps_ns = times_of(video["timestamps"])
-        return video_content(source, video, stamps_ns, (*place, "video"))
+            source.warning(WarningKind.ASSUMED, "video-and-images", location, message)
+        timestamps_ns = times_of(video["timestamps"])
+        return video_content(source, video, timestamps_ns, (*location, "video"))
     values.pop("video", None)
     values.pop("images", None)
     if images is not None:
-        return image_content(source, images, (*place, "images"))
-    source.notice(
-        NoticeKind.SKIPPED, "no-pictures", place, f"neither video nor images; {lens.model} lens only"
+        return image_content(source, images, (*location, "images"))
+    source.warning(
+        WarningKind.SKIPPED,
+        "no-images",
+        location,
+        f"neither video nor images; {camera_model.model} camera model only",
     )
     return no_content()
 
 
-def read_lens(source: Source, intrinsics: Record, note: Mapping[str, Any], place: Place) -> Camera:
-    """Make a lens of an `intrinsics` record, or of our note where the record stands in for the lens noted there.
+def read_camera_model(
+    source: Source, intrinsics: Record, note: Mapping[str, Any], location: Location
+) -> Camera:
+    """Make a camera model of an `intrinsics` record.
 
-    A record that was changed since it was written counts, not the note. Files of before the fit have no lens as
-    written in the note: there the focal lengths and the centre tell.
+    Or of our note where the record stands in for the camera model noted there.
+
+    A record that was changed since it was written counts, not the note. Files of before the fit have no camera model as
+    written in the note: there the focal lengths and the centre report.
 
     Raises:
         FieldError: the distortion is not what its model has.
-        CalibrationError: the numbers are those of no lens.
+        CalibrationError: the numbers are those of no camera model.
     """
     distortion = intrinsics.get("distortion") or {}
     model = distortion.get("model") or "pinhole"
-    written = lens_of(intrinsics, model, _coefficients(source, model, distortion.get("params"), place))
+    written = camera_model_of(
+        intrinsics, model, _coefficients(source, model, distortion.get("params"), location)
+    )
     if note.get("camera") is None:
         return in_opencvs_sense(written, source)
     exact = camera_of(note["camera"])
@@ -115,7 +130,7 @@ def read_lens(source: Source, intrinsics: Record, note: Mapping[str, Any], place
     return exact if same else in_opencvs_sense(written, source)
 
 
-def _coefficients(source: Source, model: str, params: Any, place: Place) -> tuple[float, ...]:
+def _coefficients(source: Source, model: str, params: Any, location: Location) -> tuple[float, ...]:
     coefficients = numbers_of([] if params is None else params)
     if model == "pinhole":
         if any(coefficients):
@@ -126,12 +141,12 @@ def _coefficients(source: Source, model: str, params: Any, place: Place) -> tupl
         message = (
             f"distortion model {model!r} is none of the format's; it is kept, but cannot be computed with"
         )
-        source.notice(NoticeKind.SKIPPED, "unknown-distortion", (*place, "distortion"), message)
+        source.warning(WarningKind.SKIPPED, "unknown-distortion", (*location, "distortion"), message)
     elif len(coefficients) > expected:
         raise FieldError(f"distortion.params: {len(coefficients)} numbers; {model} has {expected}")
     elif len(coefficients) < expected:
         message = f"{len(coefficients)} of the {expected} numbers of {model}; the others are taken as 0"
-        source.notice(NoticeKind.REPAIRED, "short-distortion", (*place, "distortion"), message)
+        source.warning(WarningKind.REPAIRED, "short-distortion", (*location, "distortion"), message)
     return coefficients
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Int64Array, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.sfs.container import format_keys
-from sceneloom.formats.sfs.poses import further_of_poses, mended_path_of, mount_of
-from sceneloom.formats.sfs.records import Faults, FieldError, Place
+from sceneloom.formats.sfs.poses import further_of_poses, mount_of, repaired_path_of
+from sceneloom.formats.sfs.records import Faults, FieldError, Location
 from sceneloom.formats.sfs.source import Source
 from sceneloom.formats.sfs.times import TimeRangeError
 from sceneloom.geometry.rigid import RigidTransform
@@ -24,9 +24,9 @@ from sceneloom.scene.clouds import (
     RadarSensor,
 )
 from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.notices import NoticeKind
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.types import Coordinates, PointsFrame
+from sceneloom.scene.warnings import WarningKind
 
 Record = dict[str, Any]
 
@@ -43,47 +43,47 @@ _OTHER_WIDTH = {4: "uint64", 8: "uint32"}
 _TYPICAL_PERIOD_NS = 100_000_000
 
 
-def read_lidar(source: Source, values: Record, place: Place, faults: Faults) -> LidarSensor | None:
+def read_lidar(source: Source, values: Record, location: Location, faults: Faults) -> LidarSensor | None:
     """Make a lidar of its record."""
     frames = values.pop("frames")
-    relative = _check_frames(source, frames, place, faults)
-    moving = read_moving(source, values, place, faults, frame_count=len(frames))
+    relative = _check_frames(source, frames, location, faults)
+    moving = read_moving(source, values, location, faults, frame_count=len(frames))
     if faults.unmended:
         return None
     note = source.note(values["id"])
-    read = _frame_reader(source, frames, place, relative=relative, make=_lidar_frame)
+    read = _frame_reader(source, frames, location, relative=relative, make=_lidar_frame)
     return LidarSensor(
         values.pop("id"),
-        LazyFrames(_stamps(frames), read),
-        points_frame=points_frame(source, note, moving["coordinates"], place),
+        LazyFrames(_timestamps(frames), read),
+        points_frame=points_frame(source, note, moving["coordinates"], location),
         model=note.get("model"),
         **moving,
         extras=rest_of(values),
     )
 
 
-def read_radar(source: Source, values: Record, place: Place, faults: Faults) -> RadarSensor | None:
+def read_radar(source: Source, values: Record, location: Location, faults: Faults) -> RadarSensor | None:
     """Make a radar of its record."""
     frames = values.pop("frames")
     note = source.note(values["id"])
     _restore_lengths(frames, note, faults)
-    relative = _check_frames(source, frames, place, faults)
-    moving = read_moving(source, values, place, faults, frame_count=len(frames))
+    relative = _check_frames(source, frames, location, faults)
+    moving = read_moving(source, values, location, faults, frame_count=len(frames))
     if faults.unmended:
         return None
-    read = _frame_reader(source, frames, place, relative=relative, make=_radar_frame)
+    read = _frame_reader(source, frames, location, relative=relative, make=_radar_frame)
     return RadarSensor(
         values.pop("id"),
-        LazyFrames(_stamps(frames), read),
-        points_frame=points_frame(source, note, moving["coordinates"], place),
+        LazyFrames(_timestamps(frames), read),
+        points_frame=points_frame(source, note, moving["coordinates"], location),
         **moving,
         extras=rest_of(values),
     )
 
 
-def read_points(source: Source, values: Record, place: Place, faults: Faults) -> PointsSensor | None:
+def read_points(source: Source, values: Record, location: Location, faults: Faults) -> PointsSensor | None:
     """Make a points sensor of its record."""
-    del source, place
+    del source, location
     points = values.pop("points")
     _check_counts(points, ("points",), faults)
     if faults:
@@ -108,23 +108,25 @@ def rest_of(values: Record) -> Record:
     return {**further, **further_of_poses(values)}
 
 
-def read_moving(source: Source, values: Record, place: Place, faults: Faults, *, frame_count: int) -> Record:
+def read_moving(
+    source: Source, values: Record, location: Location, faults: Faults, *, frame_count: int
+) -> Record:
     """Read what every sensor with poses has: `poses`, `mount`, `coordinates`, `parent_id`."""
     note = source.note(values["id"])
     coordinates = values.get("coordinates") or Coordinates.WORLD.value
     if coordinates not in set(Coordinates):
         faults.add(("coordinates",), f"{coordinates!r}; expected one of {', '.join(Coordinates)}")
         return {}
-    poses = _poses(source, values, place, faults)
+    poses = _poses(source, values, location, faults)
     mount = _mount(note, faults)
     if note.get("poses_from_mount"):
         poses, coordinates = None, note.get("coordinates", Coordinates.WORLD.value)
     elif poses is not None and len(poses.timestamps_ns) == 1:
-        standing = note.get("poses_endless", coordinates == Coordinates.EGO or frame_count != 1)
-        poses = PosePath(poses.timestamps_ns, poses.positions, poses.quaternions_xyzw, endless=bool(standing))
-        if standing and "poses_endless" not in note:
+        stationary = note.get("poses_static", coordinates == Coordinates.EGO or frame_count != 1)
+        poses = Poses(poses.timestamps_ns, poses.positions, poses.quaternions_xyzw, static=bool(stationary))
+        if stationary and "poses_static" not in note:
             message = "a single pose; taken to hold at all times"
-            source.notice(NoticeKind.ASSUMED, "single-pose", (*place, "poses"), message)
+            source.warning(WarningKind.ASSUMED, "single-pose", (*location, "poses"), message)
     return {
         "poses": poses,
         "mount": mount,
@@ -133,14 +135,14 @@ def read_moving(source: Source, values: Record, place: Place, faults: Faults, *,
     }
 
 
-def _poses(source: Source, values: Record, place: Place, faults: Faults) -> PosePath | None:
+def _poses(source: Source, values: Record, location: Location, faults: Faults) -> Poses | None:
     record = values.get("poses")
     found = Faults()
-    path = None if record is None else mended_path_of(record, found)
+    path = None if record is None else repaired_path_of(record, found)
     faults.extend(found)
     if path is None and not found:
         message = "no poses; expected where the sensor was"
-        source.notice(NoticeKind.SKIPPED, "no-poses", (*place, "poses"), message)
+        source.warning(WarningKind.SKIPPED, "no-poses", (*location, "poses"), message)
     return path
 
 
@@ -153,30 +155,30 @@ def _mount(note: Mapping[str, Any], faults: Faults) -> RigidTransform | None:
 
 
 def points_frame(
-    source: Source, note: Mapping[str, Any], coordinates: Coordinates, place: Place
+    source: Source, note: Mapping[str, Any], coordinates: Coordinates, location: Location
 ) -> PointsFrame:
-    """Say in which frame the points are: as the caller says, else as recorded, else as `coordinates` says."""
+    """Report in which frame the points are: as the caller says, else as recorded, else as `coordinates` says."""
     if source.options.points_frame is not None:
         return PointsFrame(source.options.points_frame)
     recorded = note.get("points_frame")
     if recorded in set(PointsFrame):
         return PointsFrame(recorded)
-    message = f"the frame of the points is not said; taken to be the {coordinates.value} frame"
-    source.notice(NoticeKind.ASSUMED, "points-frame", place, message)
+    message = f"the frame of the points is not stated; taken to be the {coordinates.value} frame"
+    source.warning(WarningKind.ASSUMED, "points-frame", location, message)
     return PointsFrame(coordinates.value)
 
 
-def _stamps(frames: list[Record]) -> Int64Array:
+def _timestamps(frames: list[Record]) -> Int64Array:
     return np.array([frame["timestamp"] for frame in frames], np.int64)
 
 
 def _frame_reader(
-    source: Source, frames: list[Record], place: Place, *, relative: bool, make: Callable[..., Any]
+    source: Source, frames: list[Record], location: Location, *, relative: bool, make: Callable[..., Any]
 ) -> Callable[[int], Any]:
     container, clock = source.container, source.clock
 
     def read(index: int) -> Any:
-        where = format_keys((*place, "frames", index))
+        where = format_keys((*location, "frames", index))
         container.check_open(where)
         frame = container.fetch(frames[index])
         try:
@@ -186,18 +188,18 @@ def _frame_reader(
         extras = {name: value for name, value in frame.items() if name not in {"timestamp", "points"}}
         return make(frame["timestamp"], frame["points"], times_ns, extras)
 
-    return source.parts.keep(format_keys((*place, "frames")), read)
+    return source.parts.keep(format_keys((*location, "frames")), read)
 
 
 def _point_times(
     frame: Record, absolute: Callable[[AnyArray], Int64Array], tick_ns: int, *, relative: bool
 ) -> Int64Array | None:
-    stamps = frame["points"].get("timestamps")
-    if stamps is None:
+    timestamps = frame["points"].get("timestamps")
+    if timestamps is None:
         return None
     if relative:
-        return read_only(stamps.astype(np.int64) * tick_ns + frame["timestamp"])
-    return read_only(absolute(stamps))
+        return read_only(timestamps.astype(np.int64) * tick_ns + frame["timestamp"])
+    return read_only(absolute(timestamps))
 
 
 def _lidar_frame(
@@ -241,8 +243,11 @@ def _aligned(array: AnyArray) -> AnyArray:
     return array if array.flags.aligned else read_only(array.copy())
 
 
-def _check_frames(source: Source, frames: list[Record], place: Place, faults: Faults) -> bool:
-    """Check that the arrays of each frame are of one length; say whether point times count from the frame's start."""
+def _check_frames(source: Source, frames: list[Record], location: Location, faults: Faults) -> bool:
+    """Check that the arrays of each frame are of one length.
+
+    Report whether point times count from the frame's start.
+    """
     if faults.unmended:
         return False
     for index, frame in enumerate(frames):
@@ -252,7 +257,7 @@ def _check_frames(source: Source, frames: list[Record], place: Place, faults: Fa
         message = (
             "point times lie before their frame and within one period; read as counted from the frame's start"
         )
-        source.notice(NoticeKind.ASSUMED, "relative-point-times", (*place, "frames"), message)
+        source.warning(WarningKind.ASSUMED, "relative-point-times", (*location, "frames"), message)
     return relative
 
 
@@ -265,10 +270,10 @@ def note_further_faults(values: Record, faults: Faults) -> None:
             _check_counts(points, ("frames", index, "points"), faults)
     poses = values.get("poses")
     if isinstance(poses, dict) and not any(poses.get(name) is None for name in ("timestamps", "values")):
-        mended_path_of(poses, faults)
+        repaired_path_of(poses, faults)
 
 
-def _check_counts(points: Record, place: Place, faults: Faults) -> None:
+def _check_counts(points: Record, location: Location, faults: Faults) -> None:
     count = len(points["positions"])
     for name in ("colors", "intensities", "timestamps", "directions", "lengths"):
         array = points.get(name)
@@ -279,13 +284,13 @@ def _check_counts(points: Record, place: Place, faults: Faults) -> None:
                 problem += (
                     f"{array.dtype.name}; see `time_unit` of the scene, which decides where no dtype says it"
                 )
-            faults.add((*place, name), problem)
+            faults.add((*location, name), problem)
 
 
 def _times_are_relative(source: Source, frames: list[Record]) -> bool:
     """Judge by the last frame that has point times: all of them below its start and within one period."""
-    stamps_ns = sorted(frame["timestamp"] for frame in frames)
-    gaps_ns = sorted(after - before for before, after in pairwise(stamps_ns))
+    timestamps_ns = sorted(frame["timestamp"] for frame in frames)
+    gaps_ns = sorted(after - before for before, after in pairwise(timestamps_ns))
     period_ns = gaps_ns[len(gaps_ns) // 2] if gaps_ns else _TYPICAL_PERIOD_NS
     tick_ns, offset_ns = source.clock.tick_ns, source.clock.offset_ns
     for frame in reversed(frames):

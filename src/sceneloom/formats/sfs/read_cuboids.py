@@ -15,7 +15,7 @@ from sceneloom.formats.sfs.annotation_parts import (
 )
 from sceneloom.formats.sfs.annotation_record import AnnotationRecord
 from sceneloom.formats.sfs.poses import times_of
-from sceneloom.formats.sfs.records import Faults, Place
+from sceneloom.formats.sfs.records import Faults, Location
 from sceneloom.scene.annotations.cuboids import Activation, CuboidAnnotation, CuboidPath, Projection
 
 
@@ -40,18 +40,18 @@ def read_cuboid(found: AnnotationRecord) -> CuboidAnnotation | None:
 
 
 def _parts(
-    found: AnnotationRecord, name: str, read: Callable[[Record, Faults, Place], Any]
+    found: AnnotationRecord, name: str, read: Callable[[Record, Faults, Location], Any]
 ) -> tuple[Any, ...]:
     records = found.values.get(name) or ()
     return tuple(read(record, found.faults, (name, index)) for index, record in enumerate(records))
 
 
-def _activation(record: Record, faults: Faults, place: Place) -> Activation | None:
+def _activation(record: Record, faults: Faults, location: Location) -> Activation | None:
     before = len(faults)
-    cuboids = nullable_rows(record, "cuboids", 9, faults, place)
+    cuboids = nullable_rows(record, "cuboids", 9, faults, location)
     durations = record.get("durations")
     if durations is not None:
-        with noting(faults, (*place, "durations")):
+        with noting(faults, (*location, "durations")):
             check_counts(record["timestamps"], durations, name="durations")
     if len(faults) > before:
         return None
@@ -64,11 +64,11 @@ def _activation(record: Record, faults: Faults, place: Place) -> Activation | No
     )
 
 
-def _projection(record: Record, faults: Faults, place: Place) -> Projection | None:
+def _projection(record: Record, faults: Faults, location: Location) -> Projection | None:
     before = len(faults)
-    boxes = nullable_rows(record, "boxes", 4, faults, place)
-    cuboids = nullable_rows(record, "cuboids", 9, faults, place)
-    confirmed = confirmations(record, faults, place)
+    boxes = nullable_rows(record, "boxes", 4, faults, location)
+    cuboids = nullable_rows(record, "cuboids", 9, faults, location)
+    confirmed = confirmations(record, faults, location)
     if len(faults) > before:
         return None
     return Projection(

@@ -18,7 +18,7 @@ from sceneloom.formats.sfs.annotation_parts import (
 )
 from sceneloom.formats.sfs.annotation_record import AnnotationRecord
 from sceneloom.formats.sfs.poses import times_of
-from sceneloom.formats.sfs.records import Faults, FieldError, Place
+from sceneloom.formats.sfs.records import Faults, FieldError, Location
 from sceneloom.scene.annotations.keypoints import PointPath, PointProjection, PointsAnnotation
 
 
@@ -51,12 +51,12 @@ def read_keypoints(found: AnnotationRecord) -> PointsAnnotation | None:
     )
 
 
-def _path(found: AnnotationRecord, record: Record, place: Place) -> PointPath | None:
+def _path(found: AnnotationRecord, record: Record, location: Location) -> PointPath | None:
     times = times_of(record["timestamps"])
-    values = _values(found, record["values"], (*place, "values"))
+    values = _values(found, record["values"], (*location, "values"))
     if values is None:
         return None
-    with noting(found.faults, place):
+    with noting(found.faults, location):
         check_counts(times, values)
         return PointPath(
             read_only(times),
@@ -67,17 +67,17 @@ def _path(found: AnnotationRecord, record: Record, place: Place) -> PointPath | 
     return None
 
 
-def _values(found: AnnotationRecord, raw: Any, place: Place) -> Float64Array | None:
+def _values(found: AnnotationRecord, raw: Any, location: Location) -> Float64Array | None:
     """Take rows of x, y, z, or of several such triples; of pairs, z is 0."""
     columns = len(raw[0]) if len(raw) and isinstance(raw[0], list | np.ndarray) else 3
-    rows = rows_at(raw, columns, found.faults, place)
+    rows = rows_at(raw, columns, found.faults, location)
     if rows is None:
         return None
     if fits_pairs_only([columns]):
-        found.note_flat(*place)
+        found.note_flat(*location)
         return with_height(rows.reshape(-1, 2)).reshape(len(rows), -1)
     if columns % 3 or columns == 0:
-        found.faults.add(place, f"rows of {columns} numbers; expected x, y, z")
+        found.faults.add(location, f"rows of {columns} numbers; expected x, y, z")
         return None
     return rows
 
@@ -94,14 +94,14 @@ def _labels(raw: Any, paths: list[PointPath], faults: Faults) -> tuple[str, ...]
     return tuple(raw)
 
 
-def _projections(raw: Any, faults: Faults, place: Place) -> tuple[PointProjection, ...]:
+def _projections(raw: Any, faults: Faults, location: Location) -> tuple[PointProjection, ...]:
     """Take the projections of one point; one instead of a list of them is taken, too."""
     if isinstance(raw, dict):
-        return _listed(_projection(raw, faults, place))
+        return _listed(_projection(raw, faults, location))
     return tuple(
         projection
         for index, record in enumerate(raw)
-        for projection in _listed(_projection(record, faults, (*place, index)))
+        for projection in _listed(_projection(record, faults, (*location, index)))
     )
 
 
@@ -109,11 +109,11 @@ def _listed(projection: PointProjection | None) -> tuple[PointProjection, ...]:
     return () if projection is None else (projection,)
 
 
-def _projection(record: Record, faults: Faults, place: Place) -> PointProjection | None:
+def _projection(record: Record, faults: Faults, location: Location) -> PointProjection | None:
     before = len(faults)
-    points = nullable_rows(record, "points", 2, faults, place)
-    positions = nullable_rows(record, "positions", 3, faults, place)
-    confirmed = confirmations(record, faults, place)
+    points = nullable_rows(record, "points", 2, faults, location)
+    positions = nullable_rows(record, "positions", 3, faults, location)
+    confirmed = confirmations(record, faults, location)
     if len(faults) > before:
         return None
     return PointProjection(

@@ -5,35 +5,37 @@ from dataclasses import replace
 from typing import Any
 
 from sceneloom.errors import ArrayError
-from sceneloom.formats.sfs.poses import mended_path_of, mount_of
+from sceneloom.formats.sfs.poses import mount_of, repaired_path_of
 from sceneloom.formats.sfs.read_clouds import Record, rest_of
-from sceneloom.formats.sfs.records import Faults, FieldError, Place
+from sceneloom.formats.sfs.records import Faults, FieldError, Location
 from sceneloom.formats.sfs.source import Source
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
 from sceneloom.scene.plain import PlainSensor
-from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Sensor
 
 
-def read_odometry(source: Source, values: Record, place: Place, faults: Faults) -> OdometrySensor | None:
+def read_odometry(
+    source: Source, values: Record, location: Location, faults: Faults
+) -> OdometrySensor | None:
     """Make an odometry sensor of its record."""
-    del place
-    path = mended_path_of(values["poses"], faults)
+    del location
+    path = repaired_path_of(values["poses"], faults)
     if path is None and faults.unmended:
         return None
     if path is None:
         faults.add(("poses",), "empty; expected at least one pose")
         return None
-    if source.note(values["id"]).get("poses_endless"):
-        path = PosePath(
-            path.timestamps_ns, path.positions, path.quaternions_xyzw, endless=len(path.timestamps_ns) == 1
+    if source.note(values["id"]).get("poses_static"):
+        path = Poses(
+            path.timestamps_ns, path.positions, path.quaternions_xyzw, static=len(path.timestamps_ns) == 1
         )
     return OdometrySensor(values["id"], path, parent_id=values.get("parent_id"), extras=rest_of(values))
 
 
-def read_imu(source: Source, values: Record, place: Place, faults: Faults) -> ImuSensor | None:
+def read_imu(source: Source, values: Record, location: Location, faults: Faults) -> ImuSensor | None:
     """Make an IMU of the record in our metadata."""
-    del source, place
+    del source, location
     streams = {}
     for name, samples in values.pop("streams").items():
         try:
@@ -50,9 +52,9 @@ def read_imu(source: Source, values: Record, place: Place, faults: Faults) -> Im
 _GNSS_ARRAYS = ("timestamps_ns", "positions_lla", "accuracies", "vertical_accuracies", "file_seconds")
 
 
-def read_gnss(source: Source, values: Record, place: Place, faults: Faults) -> GnssSensor | None:
+def read_gnss(source: Source, values: Record, location: Location, faults: Faults) -> GnssSensor | None:
     """Make a satellite receiver of the record in our metadata."""
-    del source, place
+    del source, location
     arrays = {name: values.pop(name) for name in _GNSS_ARRAYS if values.get(name) is not None}
     rows = values.pop("mount", None)
     try:
@@ -68,17 +70,19 @@ def read_gnss(source: Source, values: Record, place: Place, faults: Faults) -> G
         return None
 
 
-def read_plain_sensor(source: Source, values: Record, place: Place, faults: Faults) -> PlainSensor | None:
+def read_plain_sensor(
+    source: Source, values: Record, location: Location, faults: Faults
+) -> PlainSensor | None:
     """Keep a sensor of a type that we do not know."""
-    del source, place, faults
+    del source, location, faults
     identifier, type_name = values.pop("id"), values.pop("type")
     return PlainSensor(identifier, type_name, values)
 
 
 def read_trajectories(
-    records: Any, sensors: tuple[Sensor, ...], place: Place, faults: Faults
+    records: Any, sensors: tuple[Sensor, ...], location: Location, faults: Faults
 ) -> Mapping[str, Trajectory]:
-    """Collect the ways of the ego: those of our metadata in their order, then one per odometry sensor."""
+    """Collect the trajectories of the ego: those of our metadata in their order, then one per odometry sensor."""
     odometry = {str(sensor.id): sensor for sensor in sensors if isinstance(sensor, OdometrySensor)}
     trajectories: dict[str, Trajectory] = {}
     for index, record in enumerate(records if isinstance(records, list) else []):
@@ -86,7 +90,7 @@ def read_trajectories(
         try:
             trajectories[record["name"]] = _trajectory(record, sensor)
         except (ArrayError, KeyError) as error:
-            faults.add((*place, index), f"no trajectory: {error}")
+            faults.add((*location, index), f"no trajectory: {error}")
     for name, sensor in odometry.items():
         trajectories.setdefault(name, of_odometry(name, sensor))
     return trajectories
@@ -108,5 +112,5 @@ def _trajectory(record: Record, sensor: OdometrySensor | None) -> Trajectory:
 
 
 def of_odometry(name: str, sensor: OdometrySensor) -> Trajectory:
-    """The way of the ego that an odometry sensor tells."""
+    """The ego trajectory that an odometry sensor reports."""
     return Trajectory(name, sensor.poses.timestamps_ns, sensor.poses.positions, sensor.poses.quaternions_xyzw)

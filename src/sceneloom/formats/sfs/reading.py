@@ -10,16 +10,16 @@ from typing import Any, TypeVar
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.faults import PlacedFault
 from sceneloom.formats.sfs.annotation_parts import read_attributes
+from sceneloom.formats.sfs.camera_model_readings import camera_model_records, with_camera_model_readings
 from sceneloom.formats.sfs.container import Container, ItemFault, format_keys
 from sceneloom.formats.sfs.exactness import restore_exact_attributes
 from sceneloom.formats.sfs.faults import Examination, Loss, error_of
 from sceneloom.formats.sfs.file_parts import FileParts
 from sceneloom.formats.sfs.garbage import collector_paused
-from sceneloom.formats.sfs.lens_readings import lens_records, with_lens_readings
 from sceneloom.formats.sfs.read_annotations import read_annotations
 from sceneloom.formats.sfs.read_motion import read_trajectories
 from sceneloom.formats.sfs.read_sensors import read_sensors
-from sceneloom.formats.sfs.records import Faults, Place
+from sceneloom.formats.sfs.records import Faults, Location
 from sceneloom.formats.sfs.removal import (
     Numbering,
     copied,
@@ -46,9 +46,9 @@ from sceneloom.formats.urls import is_url
 from sceneloom.scene.annotations.annotation import Annotation
 from sceneloom.scene.annotations.attributes import AttributePath
 from sceneloom.scene.annotations.cuboids import CuboidAnnotation
-from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Identifier, key_of
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 DEFAULT_EULER = {"euler_unit": "degrees", "euler_order": "xyz"}
 """How the angles of cuboids are read where nothing says it. Source: `CuboidPath.from_matrix` of Scale's library."""
@@ -64,7 +64,7 @@ _ABSORBED = frozenset(
         "annotations",
         "trajectories",
         "exact_attributes",
-        "notices",
+        "warnings",
     }
 )
 _ROOT = frozenset({"version", "sensors", "annotations", "attributes", "time_offset", "metadata"})
@@ -74,7 +74,7 @@ def read_scene(path: Path | str, options: ReadingOptions) -> Scene:
     """Open a file as a scene; only its header is read.
 
     Raises:
-        DataError: the file is at fault; the error tells the first places.
+        DataError: the file is at fault; the error reports the first locations.
     """
     # the header goes while the collector is still paused, which would otherwise walk through all of it
     with collector_paused():
@@ -96,7 +96,7 @@ def read_all(path: Path | str, options: ReadingOptions, *, whole: bool) -> Exami
 
     Args:
         path: the file.
-        options: what the file does not say itself.
+        options: what the file does not state itself.
         whole: take what is at fault out of sensors and annotations, so that the rest of them is in the scene; without,
             a sensor or annotation with a fault is left out.
 
@@ -125,9 +125,9 @@ def read_container(
     Args:
         container: the file; what is at fault is not in its header afterwards.
         items: what is wrong with its arrays.
-        options: what the file does not say itself.
+        options: what the file does not state itself.
         whole: take what is at fault out of sensors and annotations, as in `read_all`.
-        vital: take out what no scene can do without, too, and read the rest as if the file had never said it.
+        vital: take out what no scene can do without, too, and read the rest as if the file had never stated it.
 
     Raises:
         DataError: it nests too deeply.
@@ -149,11 +149,11 @@ class _Removed:
 
     Attributes:
         videos: whether videos that were cut got what is left of them.
-        rounds: the places that were taken out together, one round after the other.
+        rounds: the locations that were taken out together, one round after the other.
     """
 
     videos: bool = False
-    rounds: tuple[tuple[Place, ...], ...] = ()
+    rounds: tuple[tuple[Location, ...], ...] = ()
 
 
 _ROUNDS = 4
@@ -170,7 +170,7 @@ def _whole_parts(
 ) -> Examination:
     """Take what is at fault out of the header, the least that has to go, and read the rest."""
     is_local = not is_url(container.file)
-    if not (any(not fault.mended for fault in first.faults) or (is_local and damaged_videos(container))):
+    if not (any(not fault.repaired for fault in first.faults) or (is_local and damaged_videos(container))):
         return first
     original, numbering = container.header, Numbering()
     container.header = copied(original)
@@ -178,7 +178,7 @@ def _whole_parts(
     cut = {keys: video for keys, video in videos.items() if video.is_rescued}
     removed, examination = _Removed(videos=bool(cut)), first
     faults = {(fault.path, fault.problem): fault for fault in first.faults}
-    losses: dict[Place, Loss] = {
+    losses: dict[Location, Loss] = {
         keys: Loss(keys, in_words(original, keys), video.problem, video.lost_bytes)
         for keys, video in cut.items()
     }
@@ -189,16 +189,18 @@ def _whole_parts(
         if (path := format_keys(keys)) not in named
     ]
     for _ in range(_ROUNDS):
-        told = [fault for fault in examination.faults if not fault.mended and (vital or not fault.vital)]
-        told += of_videos
+        reported = [
+            fault for fault in examination.faults if not fault.repaired and (vital or not fault.vital)
+        ]
+        reported += of_videos
         of_videos = []
-        places = {fault: parse_path(fault.path) for fault in told}
-        goes = what_goes_with(container.header, [keys for keys in places.values() if keys not in cut])
+        locations = {fault: parse_path(fault.path) for fault in reported}
+        goes = what_goes_with(container.header, [keys for keys in locations.values() if keys not in cut])
         victims = outermost(goes.values())
-        for fault, keys in places.items():
+        for fault, keys in locations.items():
             lost = next((victim for victim in victims if victim == goes.get(keys, ())[: len(victim)]), None)
-            place = numbering.before(keys)
-            path = format_keys(place)
+            location = numbering.before(keys)
+            path = format_keys(location)
             placed = replace(fault, path=path, item=container.item_number(path, original))
             if lost is not None:
                 words = in_words(original, numbering.before(lost))
@@ -208,7 +210,7 @@ def _whole_parts(
             elif keys in cut:
                 placed = replace(placed, costs=f"part of {losses[keys].words}")
             elif vital:
-                losses.setdefault(place, Loss(place, fault.path, fault.problem))
+                losses.setdefault(location, Loss(location, fault.path, fault.problem))
             faults[placed.path, placed.problem] = placed
         inner = tuple(victim for victim in victims if not is_listed_thing(victim))
         if not inner and not (cut and examination is first):
@@ -217,33 +219,33 @@ def _whole_parts(
         removed = replace(removed, rounds=(*removed.rounds, inner))
         examination = _examination(container, [], options, removed)
     scene = examination.scene
-    notices = _loss_notices(losses.values(), faults.values()) if options.lenient else ()
-    if scene is not None and notices:
-        scene = replace(scene, notices=(*scene.notices, *notices))
+    warnings = _loss_warnings(losses.values(), faults.values()) if options.lenient else ()
+    if scene is not None and warnings:
+        scene = replace(scene, warnings=(*scene.warnings, *warnings))
     return replace(
         examination,
         scene=scene,
         faults=tuple(faults.values()),
         header=original,
-        notices=(*examination.notices, *notices),
+        warnings=(*examination.warnings, *warnings),
         losses=tuple(losses.values()),
         frame_numbers={format_keys(keys): numbers for keys, numbers in numbering.frames().items()},
     )
 
 
-def _problem(lost: Place, keys: Place, fault: PlacedFault) -> str:
+def _problem(lost: Location, keys: Location, fault: PlacedFault) -> str:
     inner = format_keys(keys[len(lost) :])
     return f"{inner}: {fault.problem}" if inner else fault.problem
 
 
-def _loss_notices(losses: Iterable[Loss], faults: Iterable[PlacedFault]) -> tuple[Notice, ...]:
-    """One notice for each part that was taken out of a sensor or annotation; whole ones have theirs already."""
+def _loss_warnings(losses: Iterable[Loss], faults: Iterable[PlacedFault]) -> tuple[DataWarning, ...]:
+    """One warning for each part that was taken out of a sensor or annotation; whole ones have theirs already."""
     counts = Counter(fault.costs for fault in faults)
     return tuple(
-        Notice(
-            kind=NoticeKind.SKIPPED,
+        DataWarning(
+            kind=WarningKind.SKIPPED,
             code="at-fault",
-            place=format_keys(loss.keys),
+            location=format_keys(loss.keys),
             message=f"left out: {loss.words}: {loss.problem}",
             count=max(1, counts[loss.words]),
         )
@@ -302,8 +304,8 @@ def _examination(
     header = container.header
     source, ours, metadata = _source(container, options, removed)
     source.collect_items(items)
-    sensors, sensor_places = _unique(source, _all_sensors(source, ours), "sensors", ours)
-    annotations, annotation_places = _unique(source, _all_annotations(source, ours), "annotations", ours)
+    sensors, sensor_positions = _unique(source, _all_sensors(source, ours), "sensors", ours)
+    annotations, annotation_positions = _unique(source, _all_annotations(source, ours), "annotations", ours)
     attributes = _attributes(source, header.get("attributes"))
     faults = Faults()
     aside = read_attributes(ours.get("attributes"), faults)
@@ -315,7 +317,7 @@ def _examination(
         ours.get("exact_attributes") or [], annotations, (*attributes, *aside)
     )
     kept = {name: value for name, value in ours.items() if name not in _ABSORBED}
-    kept |= _euler(source, ours, annotations) | lens_records(source)
+    kept |= _euler(source, ours, annotations) | camera_model_records(source)
     scene = Scene(
         sensors,
         annotations,
@@ -325,43 +327,47 @@ def _examination(
         time_offset_ns=source.clock.offset_ns,
         source=container.file,
         format="sfs",
-        notices=tuple(source.notices),
+        warnings=tuple(source.warnings),
         extras={name: value for name, value in header.items() if name not in _ROOT},
         on_close=source.parts.close,
     )
-    scene = with_lens_readings(scene, source)
+    scene = with_camera_model_readings(scene, source)
     noticed = tuple(source.noticed_now)
     return Examination(
-        scene, source.found_faults(), header, sensor_places, annotation_places, noticed, container.fetch
+        scene, source.found_faults(), header, sensor_positions, annotation_positions, noticed, container.fetch
     )
 
 
 def _unique(
     source: Source, things: tuple[Thing, ...], kind: str, ours: Any
-) -> tuple[tuple[Thing, ...], tuple[Place, ...]]:
-    """Leave out those whose id another had before; give the others with their places in the file."""
-    places = (
-        *_kept_places(source, source.container.header.get(kind), (kind,)),
-        *_kept_places(source, ours.get(kind), ("metadata", OURS, kind)),
+) -> tuple[tuple[Thing, ...], tuple[Location, ...]]:
+    """Leave out those whose id another had before; give the others with their locations in the file."""
+    locations = (
+        *_kept_locations(source, source.container.header.get(kind), (kind,)),
+        *_kept_locations(source, ours.get(kind), ("metadata", OURS, kind)),
     )
-    first: dict[tuple[type, Identifier], Place] = {}
+    first: dict[tuple[type, Identifier], Location] = {}
     kept: list[Thing] = []
-    for thing, place in zip(things, places, strict=True):
-        before = first.setdefault(key_of(thing.id), place)
-        if before is place:
+    for thing, location in zip(things, locations, strict=True):
+        before = first.setdefault(key_of(thing.id), location)
+        if before is location:
             kept.append(thing)
             continue
         faults = Faults()
         problem = f"{thing.id!r} is used twice, first by {format_keys(before)}"
         faults.add(("id",), problem, code="duplicate-id")
-        source.settle(faults, place)
+        source.settle(faults, location)
     return tuple(kept), tuple(first.values())
 
 
-def _kept_places(source: Source, raw: Any, root: Place) -> list[Place]:
-    """The places of all entries of a list but those that were left out."""
-    places = [(*root, k) for k in range(len(raw) if isinstance(raw, list) else 0)]
-    return [place for place in places if place not in source.left_out] if source.left_out else places
+def _kept_locations(source: Source, raw: Any, root: Location) -> list[Location]:
+    """The locations of all entries of a list but those that were left out."""
+    locations = [(*root, k) for k in range(len(raw) if isinstance(raw, list) else 0)]
+    return (
+        [location for location in locations if location not in source.left_out]
+        if source.left_out
+        else locations
+    )
 
 
 def _attributes(source: Source, raw: Any) -> tuple[AttributePath, ...]:
@@ -374,13 +380,13 @@ def _attributes(source: Source, raw: Any) -> tuple[AttributePath, ...]:
 
 
 def _euler(source: Source, ours: Mapping[str, Any], annotations: tuple[Annotation, ...]) -> dict[str, str]:
-    """Say how the angles of cuboids are meant: as the caller says, as recorded, else the default, with a notice."""
+    """Report how the angles of cuboids are meant: as the caller says, as recorded, else the default, with a warning."""
     asked = {name: getattr(source.options, name) for name in DEFAULT_EULER}
-    said = {name: asked[name] or ours.get(name) for name in DEFAULT_EULER}
+    stated = {name: asked[name] or ours.get(name) for name in DEFAULT_EULER}
     if not any(isinstance(annotation, CuboidAnnotation) for annotation in annotations):
-        return {name: value for name, value in said.items() if value is not None}
+        return {name: value for name, value in stated.items() if value is not None}
     for name, default in DEFAULT_EULER.items():
-        if said[name] is None:
-            message = f"{name.replace('_', ' ')} of the cuboids' angles is not said; taken to be {default}"
-            source.notice(NoticeKind.ASSUMED, name.replace("_", "-"), ("annotations",), message)
-    return {name: value or DEFAULT_EULER[name] for name, value in said.items()}
+        if stated[name] is None:
+            message = f"{name.replace('_', ' ')} of the cuboids' angles is not stated; taken to be {default}"
+            source.warning(WarningKind.ASSUMED, name.replace("_", "-"), ("annotations",), message)
+    return {name: value or DEFAULT_EULER[name] for name, value in stated.items()}

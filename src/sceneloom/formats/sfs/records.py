@@ -21,7 +21,7 @@ from sceneloom.formats.sfs.times import (
 )
 from sceneloom.formats.sfs.unfetched import Unfetched
 
-Place = tuple[str | int, ...]
+Location = tuple[str | int, ...]
 """Where something stands inside the header, as keys."""
 
 
@@ -38,33 +38,33 @@ class Fault:
     """One thing that is wrong in a header.
 
     Attributes:
-        place: where.
+        location: where.
         problem: what, with the value and what was expected.
         code: the kind of fault, kebab case.
-        mended: whether it was brought into order on reading, so that nothing has to be left out for it.
+        repaired: whether it was brought into order on reading, so that nothing has to be left out for it.
     """
 
-    place: Place
+    location: Location
     problem: str
     code: str = MALFORMED
-    mended: bool = False
+    repaired: bool = False
 
 
 class Faults(list[Fault]):
     """All faults found so far."""
 
-    def add(self, place: Place, problem: str, *, code: str = MALFORMED, mended: bool = False) -> None:
+    def add(self, location: Location, problem: str, *, code: str = MALFORMED, repaired: bool = False) -> None:
         """Note one more."""
-        self.append(Fault(place, problem, code, mended))
+        self.append(Fault(location, problem, code, repaired))
 
-    def take(self, other: "Faults", place: Place) -> None:
-        """Note the faults of a part that stands at `place`."""
-        self.extend(replace(fault, place=(*place, *fault.place)) for fault in other)
+    def take(self, other: "Faults", location: Location) -> None:
+        """Note the faults of a part that stands at `location`."""
+        self.extend(replace(fault, location=(*location, *fault.location)) for fault in other)
 
     @property
     def unmended(self) -> bool:
         """Whether one of them was not brought into order."""
-        return any(not fault.mended for fault in self)
+        return any(not fault.repaired for fault in self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ class RecordReader:
     """Reads records of a file whose clock is known.
 
     Attributes:
-        clock: turns stamps into nanoseconds.
+        clock: rotates timestamps into nanoseconds.
         forgiving: keep what does not fit its field as it is found, without a fault.
     """
 
@@ -212,7 +212,7 @@ def _read_times(reader: RecordReader, value: Any, field: Field, faults: Faults) 
         raise _wrong(value, field)
     if set(map(type, value)) <= {int}:
         tick_ns, offset_ns = reader.clock.tick_ns, reader.clock.offset_ns
-        times = [stamp * tick_ns + offset_ns for stamp in value]
+        times = [timestamp * tick_ns + offset_ns for timestamp in value]
         if times:
             reader.clock.absolute_ns(max(value))
             reader.clock.absolute_ns(min(value))

@@ -28,7 +28,7 @@ class RemoteFile:
 
     Attributes:
         content: as many bytes as the file has, without its values: arrays are views of it before they are fetched.
-        identity: how to tell the file from one that takes its place.
+        identity: how to report the file from one that takes its location.
     """
 
     def __init__(self, file: RangedFile) -> None:
@@ -67,9 +67,9 @@ class RemoteFile:
         return memoryview(bytes(text))
 
     def fill(self, header: dict[str, Any]) -> None:
-        """Fetch all arrays of a header but those of frames and pictures, which are marked as unfetched."""
+        """Fetch all arrays of a header but those of frames and images, which are marked as unfetched."""
         looked_into: list[tuple[Any, Any]] = []
-        for holder, key, deferred in _places(header, (), header):
+        for holder, key, deferred in _locations(header, (), header):
             array = holder[key]
             holder[key] = unfetched(array)
             if not (deferred and array.dtype.isnative):
@@ -87,7 +87,7 @@ class RemoteFile:
         return replaced(value, self._filled(list(arrays_in(value))))
 
     def bytes_of(self, array: AnyArray) -> "RemoteContent":
-        """Give the bytes of an array as what fetches the pieces that are read."""
+        """Give the bytes of an array as what fetches the chunks that are read."""
         return RemoteContent(self, *self._range(array))
 
     def close(self) -> None:
@@ -134,31 +134,31 @@ class RemoteContent:
 
     def __getitem__(self, part: slice) -> bytes:
         start, stop, _ = part.indices(len(self))
-        return b"".join(self._pieces(start, stop)) if start < stop else b""
+        return b"".join(self._chunks(start, stop)) if start < stop else b""
 
     def __call__(self) -> BinaryIO:
         """Open them as a file."""
         return cast("BinaryIO", io.BufferedReader(ByteStream(self), _PIECE))
 
-    def _pieces(self, start: int, stop: int) -> Iterator[bytes]:
-        """Fetch whole pieces of one length, so that readings side by side find them remembered."""
+    def _chunks(self, start: int, stop: int) -> Iterator[bytes]:
+        """Fetch whole chunks of one length, so that readings side by side find them remembered."""
         for number in range(start // _PIECE, -(-stop // _PIECE)):
             first = number * _PIECE
             piece = self._remote.read(self._start + first, min(self._start + first + _PIECE, self._stop))
             yield piece[max(0, start - first) : stop - first]
 
 
-def _places(node: Any, keys: tuple[Any, ...], header: dict[str, Any]) -> Iterator[tuple[Any, Any, bool]]:
+def _locations(node: Any, keys: tuple[Any, ...], header: dict[str, Any]) -> Iterator[tuple[Any, Any, bool]]:
     """All arrays of a header: what holds them, under which key, and whether readers leave them for later."""
     for key, value in list(node.items()) if isinstance(node, dict) else enumerate(node):
         if isinstance(value, np.ndarray):
             yield node, key, _is_deferred(header, (*keys, key))
         elif isinstance(value, dict | list):
-            yield from _places(value, (*keys, key), header)
+            yield from _locations(value, (*keys, key), header)
 
 
 def _is_deferred(header: dict[str, Any], keys: tuple[Any, ...]) -> bool:
-    """Whether an array belongs to a frame of a lidar or radar, or is a picture or a video of a camera."""
+    """Whether an array belongs to a frame of a lidar or radar, or is an image or a video of a camera."""
     ours = keys[:2] == ("metadata", "sceneloom")
     keys, root = (keys[2:], header["metadata"]["sceneloom"]) if ours else (keys, header)
     if len(keys) < 4 or keys[0] != "sensors" or not isinstance(root["sensors"], list):

@@ -22,7 +22,7 @@ _RECORD_KINDS = {
     Kind.RECORD_MAP,
 }
 _TYPED_LISTS = {"sensors": sensor_record, "annotations": annotation_record}
-_OF_FRAMES = {"frames": ("lengths",), "images": ("camera_of_picture", "mounts", "extras")}
+_OF_FRAMES = {"frames": ("lengths",), "images": ("camera_of_image", "mounts", "extras")}
 _ANY, _MAP = "any of ", "map of "
 _STEP = re.compile(r"\.?([^.\[\]]+)|\[(\d+)\]")
 _TIMED_ROWS = frozenset({"poses", "path", "point_path"})
@@ -45,11 +45,11 @@ def parse_path(path: str) -> Keys:
 
 
 def what_goes(header: Mapping[str, Any], keys: Keys) -> Keys | None:
-    """Say what has to be taken out where the value at `keys` is lost: it, or the record that needs it.
+    """Report what has to be taken out where the value at `keys` is lost: it, or the record that needs it.
 
     Returns:
         The path of a field that may be absent, of an entry of a list of records, or of a row of `values` that goes with
-        its timestamp; None where there is no such place, or the scene cannot be without it.
+        its timestamp; None where there is no such location, or the scene cannot be without it.
     """
     removable: Keys | None = None
     node: Any = header
@@ -118,12 +118,12 @@ def _is_timed_row(record: Mapping[str, Any], keys: Keys) -> bool:
     )
 
 
-def what_goes_with(header: Mapping[str, Any], places: Iterable[Keys]) -> dict[Keys, Keys]:
-    """Say of places whose values are lost what has to be taken out; those that nothing can be taken out for lack.
+def what_goes_with(header: Mapping[str, Any], locations: Iterable[Keys]) -> dict[Keys, Keys]:
+    """Report of locations whose values are lost what has to be taken out; those that nothing can be taken out for lack.
 
-    Where all rows of a path are lost, what needs the path goes in their place.
+    Where all rows of a path are lost, what needs the path goes in their location.
     """
-    goes = {keys: victim for keys in places if (victim := what_goes(header, keys)) is not None}
+    goes = {keys: victim for keys in locations if (victim := what_goes(header, keys)) is not None}
     rows: dict[Keys, set[Keys]] = defaultdict(set)
     for victim in goes.values():
         if is_timed_row(victim):
@@ -142,9 +142,9 @@ def is_timed_row(keys: Keys) -> bool:
     return len(keys) > 2 and keys[-2] == "values" and isinstance(keys[-1], int)
 
 
-def outermost(places: Iterable[Keys]) -> list[Keys]:
+def outermost(locations: Iterable[Keys]) -> list[Keys]:
     """Those that are not inside another, in their order."""
-    wanted = dict.fromkeys(places)
+    wanted = dict.fromkeys(locations)
     return [keys for keys in wanted if not any(keys[:depth] in wanted for depth in range(1, len(keys)))]
 
 
@@ -207,7 +207,7 @@ class Numbering:
 
 
 def take_out(header: dict[str, Any], victims: Iterable[Keys]) -> Mapping[Keys, Sequence[int]]:
-    """Remove fields and entries; what counts the frames or pictures of a sensor is brought into step.
+    """Remove fields and entries; what counts the frames or images of a sensor is brought into step.
 
     Returns:
         Which entries stay, by the keys of each list that some were taken out of.
@@ -246,13 +246,13 @@ def take_out(header: dict[str, Any], victims: Iterable[Keys]) -> Mapping[Keys, S
 def _keep_points_in_step(annotation: dict[str, Any], kept: list[int], count: int) -> None:
     """Follow points that were taken out of a points annotation in its labels, projections and attributes."""
     _choose(annotation, ("labels", "projections"), kept, count)
-    places = {old: new for new, old in enumerate(kept)}
+    locations = {old: new for new, old in enumerate(kept)}
     attributes = annotation.get("attributes")
     if isinstance(attributes, list):
         annotation["attributes"] = [
-            {**entry, "point_index": places[entry["point_index"]]} if _is_of_point(entry) else entry
+            {**entry, "point_index": locations[entry["point_index"]]} if _is_of_point(entry) else entry
             for entry in attributes
-            if not _is_of_point(entry) or entry["point_index"] in places
+            if not _is_of_point(entry) or entry["point_index"] in locations
         ]
 
 
@@ -261,7 +261,7 @@ def _is_of_point(attribute: Any) -> bool:
 
 
 def keep_in_step(header: dict[str, Any], sensor_id: Any, name: str, kept: list[int], count: int) -> None:
-    """Follow frames or pictures that were taken out in our notes, and in labelled points.
+    """Follow frames or images that were taken out in our notes, and in labelled points.
 
     Args:
         header: the header, which is changed.
@@ -272,13 +272,13 @@ def keep_in_step(header: dict[str, Any], sensor_id: Any, name: str, kept: list[i
     """
     for note in _records(header, (*_OURS, "sensor_notes")):
         if note.get("id") == sensor_id:
-            for holder in (note, note.get("pictures")):
+            for holder in (note, note.get("images")):
                 _choose(holder, _OF_FRAMES[name], kept, count)
     if name == "frames":
-        places = {old: new for new, old in enumerate(kept)}
+        locations = {old: new for new, old in enumerate(kept)}
         for root in ((), _OURS):
             for annotation in _records(header, (*root, "annotations")):
-                _renumber(annotation, sensor_id, places)
+                _renumber(annotation, sensor_id, locations)
 
 
 def _count_of(values: Any) -> int:
@@ -299,14 +299,14 @@ def _choose(holder: Any, names: tuple[str, ...], kept: list[int], count: int) ->
             holder[name] = [values[k] for k in kept]
 
 
-def _renumber(annotation: dict[str, Any], sensor_id: Any, places: Mapping[int, int]) -> None:
+def _renumber(annotation: dict[str, Any], sensor_id: Any, locations: Mapping[int, int]) -> None:
     entries = annotation.get("labeled_points")
     if not isinstance(entries, list):
         return
     annotation["labeled_points"] = [
-        {**entry, "sensor_frame": places[entry["sensor_frame"]]} if _counts(entry, sensor_id) else entry
+        {**entry, "sensor_frame": locations[entry["sensor_frame"]]} if _counts(entry, sensor_id) else entry
         for entry in entries
-        if not _counts(entry, sensor_id) or entry["sensor_frame"] in places
+        if not _counts(entry, sensor_id) or entry["sensor_frame"] in locations
     ]
 
 

@@ -5,8 +5,8 @@ from typing import Any
 import msgspec
 
 from sceneloom.formats.faults import MALFORMED
-from sceneloom.formats.sfs.lens_readings import note_tangential
-from sceneloom.formats.sfs.records import Faults, Place, RecordReader
+from sceneloom.formats.sfs.camera_model_readings import note_tangential
+from sceneloom.formats.sfs.records import Faults, Location, RecordReader
 from sceneloom.formats.sfs.source import Source
 from sceneloom.formats.sfs.times import (
     EARLIEST_OFFSET_NS,
@@ -16,13 +16,13 @@ from sceneloom.formats.sfs.times import (
     TimeRangeError,
     scaled,
 )
-from sceneloom.scene.notices import Notice
+from sceneloom.scene.warnings import DataWarning
 
 VERSIONS = ("1.0", "5.1")
 """Beginnings of the versions that we read."""
 
 DEFAULT_TICK_NS = READABLE_TICKS_NS["microseconds"]
-"""Length of a tick where the file does not say its unit [ns]."""
+"""Length of a tick where the file does not state its unit [ns]."""
 
 OURS = "sceneloom"
 """Our entry of the scene's metadata."""
@@ -36,10 +36,10 @@ def check_version(source: Source) -> None:
         root_fault(source, ("version",), f"{version!r}; expected {expected}", code="version")
 
 
-def root_fault(source: Source, place: Place, problem: str, *, code: str = MALFORMED) -> None:
+def root_fault(source: Source, location: Location, problem: str, *, code: str = MALFORMED) -> None:
     """Note what is wrong at the root, without which no scene means anything."""
     faults = Faults()
-    faults.add(place, problem, code=code)
+    faults.add(location, problem, code=code)
     source.collect(faults, ())
 
 
@@ -56,7 +56,7 @@ def part_metadata(source: Source) -> tuple[dict[str, Any], Any]:
 
 
 def read_clock(source: Source, ours: Any) -> FileClock:
-    """The clock that the root tells; what it tells wrongly is taken as if it said nothing."""
+    """The clock that the root reports; what it reports wrongly is taken as if it stated nothing."""
     header = source.container.header
     unit = header.get("time_unit")
     if unit is not None and not (isinstance(unit, str) and unit in READABLE_TICKS_NS):
@@ -95,17 +95,17 @@ def read_ours(source: Source, raw: Any) -> dict[str, Any]:
     note_tangential(source, ours)
     for note in ours.get("sensor_notes") or []:
         source.notes[type(note["id"]), note["id"]] = note
-    for record in ours.get("notices") or []:
+    for record in ours.get("warnings") or []:
         try:
-            source.remember(msgspec.convert(record, Notice))
+            source.remember(msgspec.convert(record, DataWarning))
         except msgspec.ValidationError as error:
-            root_fault(source, ("metadata", OURS, "notices"), str(error))
+            root_fault(source, ("metadata", OURS, "warnings"), str(error))
     return ours
 
 
 def without_faulty(ours: dict[str, Any], faults: Faults) -> dict[str, Any]:
     """A record without the entries of its lists that are at fault."""
-    wrong = {fault.place[:2] for fault in faults}
+    wrong = {fault.location[:2] for fault in faults}
     return {
         name: [item for k, item in enumerate(value) if (name, k) not in wrong]
         if isinstance(value, list)

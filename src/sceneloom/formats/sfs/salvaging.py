@@ -23,9 +23,9 @@ from sceneloom.formats.urls import is_url
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import key_of
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 _COUNTED = ("frames", "images")
 
@@ -34,12 +34,12 @@ class LostPart(msgspec.Struct, frozen=True):
     """Something of a damaged file that is not in the salvaged scene.
 
     Attributes:
-        place: where it was (`sensors[0].frames[12]`).
+        location: where it was (`sensors[0].frames[12]`).
         problem: what is wrong there.
         bytes: how many bytes of arrays go with it; of the header where that is damaged.
     """
 
-    place: str
+    location: str
     problem: str
     bytes: int
 
@@ -50,7 +50,7 @@ class KeptSensor(msgspec.Struct, frozen=True):
     Attributes:
         id: as in the file.
         type: "lidar", "camera", …
-        kept: how many of its frames or pictures are there.
+        kept: how many of its frames or images are there.
         count: how many the damaged file lists.
     """
 
@@ -89,9 +89,9 @@ def salvage(path: str | Path, output: str | Path, *, overwrite: bool = False) ->
     """Write a scene of what is whole in a file that was cut off or damaged.
 
     Frames whose points are lost are left out; of others, only the arrays that are lost. A video that was cut keeps the
-    pictures that are whole if its tables stand before them. A header that was cut keeps the sensors and annotations
+    images that are whole if its tables stand before them. A header that was cut keeps the sensors and annotations
     that are complete. Nothing is guessed: an array is taken only where the header says that it is.
-    What names a lost sensor or annotation keeps the name, for a rule to tell.
+    What names a lost sensor or annotation keeps the name, for a rule to report.
 
     Args:
         path: the damaged file.
@@ -148,14 +148,14 @@ class _Rescue:
         scene = self._without_unwritable(self._without_unreadable(examined.scene))
         if self.lost:
             message = f"taken out of {self.container.file}, which was damaged"
-            notice = Notice(
-                kind=NoticeKind.SKIPPED, code="salvaged", place="", message=message, count=len(self.lost)
+            warning = DataWarning(
+                kind=WarningKind.SKIPPED, code="salvaged", location="", message=message, count=len(self.lost)
             )
-            scene = replace(scene, notices=(*scene.notices, notice))
+            scene = replace(scene, warnings=(*scene.warnings, warning))
         return scene
 
     def kept_sensors(self, scene: Scene) -> tuple[KeptSensor, ...]:
-        """Say of each sensor how much of it is there."""
+        """Report of each sensor how much of it is there."""
         found = []
         for sensor in scene.sensors:
             kept = len(_frames_of(sensor))
@@ -199,8 +199,8 @@ class _Rescue:
             try:
                 annotation_record(annotation)
             except OptionError as error:
-                place, _, problem = str(error).partition(": ")
-                self.lost.append(LostPart(place, problem, 0))
+                location, _, problem = str(error).partition(": ")
+                self.lost.append(LostPart(location, problem, 0))
                 continue
             kept.append(annotation)
         return replace(scene, annotations=tuple(kept))
@@ -215,7 +215,7 @@ class _Rescue:
             try:
                 sensor.frames[index]
             except DataError as error:
-                self.lost.append(LostPart(error.place, error.problem, 0))
+                self.lost.append(LostPart(error.location, error.problem, 0))
                 continue
             kept.append(index)
         if len(kept) == len(sensor.frames):
@@ -226,16 +226,16 @@ class _Rescue:
         return replace(sensor, frames=readable)
 
     def _with_readable_video(self, camera: CameraSensor) -> CameraSensor:
-        """Leave out a video that is none, or that has not as many pictures as time stamps; the camera stays."""
+        """Leave out a video that is none, or that has not as many images as timestamps; the camera stays."""
         problem = video_problem(camera)
         if problem is None:
             return camera
         self.lost.append(LostPart(f"sensors[{camera.id}].video", problem, 0))
-        return replace(camera, pictures=LazyFrames.of([], []), video=None, fps=None)
+        return replace(camera, images=LazyFrames.of([], []), video=None, fps=None)
 
 
 def _frame_counts(header: Mapping[str, Any]) -> dict[tuple[type, Any], int]:
-    """How many frames or pictures the header lists, by the id of their sensor."""
+    """How many frames or images the header lists, by the id of their sensor."""
     counts = {}
     sensors = header.get("sensors")
     for sensor in sensors if isinstance(sensors, list) else []:
@@ -251,5 +251,5 @@ def _frame_counts(header: Mapping[str, Any]) -> dict[tuple[type, Any], int]:
 
 def _frames_of(sensor: Sensor) -> Any:
     if isinstance(sensor, CameraSensor):
-        return sensor.pictures
+        return sensor.images
     return sensor.frames if isinstance(sensor, LidarSensor | RadarSensor) else ()

@@ -18,10 +18,10 @@ import numpy as np
 from sceneloom.formats.sfs.container import RawBytes
 
 LATEST_START = 100_000_000
-"""Latest first stamp of a series [µs]."""
+"""Latest first timestamp of a series [µs]."""
 
 HIGHEST_RATE = 100.0
-"""Most frames or pictures a second."""
+"""Most frames or images a second."""
 
 TICKS_PER_SECOND = 1e6
 
@@ -220,7 +220,7 @@ CHECKS: Mapping[str, Callable[[Any], bool]] = MappingProxyType(
         "distortion model": lambda value: isinstance(value, str) and value in DISTORTION_MODELS,
     }
 )
-"""What a field can be, and how that is told."""
+"""What a field can be, and how that is reported."""
 
 _WORDS = MappingProxyType(
     {
@@ -233,75 +233,79 @@ _WORDS = MappingProxyType(
         "integers": "a list of integers",
         "numbers": "a list of numbers",
         "rows": "a list of lists of numbers",
-        "rows or nulls": "a list of lists of numbers, or null in place of a list",
+        "rows or nulls": "a list of lists of numbers, or null instead of a list",
         "attribute values": "a list of texts, integers, or lists of texts",
         "ego or world": "'ego' or 'world'",
         "distortion model": "one of " + ", ".join(DISTORTION_MODELS),
     }
 )
 
-Place = tuple[str | int, ...]
+Location = tuple[str | int, ...]
 
 
-def record_faults(record: Any, needs: Mapping[str, Need], place: Place = ()) -> Iterator[tuple[Place, str]]:
-    """Compare a record with what the library needs; give the place of each fault and what is wrong there."""
+def record_faults(
+    record: Any, needs: Mapping[str, Need], location: Location = ()
+) -> Iterator[tuple[Location, str]]:
+    """Compare a record with what the library needs; give the position of each fault and what is wrong there."""
     if not isinstance(record, dict):
-        yield place, f"{_told(record)}; expected an object"
+        yield location, f"{_reported(record)}; expected an object"
         return
     for name, need in needs.items():
         if name not in record:
             if need.required:
-                yield (*place, name), "missing"
+                yield (*location, name), "missing"
         elif record[name] is None:
             if not need.nullable:
-                yield (*place, name), f"null; expected {_expected(need.what)}"
+                yield (*location, name), f"null; expected {_expected(need.what)}"
         else:
-            yield from _value_faults(record[name], need.what, (*place, name))
+            yield from _value_faults(record[name], need.what, (*location, name))
 
 
-def _value_faults(value: Any, what: str, place: Place) -> Iterator[tuple[Place, str]]:
+def _value_faults(value: Any, what: str, location: Location) -> Iterator[tuple[Location, str]]:
     if what.startswith("@"):
-        yield from record_faults(value, PARTS[what[1:]], place)
+        yield from record_faults(value, PARTS[what[1:]], location)
     elif what.startswith("["):
         if not isinstance(value, list):
-            yield place, f"{_told(value)}; expected a list of objects"
+            yield location, f"{_reported(value)}; expected a list of objects"
             return
         inner = PARTS[what[2:-1]]
         for index, item in enumerate(value):
-            yield from record_faults(item, inner, (*place, index))
+            yield from record_faults(item, inner, (*location, index))
     elif not CHECKS[what](value):
-        yield place, f"{_told(value)}; expected {_expected(what)}"
+        yield location, f"{_reported(value)}; expected {_expected(what)}"
 
 
 def _expected(what: str) -> str:
     return "an object" if what.startswith("@") else _WORDS.get(what, what)
 
 
-def _told(value: Any) -> str:
+def _reported(value: Any) -> str:
     if isinstance(value, np.ndarray):
         return f"an array of {value.dtype.name} {value.shape}"
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def time_fault(stamps: Sequence[int], *, paced: bool) -> str | None:
-    """Say what the validator has against a series of stamps [µs].
+def time_fault(timestamps: Sequence[int], *, paced: bool) -> str | None:
+    """Report what the validator has against a series of timestamps [µs].
 
     Args:
-        stamps: in the file's order.
-        paced: whether their rate is judged, too: of frames and pictures, not of poses.
+        timestamps: in the file's order.
+        paced: whether their rate is judged, too: of frames and images, not of poses.
     """
-    if len(stamps) == 0:
-        return "no stamps; expected at least one"
-    if min(stamps) < 0:
-        return f"a stamp of {min(stamps)}; expected none below 0"
-    for before, after in pairwise(stamps):
+    if len(timestamps) == 0:
+        return "no timestamps; expected at least one"
+    if min(timestamps) < 0:
+        return f"a timestamp of {min(timestamps)}; expected none below 0"
+    for before, after in pairwise(timestamps):
         if after <= before:
-            return f"a stamp of {after} after {before}; expected increasing times"
-    if stamps[0] > LATEST_START:
-        return f"a first stamp of {stamps[0]} µs; expected it within 100 s, and the rest in time_offset"
-    if paced and len(stamps) > 1:
-        rate = TICKS_PER_SECOND * (len(stamps) - 1) / (stamps[-1] - stamps[0])
+            return f"a timestamp of {after} after {before}; expected increasing times"
+    if timestamps[0] > LATEST_START:
+        return (
+            f"a first timestamp of {timestamps[0]} µs; expected it within 100 s, and the rest in time_offset"
+        )
+    if paced and len(timestamps) > 1:
+        rate = TICKS_PER_SECOND * (len(timestamps) - 1) / (timestamps[-1] - timestamps[0])
         if rate > HIGHEST_RATE:
             return f"a rate of {rate:.1f} a second; expected at most {HIGHEST_RATE:g}"
     return None

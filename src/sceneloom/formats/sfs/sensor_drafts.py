@@ -1,12 +1,12 @@
-"""Turning the model's sensors into drafts: everything but their frames."""
+"""Rotating the model's sensors into drafts: everything but their frames."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from sceneloom.errors import OptionError
+from sceneloom.formats.sfs.camera_models import intrinsics_record, merged_intrinsics, written_camera_model
 from sceneloom.formats.sfs.drafts import Losses, SensorDraft, with_further
-from sceneloom.formats.sfs.lenses import intrinsics_record, merged_intrinsics, written_lens
-from sceneloom.formats.sfs.picture_notes import camera_record
+from sceneloom.formats.sfs.image_notes import camera_record
 from sceneloom.formats.sfs.write_records import gnss_fields, imu_fields, points_fields
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
@@ -57,19 +57,21 @@ def _cloud(sensor: Any, losses: Losses) -> SensorDraft:
     if model is not None:
         draft.note["model"] = model
     if draft.points_frame != draft.coordinates:
-        what = f"points are in the {draft.points_frame} frame, which the format cannot say"
-        losses.add(f"{draft.place}.points_frame", what, kept="metadata.sceneloom.sensor_notes[].points_frame")
+        what = f"points are in the {draft.points_frame} frame, which the format cannot state"
+        losses.add(
+            f"{draft.location}.points_frame", what, kept="metadata.sceneloom.sensor_notes[].points_frame"
+        )
     return draft
 
 
 def _camera(sensor: CameraSensor, losses: Losses, *, any_distortion: bool) -> SensorDraft:
     draft = SensorDraft(sensor.id, "camera", _fields(sensor))
     draft.poses, draft.mount, draft.coordinates = sensor.poses, sensor.mount, sensor.coordinates.value
-    written, how_far = written_lens(sensor.camera, any_model=any_distortion)
+    written, how_far = written_camera_model(sensor.camera, any_model=any_distortion)
     if how_far is not None:
         draft.note |= {"camera": camera_record(sensor.camera), "written_camera": camera_record(written)}
         kept = "metadata.sceneloom.sensor_notes[].camera"
-        losses.add(f"{draft.place}.intrinsics.distortion", how_far, kept=kept)
+        losses.add(f"{draft.location}.intrinsics.distortion", how_far, kept=kept)
     draft.fields["intrinsics"] = merged_intrinsics(
         intrinsics_record(written), sensor.extras.get("intrinsics")
     )

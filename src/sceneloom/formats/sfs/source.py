@@ -7,11 +7,11 @@ from typing import Any
 from sceneloom.formats.faults import PlacedFault
 from sceneloom.formats.sfs.container import ITEMS, Container, ItemFault, format_keys
 from sceneloom.formats.sfs.file_parts import FileParts
-from sceneloom.formats.sfs.records import Fault, Faults, Place, RecordReader
+from sceneloom.formats.sfs.records import Fault, Faults, Location, RecordReader
 from sceneloom.formats.sfs.spec import ReadingOptions
 from sceneloom.formats.sfs.times import FileClock
-from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.types import Identifier
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 
 @dataclass(slots=True)
@@ -23,24 +23,24 @@ class Source:
         parts: what the scene keeps of it.
         clock: of the file.
         options: of the caller.
-        notices: collected on the way, and those that the file had kept.
+        warnings: collected on the way, and those that the file had kept.
         noticed_now: those of this reading, in their order.
         notes: what our metadata says about sensors, by id.
         faults: collected on the way.
-        left_out: the places of sensors and annotations that are at fault.
-        tangential: what p1 and p2 of `brown_conrady` mean as our metadata say, None where they say nothing.
+        left_out: the locations of sensors and annotations that are at fault.
+        tangential: what p1 and p2 of `brown_conrady` mean as our metadata state, None where they state nothing.
     """
 
     container: Container
     parts: FileParts
     clock: FileClock
     options: ReadingOptions
-    notices: list[Notice] = field(default_factory=list)
-    noticed_now: dict[Notice, None] = field(default_factory=dict)
+    warnings: list[DataWarning] = field(default_factory=list)
+    noticed_now: dict[DataWarning, None] = field(default_factory=dict)
     notes: dict[tuple[type, Identifier], Mapping[str, Any]] = field(default_factory=dict)
     faults: list[PlacedFault] = field(default_factory=list)
-    left_out: set[Place] = field(default_factory=set)
-    _noticed: set[Notice] = field(default_factory=set)
+    left_out: set[Location] = field(default_factory=set)
+    _noticed: set[DataWarning] = field(default_factory=set)
     tangential: str | None = None
 
     @property
@@ -56,24 +56,28 @@ class Source:
         """What our metadata says about a sensor."""
         return self.notes.get((type(sensor_id), sensor_id), {})
 
-    def notice(self, kind: NoticeKind, code: str, place: Place, message: str, *, count: int = 1) -> None:
-        """Remark something, unless the file's own notices say it already."""
-        notice = Notice(kind=kind, code=code, place=format_keys(place), message=message, count=count)
-        self.noticed_now[notice] = None
-        if notice not in self._noticed:
-            self.remember(notice)
+    def warning(
+        self, kind: WarningKind, code: str, location: Location, message: str, *, count: int = 1
+    ) -> None:
+        """Note something, unless the file's own warnings state it already."""
+        warning = DataWarning(
+            kind=kind, code=code, location=format_keys(location), message=message, count=count
+        )
+        self.noticed_now[warning] = None
+        if warning not in self._noticed:
+            self.remember(warning)
 
-    def remember(self, notice: Notice) -> None:
-        """Take a notice as it is."""
-        self.notices.append(notice)
-        self._noticed.add(notice)
+    def remember(self, warning: DataWarning) -> None:
+        """Take a warning as it is."""
+        self.warnings.append(warning)
+        self._noticed.add(warning)
 
-    def collect(self, faults: Faults, place: Place) -> None:
+    def collect(self, faults: Faults, location: Location) -> None:
         """Note faults of what no scene can do without; whoever is lenient is refused for them, too."""
-        self.faults.extend(self._placed(fault, place, vital=True) for fault in faults)
+        self.faults.extend(self._placed(fault, location, vital=True) for fault in faults)
 
     def collect_items(self, items: Sequence[ItemFault]) -> None:
-        """Note faults of arrays; nothing stands in their places."""
+        """Note faults of arrays; nothing stands in their locations."""
         for item in items:
             fault = PlacedFault(
                 item.path or f"{ITEMS}[{item.number}]", item.problem, "item", item=item.number
@@ -81,29 +85,32 @@ class Source:
             self.faults.append(fault)
             if self.options.lenient:
                 message = f"left out: {fault.where}: {item.problem}"
-                self.notice(NoticeKind.SKIPPED, "item-at-fault", item.keys or (ITEMS, item.number), message)
+                self.warning(WarningKind.SKIPPED, "item-at-fault", item.keys or (ITEMS, item.number), message)
 
     def found_faults(self) -> tuple[PlacedFault, ...]:
         """All faults, but not that a value is missing whose array is at fault."""
         arrays = {fault.path for fault in self.faults if fault.code == "item"}
         return tuple(f for f in self.faults if f.code == "item" or f.path not in arrays)
 
-    def settle(self, faults: Faults, place: Place) -> bool:
-        """Note the faults of a part, and say whether the scene can have it: it is sound, or was brought into order."""
-        self.faults.extend(self._placed(fault, place, vital=False) for fault in faults)
+    def settle(self, faults: Faults, location: Location) -> bool:
+        """Note the faults of a part, and report whether the scene can have it: it is sound.
+
+        Or was brought into order.
+        """
+        self.faults.extend(self._placed(fault, location, vital=False) for fault in faults)
         if not faults:
             return True
         kept = not faults.unmended
         if not kept:
-            self.left_out.add(place)
+            self.left_out.add(location)
         if self.options.lenient:
-            kind = NoticeKind.REPAIRED if kept else NoticeKind.SKIPPED
+            kind = WarningKind.REPAIRED if kept else WarningKind.SKIPPED
             first = self.faults[-len(faults)]
-            message = f"{'mended' if kept else 'left out'}: {first.where}: {first.problem}"
-            self.notice(kind, "mended" if kept else "at-fault", place, message, count=len(faults))
+            message = f"{'repaired' if kept else 'left out'}: {first.where}: {first.problem}"
+            self.warning(kind, "repaired" if kept else "at-fault", location, message, count=len(faults))
         return kept
 
-    def _placed(self, fault: Fault, place: Place, *, vital: bool) -> PlacedFault:
-        path = format_keys((*place, *fault.place))
+    def _placed(self, fault: Fault, location: Location, *, vital: bool) -> PlacedFault:
+        path = format_keys((*location, *fault.location))
         number = self.container.item_number(path)
-        return PlacedFault(path, fault.problem, fault.code, mended=fault.mended, vital=vital, item=number)
+        return PlacedFault(path, fault.problem, fault.code, repaired=fault.repaired, vital=vital, item=number)

@@ -16,7 +16,10 @@ from sceneloom.scene.types import PointsFrame
 
 OPENCV, BROWN = "opencv", "brown"
 TANGENTIALS = (OPENCV, BROWN)
-"""The two meanings that p1 and p2 have among those who write lenses. Source: "Distortion" in docs/CONVENTIONS.md."""
+"""The two meanings that p1 and p2 have among those who write camera models. Source.
+
+"Distortion" in docs/CONVENTIONS.md.
+"""
 PAIRS, TRIPLES = "pairs", "triples"
 VERTICES = (PAIRS, TRIPLES)
 """How the vertices of polygons and polylines in space may be written."""
@@ -27,7 +30,7 @@ _LOOKED_THROUGH = 64 << 20
 
 @dataclass(frozen=True, slots=True)
 class ReadingOptions:
-    """What the caller says about a file that the file does not say itself.
+    """What the caller says about a file that the file does not state itself.
 
     Raises:
         OptionError: a value is not one of those that there are.
@@ -55,10 +58,10 @@ class ReadingOptions:
         "description have them, whose z is 0. By default triples where all rows of a path fit them, else pairs.",
     )
     assume_model: bool = option(
-        default=False, help="Allow computing with lenses whose formulas nothing confirms."
+        default=False, help="Allow computing with camera models whose formulas nothing confirms."
     )
     lenient: bool = option(
-        default=False, help="Leave out sensors and annotations that are at fault, with a notice each."
+        default=False, help="Leave out sensors and annotations that are at fault, with a warning each."
     )
     storage_options: Mapping[str, Any] | None = option(
         default=None, help="What the fsspec back end of a URL is made with, such as credentials."
@@ -79,7 +82,7 @@ class ReadingOptions:
 
 
 def has_scene_header(path: Path) -> bool:
-    """Say whether a file starts with `{` and has a header that ends in a NUL and names `$items`."""
+    """Report whether a file starts with `{` and has a header that ends in a NUL and names `$items`."""
     if not path.is_file():
         return False
     try:

@@ -100,9 +100,9 @@ class Spool:
     def change(self, blob: Blob, change: Callable[[AnyArray], AnyArray]) -> None:
         """Replace an array by one of the same shape and dtype."""
         if self._file is None:
-            place = slice(blob.offset, blob.offset + blob.length)
-            old = bytes(self._gathered[place])
-            self._gathered[place] = _changed(old, blob, change)
+            location = slice(blob.offset, blob.offset + blob.length)
+            old = bytes(self._gathered[location])
+            self._gathered[location] = _changed(old, blob, change)
             return
         file = self._file_for(0)
         file.seek(self._start + blob.offset)

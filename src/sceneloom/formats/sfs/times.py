@@ -31,44 +31,44 @@ _EXACT_QUOTIENT = 2**50
 
 
 class TimeRangeError(OptionError):
-    """A time does not fit the integers that must hold it; readers turn it into a fault of the file."""
+    """A time does not fit the integers that must hold it; readers rotate it into a fault of the file."""
 
 
 @dataclass(frozen=True, slots=True)
 class FileClock:
-    """`nanoseconds = stamp · tick_ns + offset_ns`.
+    """`nanoseconds = timestamp · tick_ns + offset_ns`.
 
     Attributes:
         tick_ns: length of the file's unit of time [ns].
-        offset_ns: the absolute time of stamp 0 [ns]; negative only for scenes that begin before time zero.
+        offset_ns: the absolute time of timestamp 0 [ns]; negative only for scenes that begin before time zero.
     """
 
     tick_ns: int
     offset_ns: int
 
-    def absolute_ns(self, stamp: int) -> int:
-        """Give the absolute time of a stamp.
+    def absolute_ns(self, timestamp: int) -> int:
+        """Give the absolute time of a timestamp.
 
         Raises:
             TimeRangeError: it does not fit 64 bits.
         """
-        return checked_ns(stamp * self.tick_ns + self.offset_ns)
+        return checked_ns(timestamp * self.tick_ns + self.offset_ns)
 
-    def absolute_array(self, stamps: AnyArray) -> Int64Array:
-        """Give the absolute times of an integer array of stamps, (N,) int64 [ns].
+    def absolute_array(self, timestamps: AnyArray) -> Int64Array:
+        """Give the absolute times of an integer array of timestamps, (N,) int64 [ns].
 
         Raises:
             TimeRangeError: one of them does not fit 64 bits.
         """
-        if stamps.size:
-            self.absolute_ns(int(stamps.min()))
-            self.absolute_ns(int(stamps.max()))
+        if timestamps.size:
+            self.absolute_ns(int(timestamps.min()))
+            self.absolute_ns(int(timestamps.max()))
         if self.offset_ns == 0 or not self._offset_fits:
-            return self._absolute_exactly(stamps)
-        highest = 0 if stamps.size == 0 else max(abs(int(stamps.min())), abs(int(stamps.max())))
+            return self._absolute_exactly(timestamps)
+        highest = 0 if timestamps.size == 0 else max(abs(int(timestamps.min())), abs(int(timestamps.max())))
         if highest * self.tick_ns > INT64_MAX:
-            return self._absolute_exactly(stamps)
-        absolute_ns = stamps.astype(np.int64)
+            return self._absolute_exactly(timestamps)
+        absolute_ns = timestamps.astype(np.int64)
         absolute_ns *= self.tick_ns
         absolute_ns += self.offset_ns
         return absolute_ns
@@ -78,40 +78,40 @@ class FileClock:
         """Whether arrays can be shifted by the offset: one in whole seconds may lie before all times of 64 bits."""
         return INT64_MIN <= self.offset_ns <= INT64_MAX
 
-    def _absolute_exactly(self, stamps: AnyArray) -> Int64Array:
+    def _absolute_exactly(self, timestamps: AnyArray) -> Int64Array:
         if self.offset_ns == 0:
-            absolute_ns = stamps.astype(np.int64)
+            absolute_ns = timestamps.astype(np.int64)
             absolute_ns *= self.tick_ns
             return absolute_ns
-        return np.array([self.absolute_ns(stamp) for stamp in stamps.tolist()], np.int64)
+        return np.array([self.absolute_ns(timestamp) for timestamp in timestamps.tolist()], np.int64)
 
-    def stamp(self, timestamp_ns: int) -> int:
-        """Give the nearest stamp of an absolute time; halves go to the even one."""
+    def timestamp(self, timestamp_ns: int) -> int:
+        """Give the nearest timestamp of an absolute time; halves go to the even one."""
         quotient, rest = divmod(timestamp_ns - self.offset_ns, self.tick_ns)
         return quotient + (2 * rest > self.tick_ns or (2 * rest == self.tick_ns and quotient % 2 == 1))
 
-    def stamps_of_span(self, first_ns: int, last_ns: int) -> tuple[int, int]:
-        """Give the nearest stamps of the earliest and the latest of many times.
+    def timestamps_of_span(self, first_ns: int, last_ns: int) -> tuple[int, int]:
+        """Give the nearest timestamps of the earliest and the latest of many times.
 
         Raises:
             TimeRangeError: the span from the offset to one of them does not fit 64 bits.
         """
         for timestamp_ns in (first_ns, last_ns):
             checked_ns(timestamp_ns - self.offset_ns)
-        return self.stamp(first_ns), self.stamp(last_ns)
+        return self.timestamp(first_ns), self.timestamp(last_ns)
 
-    def stamp_array(
+    def timestamp_array(
         self,
         timestamps_ns: Int64Array,
         *,
         dtype: type[np.integer[Any]] = np.int64,
         span_ns: tuple[int, int] | None = None,
     ) -> tuple[AnyArray, int]:
-        """Give the nearest stamps, (N,), halves to even, and how many were not exact.
+        """Give the nearest timestamps, (N,), halves to even, and how many were not exact.
 
         Args:
             timestamps_ns: (N,) int64 [ns].
-            dtype: of the stamps; the caller knows that it holds them.
+            dtype: of the timestamps; the caller knows that it holds them.
             span_ns: the earliest and the latest time, where the caller knows them already [ns].
 
         Raises:
@@ -122,28 +122,28 @@ class FileClock:
         first_ns, last_ns = span_ns or (int(timestamps_ns.min()), int(timestamps_ns.max()))
         lowest, highest = checked_ns(first_ns - self.offset_ns), checked_ns(last_ns - self.offset_ns)
         if not self._offset_fits:
-            return self._stamps_exactly(timestamps_ns, dtype)
+            return self._timestamps_exactly(timestamps_ns, dtype)
         if dtype is np.uint32 and lowest >= 0 and highest - lowest < UINT32_MAX - 4 * self.tick_ns:
-            return self._stamps_of_sweep(timestamps_ns, lowest)
+            return self._timestamps_of_sweep(timestamps_ns, lowest)
         if self.tick_ns > 1 and lowest > -_EXACT_QUOTIENT and highest < _EXACT_QUOTIENT:
-            return self._nearest_stamps(timestamps_ns, dtype)
+            return self._nearest_timestamps(timestamps_ns, dtype)
         since_offset = timestamps_ns - self.offset_ns
         if self.tick_ns == 1:
             return since_offset.astype(dtype, copy=False), 0
         quotient = since_offset // self.tick_ns
-        # a half goes up only where that makes the stamp even; ticks are of even length
-        stamps = (since_offset + (quotient & 1) + (self.tick_ns // 2 - 1)) // self.tick_ns
+        # a half goes up only where that makes the timestamp even; ticks are of even length
+        timestamps = (since_offset + (quotient & 1) + (self.tick_ns // 2 - 1)) // self.tick_ns
         inexact = int(np.count_nonzero(since_offset - quotient * self.tick_ns))
-        return stamps.astype(dtype, copy=False), inexact
+        return timestamps.astype(dtype, copy=False), inexact
 
-    def _stamps_exactly(
+    def _timestamps_exactly(
         self, timestamps_ns: Int64Array, dtype: type[np.integer[Any]]
     ) -> tuple[AnyArray, int]:
         times_ns = timestamps_ns.tolist()
         inexact = sum((time_ns - self.offset_ns) % self.tick_ns != 0 for time_ns in times_ns)
-        return np.array([self.stamp(time_ns) for time_ns in times_ns], dtype), inexact
+        return np.array([self.timestamp(time_ns) for time_ns in times_ns], dtype), inexact
 
-    def _stamps_of_sweep(self, timestamps_ns: Int64Array, lowest: int) -> tuple[AnyArray, int]:
+    def _timestamps_of_sweep(self, timestamps_ns: Int64Array, lowest: int) -> tuple[AnyArray, int]:
         """Divide in 32 bits, which takes half the time, what lies within 4 s.
 
         Args:
@@ -151,25 +151,25 @@ class FileClock:
             lowest: the earliest, from the offset [ns].
         """
         tick = np.uint32(self.tick_ns)
-        first = lowest // (2 * self.tick_ns) * 2  # an even stamp, so that it does not change what is even
+        first = lowest // (2 * self.tick_ns) * 2  # an even timestamp, so that it does not change what is even
         start_ns = self.offset_ns + first * self.tick_ns
         since = np.empty(len(timestamps_ns), np.uint32)
         np.subtract(timestamps_ns, start_ns, out=since, casting="unsafe")
-        stamps = since // tick
-        inexact = int(np.count_nonzero(since != stamps * tick))
+        timestamps = since // tick
+        inexact = int(np.count_nonzero(since != timestamps * tick))
         if inexact:
-            # a half goes up only where that makes the stamp even; ticks are of even length or 1
-            since += stamps & np.uint32(1)
+            # a half goes up only where that makes the timestamp even; ticks are of even length or 1
+            since += timestamps & np.uint32(1)
             since += np.uint32(self.tick_ns // 2 - 1)
-            stamps = since // tick
-        stamps += np.uint32(first)
-        return stamps, inexact
+            timestamps = since // tick
+        timestamps += np.uint32(first)
+        return timestamps, inexact
 
-    def _nearest_stamps(
+    def _nearest_timestamps(
         self, timestamps_ns: Int64Array, dtype: type[np.integer[Any]]
     ) -> tuple[AnyArray, int]:
         """Divide in float64, piece by piece: fresh memory for every step would take longer than the steps."""
-        stamps, inexact = np.empty(len(timestamps_ns), dtype), 0
+        timestamps, inexact = np.empty(len(timestamps_ns), dtype), 0
         since, quotients, nearest = np.empty(_PIECE, np.int64), np.empty(_PIECE), np.empty(_PIECE)
         for start in range(0, len(timestamps_ns), _PIECE):
             piece = timestamps_ns[start : start + _PIECE]
@@ -179,8 +179,8 @@ class FileClock:
             np.rint(quotients[part], out=nearest[part])
             # a whole quotient is exact, and no other one is near enough to a whole number to look like one
             inexact += int(np.count_nonzero(quotients[part] != nearest[part]))
-            stamps[start : start + _PIECE] = nearest[part]
-        return stamps, inexact
+            timestamps[start : start + _PIECE] = nearest[part]
+        return timestamps, inexact
 
     def duration_ns(self, duration: float) -> int | float:
         """Give a duration of the file in nanoseconds: an integer, if that is the same number when it is written."""

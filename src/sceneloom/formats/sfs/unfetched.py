@@ -11,9 +11,9 @@ from sceneloom.formats.sfs.items import RawBytes
 
 
 class Unfetched(np.ndarray[Any, Any]):
-    """The place of an array in a file: shape and dtype are known, and looking at values is an error.
+    """The location of an array in a file: shape and dtype are known, and looking at values is an error.
 
-    Its memory is a part of the file's placeholder, so that its address tells where in the file it is.
+    Its memory is a part of the file's placeholder, so that its address reports where in the file it is.
     """
 
     def _refuse(self, *_: Any, **__: Any) -> NoReturn:
@@ -43,7 +43,7 @@ def arrays_in(value: Any) -> Iterator[Unfetched]:
 
 
 def replaced(value: Any, filled: dict[int, AnyArray]) -> Any:
-    """Copy objects and lists with arrays put in the places of those without values; by `id` of the latter."""
+    """Copy objects and lists with arrays put in the locations of those without values; by `id` of the latter."""
     if isinstance(value, Unfetched):
         return filled[id(value)]
     if isinstance(value, dict):

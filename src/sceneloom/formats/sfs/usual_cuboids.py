@@ -2,7 +2,7 @@
 
 Labelled drives hold tens of thousands of them. Each is checked by a typed record, and its numbers are packed as they
 are met; the arrays of all are made in one piece, of which every path is a part. A cuboid that is not usual in any
-respect is left to the table of fields, which knows unknown fields and tells what is wrong.
+respect is left to the table of fields, which knows unknown fields and reports what is wrong.
 """
 
 import struct
@@ -59,42 +59,42 @@ def read_usual_cuboids(annotations: list[Any], clock: FileClock) -> dict[int, Cu
 
     Args:
         annotations: the file's list of annotations.
-        clock: turns stamps into nanoseconds.
+        clock: rotates timestamps into nanoseconds.
 
     Returns:
         The cuboids by their number in the list.
     """
     found: dict[int, _Cuboid] = {}
-    stamps: list[bytes] = []
+    timestamps: list[bytes] = []
     rows: list[bytes] = []
-    said: list[bytes] = []
+    stated: list[bytes] = []
     for index, annotation in enumerate(annotations):
         try:
             cuboid = msgspec.convert(annotation, _Cuboid)
-            packed = _packed_stamps(cuboid.path.timestamps), _packed_rows(cuboid.path)
-            said_at = [_packed_stamps(attribute.timestamps) for attribute in cuboid.attributes or ()]
+            packed = _packed_timestamps(cuboid.path.timestamps), _packed_rows(cuboid.path)
+            stated_at = [_packed_timestamps(attribute.timestamps) for attribute in cuboid.attributes or ()]
         except _UNUSUAL:
             continue
         found[index] = cuboid
-        stamps.append(packed[0])
+        timestamps.append(packed[0])
         rows.append(packed[1])
-        said += said_at
+        stated += stated_at
     try:
-        times_ns, said_ns = _times(stamps, clock), _times(said, clock)
+        times_ns, stated_ns = _times(timestamps, clock), _times(stated, clock)
     except TimeRangeError:
         return {}
     values = np.frombuffer(b"".join(rows), np.float64).reshape(-1, _COLUMNS)
     counts = [len(cuboid.path.timestamps) for cuboid in found.values()]
     paths = cut_cuboid_paths(times_ns, values, counts)
-    saying = _Saying(said_ns)
+    saying = _Saying(stated_ns)
     return {
         index: _cuboid(cuboid, path, saying)
         for (index, cuboid), path in zip(found.items(), paths, strict=True)
     }
 
 
-def _packed_stamps(stamps: list[int]) -> bytes:
-    return _packer("q", len(stamps))(*stamps)
+def _packed_timestamps(timestamps: list[int]) -> bytes:
+    return _packer("q", len(timestamps))(*timestamps)
 
 
 def _packed_rows(path: _Path) -> bytes:

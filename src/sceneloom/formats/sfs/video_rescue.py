@@ -1,4 +1,4 @@
-"""What is left of videos in damaged files: the pictures whose packets are whole, and why others cannot be written."""
+"""What is left of videos in damaged files: the images whose packets are whole, and why others cannot be written."""
 
 import io
 from collections.abc import Sequence
@@ -25,9 +25,9 @@ class DamagedVideo:
     """A video that was cut, or cannot be read.
 
     Attributes:
-        problem: what is wrong, and how many pictures are whole.
+        problem: what is wrong, and how many images are whole.
         lost_bytes: how many bytes are not there; 0 where that is not known.
-        is_rescued: whether its first pictures are in the header in its place.
+        is_rescued: whether its first images are in the header in its location.
     """
 
     problem: str
@@ -36,10 +36,10 @@ class DamagedVideo:
 
 
 def damaged_videos(container: Container) -> dict[Keys, tuple[Any, int, str]]:
-    """Look at the tables of all videos of a file: which have bytes that end before their last picture.
+    """Look at the tables of all videos of a file: which have bytes that end before their last image.
 
     Returns:
-        Content, declared length and problem of each video that is cut or no video, by the place of its content.
+        Content, declared length and problem of each video that is cut or no video, by the position of its content.
     """
     found: dict[Keys, tuple[Any, int, str]] = {}
     sensors = container.header.get("sensors")
@@ -67,18 +67,18 @@ def _problem_of_tables(there: memoryview) -> str | None:
         index = read_table_index(there, "video") if is_mp4(there) else read_index(there, "video")
     except DataError as error:
         return error.problem
-    return None if len(index) else "a video without pictures"
+    return None if len(index) else "a video without images"
 
 
 def rescue_videos(container: Container, items: Sequence[ItemFault]) -> dict[Keys, DamagedVideo]:
-    """Put what is left of videos that were cut into their places of the header.
+    """Put what is left of videos that were cut into their locations of the header.
 
     Args:
         container: the file, on disk; its header is changed.
         items: what is wrong with its arrays.
 
     Returns:
-        The videos that are damaged, by the place of their content; those that nothing is left of stay as they are.
+        The videos that are damaged, by the position of their content; those that nothing is left of stay as they are.
     """
     damaged = damaged_videos(container)
     for fault in items:
@@ -98,26 +98,26 @@ def _rescued(header: dict[str, Any], keys: Keys, there: memoryview, length: int,
     for key in keys[:-2]:
         sensor = sensor[key]
     video = sensor["video"]
-    stamps = video.get("timestamps")
+    timestamps = video.get("timestamps")
     missing = length - len(there)
     lost = DamagedVideo(why, missing, is_rescued=False)
-    if not isinstance(stamps, list) or not missing:
+    if not isinstance(timestamps, list) or not missing:
         return lost
     try:
         content, kept, count = rescue_video(there, length)
     except DataError:
         return lost
-    if count != len(stamps):
+    if count != len(timestamps):
         return lost
     video["content"] = np.frombuffer(content, np.uint8)
-    video["timestamps"] = [stamps[k] for k in kept]
+    video["timestamps"] = [timestamps[k] for k in kept]
     keep_in_step(header, sensor.get("id"), "images", kept, count)
-    problem = f"the video was cut: {len(kept)} of its {count} pictures are whole"
+    problem = f"the video was cut: {len(kept)} of its {count} images are whole"
     return DamagedVideo(problem, missing, is_rescued=True)
 
 
 def as_keys(header: dict[str, Any], keys: list[Any]) -> Keys:
-    """The path that an item names, with numbers where a list is: writers may say them as text."""
+    """The path that an item names, with numbers where a list is: writers may state them as text."""
     node: Any = header
     found: list[str | int] = []
     for key in keys:
@@ -150,11 +150,11 @@ def rescue_video(there: memoryview, length: int) -> tuple[bytes, list[int], int]
         length: how many there were.
 
     Returns:
-        A video of these packets, which pictures of the original it holds, in the order of their times, and how many
+        A video of these packets, which images of the original it holds, in the order of their times, and how many
         the original had.
 
     Raises:
-        DataError: its tables are lost, or no picture is whole.
+        DataError: its tables are lost, or no image is whole.
     """
     from sceneloom.formats.video.index import read_index
     from sceneloom.formats.video.source import OpenVideo, decoder_faults
@@ -164,7 +164,7 @@ def rescue_video(there: memoryview, length: int) -> tuple[bytes, list[int], int]
     whole = CutBytes(there, length)
     index = read_table_index(whole, name)
     if not index.timed:
-        raise DataError(name, "", "does not say when its pictures are shown")
+        raise DataError(name, "", "does not state when its images are shown")
     opened = OpenVideo(lambda: open_hollow(whole), name, options=BY_TABLES)
     try:
         with decoder_faults(name, ""):
@@ -173,16 +173,16 @@ def rescue_video(there: memoryview, length: int) -> tuple[bytes, list[int], int]
         opened.close()
     kept = sorted(k for k in (index.find(pts) for pts in shown) if k is not None)
     if not kept or len(kept) != len(shown):
-        raise DataError(name, "", "no picture of it is whole")
+        raise DataError(name, "", "no image of it is whole")
     with decoder_faults(name, ""):
         content = _copied(there, len(shown))
     if len(read_index(content, name)) != len(kept):
-        raise DataError(name, "", "its whole pictures cannot be told from the others")
+        raise DataError(name, "", "its whole images cannot be distinguished from the others")
     return content, kept, len(index)
 
 
 def _whole_packets(opened: "OpenVideo", available: int) -> list[int | None]:
-    """When the pictures of the first packets are shown, up to the first packet that is not whole [ticks]."""
+    """When the images of the first packets are shown, up to the first packet that is not whole [ticks]."""
     shown: list[int | None] = []
     for packet in opened.container.demux(opened.stream):
         if packet.size and not packet.is_discard:
@@ -218,14 +218,14 @@ def video_problem(camera: CameraSensor) -> str | None:
     """Why a camera's video cannot be written; None where it can."""
     from sceneloom.formats.video.index import read_index
 
-    if camera.video is None or not len(camera.pictures):
+    if camera.video is None or not len(camera.images):
         return None
     try:
-        camera.pictures[0]  # opens the video
+        camera.images[0]  # opens the video
         if camera.video.codec != UNKNOWN_CODEC:
             return None
         count = len(read_index(camera.video.open, "video"))
     except DataError as error:
         return error.problem
-    stamps = len(camera.pictures)
-    return None if count == stamps else f"{count} pictures; expected {stamps} as its time stamps"
+    timestamps = len(camera.images)
+    return None if count == timestamps else f"{count} images; expected {timestamps} as its timestamps"

@@ -7,9 +7,9 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import OptionError
+from sceneloom.formats.sfs.camera_models import intrinsics_record, merged_intrinsics
 from sceneloom.formats.sfs.drafts import with_further
-from sceneloom.formats.sfs.encoding import StandingTime
-from sceneloom.formats.sfs.lenses import intrinsics_record, merged_intrinsics
+from sceneloom.formats.sfs.encoding import StationaryTime
 from sceneloom.scene.annotations.annotation import Annotation
 from sceneloom.scene.annotations.attributes import AttributePath
 from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
@@ -25,7 +25,7 @@ from sceneloom.scene.annotations.relations import (
     ObjectAnnotation,
 )
 from sceneloom.scene.annotations.shapes import ShapeAnnotation
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 
 Record = dict[str, Any]
 
@@ -42,15 +42,15 @@ def annotation_record(annotation: Annotation) -> Record:
         "id": annotation.id,
         "type": str(annotation.type),
         "parent_id": annotation.parent_id,
-        **_said(annotation),
+        **_stated(annotation),
     }
     try:
         record |= _FIELDS[type(annotation)](annotation)
     except _NotFiniteError as error:
         raise OptionError(f"annotations[{annotation.id}].{error}") from None
-    # a field that is not said is left out here: not every type has each of them
-    said = {name: value for name, value in record.items() if value is not None}
-    return with_further(said, annotation.extras)
+    # a field that is not stated is left out here: not every type has each of them
+    stated = {name: value for name, value in record.items() if value is not None}
+    return with_further(stated, annotation.extras)
 
 
 def attribute_record(attribute: AttributePath) -> Record:
@@ -73,7 +73,7 @@ class _NotFiniteError(ValueError):
     """Where a number is not finite, below the annotation, and which."""
 
 
-def _said(annotation: Any) -> Record:
+def _stated(annotation: Any) -> Record:
     """Label, stillness and attributes, of the types that have them."""
     record: Record = {name: getattr(annotation, name, None) for name in ("label", "stationary")}
     attributes = getattr(annotation, "attributes", ())
@@ -107,11 +107,11 @@ def _path(timestamps_ns: Any, values: Any, further: Mapping[str, Any]) -> Record
     return with_further({"timestamps": timestamps_ns, "values": values}, further)
 
 
-def _poses(poses: PosePath | None, further: Any) -> Record | None:
+def _poses(poses: Poses | None, further: Any) -> Record | None:
     """Write poses; the time of one that holds at all times says nothing."""
     if poses is None:
         return None
-    times: Any = StandingTime(poses.start_ns) if poses.endless else poses.timestamps_ns
+    times: Any = StationaryTime(poses.start_ns) if poses.static else poses.timestamps_ns
     rows = np.hstack([poses.positions, poses.quaternions_xyzw])
     return _path(times, rows, further if isinstance(further, Mapping) else {})
 
@@ -129,23 +129,23 @@ def _listed(name: str, parts: Iterable[Any], record: Callable[[str, Any], Record
     return [record(f"{name}[{index}]", part) for index, part in enumerate(parts)] or None
 
 
-def _activation(place: str, activation: Activation) -> Record:
+def _activation(location: str, activation: Activation) -> Record:
     record = {
         "sensor_id": activation.sensor_id,
         "timestamps": activation.timestamps_ns,
         "durations": activation.durations_ns,
-        "cuboids": _nullable(f"{place}.cuboids", activation.cuboids),
+        "cuboids": _nullable(f"{location}.cuboids", activation.cuboids),
     }
     return with_further(record, activation.extras)
 
 
-def _projection(place: str, projection: Projection) -> Record:
+def _projection(location: str, projection: Projection) -> Record:
     record = {
         "sensor_id": projection.sensor_id,
         "timestamps": projection.timestamps_ns,
-        "boxes": _nullable(f"{place}.boxes", projection.boxes),
+        "boxes": _nullable(f"{location}.boxes", projection.boxes),
         "confirmed": projection.confirmed,
-        "cuboids": _nullable(f"{place}.cuboids", projection.cuboids),
+        "cuboids": _nullable(f"{location}.cuboids", projection.cuboids),
     }
     return with_further(record, projection.extras)
 
@@ -182,18 +182,18 @@ def _points(points: PointsAnnotation) -> Record:
     }
 
 
-def _point_path(place: str, path: PointPath) -> Record:
-    values = _finite(f"{place}.values", path.values)
+def _point_path(location: str, path: PointPath) -> Record:
+    values = _finite(f"{location}.values", path.values)
     return {"id": path.id, **_path(path.timestamps_ns, values, path.extras)}
 
 
-def _point_projection(place: str, projection: PointProjection) -> Record:
+def _point_projection(location: str, projection: PointProjection) -> Record:
     record = {
         "sensor_id": projection.sensor_id,
         "timestamps": projection.timestamps_ns,
-        "points": _nullable(f"{place}.points", projection.points),
+        "points": _nullable(f"{location}.points", projection.points),
         "confirmed": projection.confirmed,
-        "positions": _nullable(f"{place}.positions", projection.positions),
+        "positions": _nullable(f"{location}.positions", projection.positions),
     }
     return with_further(record, projection.extras)
 
@@ -223,11 +223,13 @@ def _adjustment(adjustment: LocalizationAdjustment) -> Record:
 
 
 def _calibration(calibration: CameraCalibration) -> Record:
-    lens, further = calibration.intrinsics, calibration.extras.get("intrinsics")
+    camera_model, further = calibration.intrinsics, calibration.extras.get("intrinsics")
     return {
         "sensor_id": calibration.sensor_id,
         "poses": _poses(calibration.poses, calibration.extras.get("poses")),
-        "intrinsics": None if lens is None else merged_intrinsics(intrinsics_record(lens), further),
+        "intrinsics": None
+        if camera_model is None
+        else merged_intrinsics(intrinsics_record(camera_model), further),
         "time_offset": calibration.time_offset_ns,
     }
 

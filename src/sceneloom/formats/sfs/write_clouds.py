@@ -1,4 +1,4 @@
-"""Frames of lidars and radars on their way into a file."""
+"""Frames of lidars and radars on their trajectory into a file."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,8 +7,8 @@ import numpy as np
 
 from sceneloom.arrays import Float32Array, Int64Array
 from sceneloom.errors import DataError
-from sceneloom.formats.loss import Fate
-from sceneloom.formats.sfs.clock_keeper import ClockKeeper, check_stamps, stamp_dtype
+from sceneloom.formats.loss import Support
+from sceneloom.formats.sfs.clock_keeper import ClockKeeper, check_timestamps, timestamp_dtype
 from sceneloom.formats.sfs.drafts import Losses, SensorDraft, with_further
 from sceneloom.formats.sfs.profiles import Profile
 from sceneloom.formats.sfs.spool import Blob, Spool
@@ -33,7 +33,7 @@ class CloudWriter:
         spool: takes the arrays.
         profile: says what may be written.
         losses: collects what cannot be held.
-        verbatim: the frames come from a file of this format: stamps and far positions pass as they are.
+        verbatim: the frames come from a file of this format: timestamps and far positions pass as they are.
         keeper: gives the clock.
     """
 
@@ -76,7 +76,7 @@ class CloudWriter:
             draft.lengths.append(lengths)
             if lengths is not None:
                 what, kept = "Scale's library cannot load them", "metadata.sceneloom.sensor_notes[].lengths"
-                self.losses.add(f"{draft.place}.frames[].points.lengths", what, kept=kept)
+                self.losses.add(f"{draft.location}.frames[].points.lengths", what, kept=kept)
             lengths = None
         arrays = {
             "positions": points.positions,
@@ -102,17 +102,19 @@ class CloudWriter:
         further = {name: v for name, v in extras.items() if arrays.get(name) is None} if extras else {}
         if arrays["timestamps"] is not None and further.pop(_FLOAT_TIMES, None) is not None:
             what = "left out: the same times in another form"
-            self.losses.add(f"{draft.place}.frames[].points.{_FLOAT_TIMES}", what, fate=Fate.CONVERTED)
+            self.losses.add(
+                f"{draft.location}.frames[].points.{_FLOAT_TIMES}", what, support=Support.CONVERTED
+            )
         blobs = {
             name: self.spool.add(array) if isinstance(array, np.ndarray) else array
             for name, array in ({**arrays, **further} if further else arrays).items()
             if array is not None or name in further
         }
-        stamp_ns = self._frame_stamp(draft, frame)
+        timestamp_ns = self._frame_timestamp(draft, frame)
         frames = draft.frames if draft.frames is not None else []
-        frames.append(with_further({"timestamp": stamp_ns, "points": blobs}, frame.extras))
+        frames.append(with_further({"timestamp": timestamp_ns, "points": blobs}, frame.extras))
 
-    def _frame_stamp(self, draft: SensorDraft, frame: LidarFrame | RadarFrame) -> int:
+    def _frame_timestamp(self, draft: SensorDraft, frame: LidarFrame | RadarFrame) -> int:
         """The start of a frame: its earliest point time, rounded down, so that it is later than no point."""
         times_ns, tick_ns = frame.points.timestamps_ns, self.keeper.tick_ns
         start_ns = frame.timestamp_ns
@@ -121,10 +123,12 @@ class CloudWriter:
             start_ns = min(start_ns, earliest_ns) if self.verbatim else earliest_ns
         if start_ns // tick_ns != frame.timestamp_ns // tick_ns:
             what = "moved to the earliest point of the frame"
-            self.losses.add(f"{draft.place}.frames[].timestamp", what, fate=Fate.APPROXIMATED)
+            self.losses.add(f"{draft.location}.frames[].timestamp", what, support=Support.APPROXIMATED)
         if start_ns % tick_ns:
-            what, place = "rounded down to a whole microsecond", f"{draft.place}.frames[].timestamp"
-            self.losses.add(place, what, fate=Fate.CONVERTED, largest_error=(start_ns % tick_ns) / 1e3)
+            what, location = "rounded down to a whole microsecond", f"{draft.location}.frames[].timestamp"
+            self.losses.add(
+                location, what, support=Support.CONVERTED, largest_error=(start_ns % tick_ns) / 1e3
+            )
         self.keeper.clock_for(start_ns)
         return start_ns // tick_ns * tick_ns
 
@@ -135,13 +139,13 @@ class CloudWriter:
         if len(times_ns):
             span_ns = (int(times_ns.min()), int(times_ns.max()))
             clock = self.keeper.clock_for(span_ns[0])
-            place = f"{draft.place}.frames[{len(draft.frames or [])}]"
-            check_stamps(*clock.stamps_of_span(*span_ns), clock, place)
-        stamps, inexact = clock.stamp_array(times_ns, dtype=stamp_dtype(clock), span_ns=span_ns)
+            location = f"{draft.location}.frames[{len(draft.frames or [])}]"
+            check_timestamps(*clock.timestamps_of_span(*span_ns), clock, location)
+        timestamps, inexact = clock.timestamp_array(times_ns, dtype=timestamp_dtype(clock), span_ns=span_ns)
         what = "rounded to whole microseconds, halves to even: at most 0.5 µs off"
-        place = f"{draft.place}.frames[].points.timestamps"
-        self.losses.add(place, what, count=inexact, fate=Fate.CONVERTED, largest_error=_ROUNDING)
-        blob = self.spool.add(stamps)
+        location = f"{draft.location}.frames[].points.timestamps"
+        self.losses.add(location, what, count=inexact, support=Support.CONVERTED, largest_error=_ROUNDING)
+        blob = self.spool.add(timestamps)
         draft.point_times.append(blob)
         return blob
 
@@ -158,7 +162,7 @@ class CloudWriter:
             row = int(np.flatnonzero((distances == farthest).any(axis=1))[0])
             raise DataError(
                 "",
-                f"{draft.place}.frames[{len(draft.frames or [])}].points.positions[{row}]",
+                f"{draft.location}.frames[{len(draft.frames or [])}].points.positions[{row}]",
                 f"{farthest:.6g} m from the origin; float32 holds millimetres up to {FARTHEST:.0f} m: take the point "
                 "out if it is wrong, else write the drive in parts, each with an origin of its own (of a recording "
                 "`sceneloom fuse` with `--start`, `--stop`)",

@@ -1,4 +1,4 @@
-"""The model's sensors, trajectories and notices as records: the words of the file, times in nanoseconds."""
+"""The model's sensors, trajectories and warnings as records: the words of the file, times in nanoseconds."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -8,8 +8,8 @@ from sceneloom.formats.sfs.poses import mount_rows
 from sceneloom.redaction import without_folders
 from sceneloom.scene.clouds import PointsSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
-from sceneloom.scene.notices import Notice
-from sceneloom.scene.poses import Trajectory, same_way
+from sceneloom.scene.poses import Trajectory, same_direction
+from sceneloom.scene.warnings import DataWarning
 
 _GNSS_ARRAYS = ("timestamps_ns", "positions_lla", "accuracies", "vertical_accuracies", "file_seconds")
 _TRAJECTORY_ARRAYS = ("timestamps_ns", "positions", "quaternions_xyzw", "file_seconds")
@@ -38,30 +38,32 @@ def gnss_fields(sensor: GnssSensor) -> dict[str, Any]:
     return {**{name: getattr(sensor, name) for name in _GNSS_ARRAYS}, **mount}
 
 
-def trajectory_record(name: str, way: Trajectory, odometry: Iterable[OdometrySensor]) -> dict[str, Any]:
-    """Make the record of a trajectory; where an odometry sensor tells the same way, only that sensor is named."""
-    teller = next((sensor for sensor in odometry if _tells(sensor, way)), None)
+def trajectory_record(
+    name: str, trajectory: Trajectory, odometry: Iterable[OdometrySensor]
+) -> dict[str, Any]:
+    """Make the record of a trajectory; where an odometry sensor reports the same way, only that sensor is named."""
+    teller = next((sensor for sensor in odometry if _reports(sensor, trajectory)), None)
     record: dict[str, Any] = {"name": name}
     if teller is None:
-        record |= {part: getattr(way, part) for part in _TRAJECTORY_ARRAYS}
+        record |= {part: getattr(trajectory, part) for part in _TRAJECTORY_ARRAYS}
     else:
         record["sensor_id"] = teller.id
-    if way.covariances is not None:
-        record["covariances"] = way.covariances.reshape(-1, 36)
+    if trajectory.covariances is not None:
+        record["covariances"] = trajectory.covariances.reshape(-1, 36)
     return record
 
 
-def _tells(sensor: OdometrySensor, way: Trajectory) -> bool:
+def _reports(sensor: OdometrySensor, trajectory: Trajectory) -> bool:
     """Whether an odometry sensor holds a trajectory whole."""
-    return way.file_seconds is None and same_way(sensor.poses, way)
+    return trajectory.file_seconds is None and same_direction(sensor.poses, trajectory)
 
 
-def notice_record(notice: Notice, source: str) -> dict[str, Any]:
-    """Make the record of a notice on a scene, without the folders above its source."""
+def warning_record(warning: DataWarning, source: str) -> dict[str, Any]:
+    """Make the record of a warning on a scene, without the folders above its source."""
     return {
-        "kind": notice.kind.value,
-        "code": notice.code,
-        "place": without_folders(notice.place, source),
-        "message": without_folders(notice.message, source),
-        "count": notice.count,
+        "kind": warning.kind.value,
+        "code": warning.code,
+        "location": without_folders(warning.location, source),
+        "message": without_folders(warning.message, source),
+        "count": warning.count,
     }

@@ -11,11 +11,11 @@ from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import replacing
 from sceneloom.formats.sfs.assembly import Contents, assemble, with_euler
+from sceneloom.formats.sfs.camera_models import with_written_camera_model
 from sceneloom.formats.sfs.clock_keeper import ClockKeeper
 from sceneloom.formats.sfs.drafts import Losses, SensorDraft, check_new
 from sceneloom.formats.sfs.garbage import collector_paused
-from sceneloom.formats.sfs.lenses import with_written_lens
-from sceneloom.formats.sfs.picture_notes import PictureNotesWriter
+from sceneloom.formats.sfs.image_notes import ImageNotesWriter
 from sceneloom.formats.sfs.profiles import profile_named
 from sceneloom.formats.sfs.root import OURS
 from sceneloom.formats.sfs.sensor_drafts import draft_of
@@ -23,21 +23,21 @@ from sceneloom.formats.sfs.spool import Spool
 from sceneloom.formats.sfs.times import TICKS_NS, chosen_offset_ns
 from sceneloom.formats.sfs.write_annotations import annotation_record, attribute_record
 from sceneloom.formats.sfs.write_clouds import CloudWriter
-from sceneloom.formats.sfs.write_pictures import CameraDraft, PictureWriter, note_losses
-from sceneloom.formats.sfs.write_records import notice_record, trajectory_record
+from sceneloom.formats.sfs.write_images import CameraDraft, ImageWriter, note_losses
+from sceneloom.formats.sfs.write_records import trajectory_record, warning_record
 from sceneloom.formats.table import FORMATS
 from sceneloom.scene.annotations.annotation import Annotation
 from sceneloom.scene.annotations.corrections import CameraCalibration
-from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
 from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.motion import OdometrySensor
-from sceneloom.scene.notices import NoticeKind
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Identifier, key_of
+from sceneloom.scene.warnings import WarningKind
 
-Frame = LidarFrame | RadarFrame | Picture
+Frame = LidarFrame | RadarFrame | CameraImage
 
 _RESERVED = frozenset(
     {
@@ -49,7 +49,7 @@ _RESERVED = frozenset(
         "attributes",
         "trajectories",
         "exact_attributes",
-        "notices",
+        "warnings",
     }
 )
 _ROOT = frozenset({"version", "time_unit", "time_offset"})
@@ -64,7 +64,7 @@ class _OpenFile:
     spool: Spool
     keeper: ClockKeeper
     clouds: CloudWriter
-    pictures: PictureWriter
+    images: ImageWriter
 
 
 class SceneWriter:
@@ -75,7 +75,7 @@ class SceneWriter:
         writer.add_sensor(LidarSensor("top", LazyFrames.of([], []), points_frame=PointsFrame.WORLD))
         for timestamp_ns, positions in sweeps:
             writer.add_frame("top", LidarFrame(timestamp_ns, LidarPoints(positions)))
-        writer.set_poses("top", PosePath(timestamps_ns, positions_world, quaternions_xyzw))
+        writer.set_poses("top", Poses(timestamps_ns, positions_world, quaternions_xyzw))
     ```
 
     The file is there, whole, when the block ends without an error; else nothing is there.
@@ -110,7 +110,7 @@ class SceneWriter:
             first_ns: the earliest time that will come, where it is known [ns]; saves moving the offset later.
             frame_count: how many frames will come, where it is known; saves copying arrays behind the header.
             metadata: free fields of the scene.
-            verbatim: the contents come from a file of this format: frame stamps and far positions pass
+            verbatim: the contents come from a file of this format: frame timestamps and far positions pass
                 unchanged.
 
         Raises:
@@ -146,7 +146,7 @@ class SceneWriter:
                 spool,
                 keeper,
                 CloudWriter(spool, self._profile, self._losses, self._verbatim, keeper),
-                PictureWriter(spool, draft.parent, self._losses, self._verbatim),
+                ImageWriter(spool, draft.parent, self._losses, self._verbatim),
             )
             self._stack = stack.pop_all()
         return self
@@ -161,7 +161,7 @@ class SceneWriter:
             self.finish()
 
     def finish(self) -> LossReport:
-        """Complete the file and put it in its place; leaving the context does it, too.
+        """Complete the file and put it in its location; leaving the context does it, too.
 
         Raises:
             OptionError: something cannot be held by the format.
@@ -173,7 +173,7 @@ class SceneWriter:
             for key, camera in self._cameras.items():
                 note = note_losses(camera, self._losses)
                 if note is not None:
-                    self._contents.drafts[key].note["pictures"] = note
+                    self._contents.drafts[key].note["images"] = note
             with_euler(self._contents)
             self._contents.ours["unfused"] = self._unfused or None
             with collector_paused():
@@ -183,11 +183,11 @@ class SceneWriter:
         return self.losses
 
     def add_sensor(self, sensor: Sensor) -> None:
-        """Add a sensor, and write the frames or pictures that it holds; more may follow with `add_frame`.
+        """Add a sensor, and write the frames or images that it holds; more may follow with `add_frame`.
 
         Raises:
             OptionError: its id stands in the file already, or something in it cannot be held by the format.
-            DataError: a frame or picture of it cannot be read.
+            DataError: a frame or image of it cannot be read.
         """
         opened, key = self._opened(), key_of(sensor.id)
         check_new(self._contents.drafts, sensor.id)
@@ -195,14 +195,14 @@ class SceneWriter:
         draft = draft_of(sensor, self._losses, any_distortion=any_distortion)
         self._contents.drafts[key] = draft
         if isinstance(sensor, CameraSensor):
-            self._cameras[key] = CameraDraft(draft, PictureNotesWriter.empty(sensor.camera))
-            opened.pictures.add_sensor(self._cameras[key], sensor)
+            self._cameras[key] = CameraDraft(draft, ImageNotesWriter.empty(sensor.camera))
+            opened.images.add_sensor(self._cameras[key], sensor)
         elif isinstance(sensor, LidarSensor | RadarSensor):
             for frame in sensor.frames:
                 self.add_frame(sensor.id, frame)
 
     def add_frame(self, sensor_id: Identifier, frame: Frame) -> None:
-        """Write one more frame of a lidar or radar, or one more picture of a camera without a video.
+        """Write one more frame of a lidar or radar, or one more image of a camera without a video.
 
         Raises:
             OptionError: the sensor takes no such frame, positions lie too far away, or times cannot be held.
@@ -212,11 +212,11 @@ class SceneWriter:
             opened.clouds.add_lidar_frame(draft, frame)
         elif isinstance(frame, RadarFrame) and draft.type == "radar":
             opened.clouds.add_radar_frame(draft, frame)
-        elif isinstance(frame, Picture) and draft.type == "camera" and draft.streamed:
-            opened.pictures.add_picture(self._cameras[type(sensor_id), sensor_id], frame)
+        elif isinstance(frame, CameraImage) and draft.type == "camera" and draft.streamed:
+            opened.images.add_image(self._cameras[type(sensor_id), sensor_id], frame)
         else:
             held = "a video" if draft.type == "camera" else f"a {draft.type}"
-            raise OptionError(f"{draft.place} is {held}; it takes no {type(frame).__name__}")
+            raise OptionError(f"{draft.location} is {held}; it takes no {type(frame).__name__}")
 
     def add_unfused(self, sensor_id: Identifier, frame: LidarFrame, reason: str) -> None:
         """Keep a sweep that could not be brought into the world, in its sensor's frame, under our metadata.
@@ -236,10 +236,10 @@ class SceneWriter:
         kept = "metadata.sceneloom.unfused"
         # what stands behind a colon differs from sweep to sweep
         why = reason.partition(":")[0]
-        self._losses.add(f"{draft.place}.frames[]", f"left out of the frames: {why}", kept=kept)
+        self._losses.add(f"{draft.location}.frames[]", f"left out of the frames: {why}", kept=kept)
 
-    def set_poses(self, sensor_id: Identifier, poses: PosePath) -> None:
-        """Say where a sensor was, in the frame that its `coordinates` name.
+    def set_poses(self, sensor_id: Identifier, poses: Poses) -> None:
+        """Report where a sensor was, in the frame that its `coordinates` name.
 
         Raises:
             OptionError: the sensor is not in the file.
@@ -254,7 +254,7 @@ class SceneWriter:
         """
         if isinstance(annotation, CameraCalibration):
             any_model = self._profile.any_distortion
-            annotation = with_written_lens(annotation, self._losses, any_model=any_model)
+            annotation = with_written_camera_model(annotation, self._losses, any_model=any_model)
         self._contents.annotations.append(annotation_record(annotation))
 
     def set_metadata(self, fields: Mapping[str, Any]) -> None:
@@ -280,19 +280,19 @@ class SceneWriter:
 
         Raises:
             OptionError: something in it cannot be held by the format.
-            DataError: a frame or picture cannot be read.
+            DataError: a frame or image cannot be read.
         """
         self.set_metadata(scene.metadata)
         self._contents.extras.update({name: v for name, v in scene.extras.items() if name not in _ROOT})
         self._contents.attributes.extend(map(attribute_record, scene.attributes))
         # what was repaired of the source is in order in the file; a correction that was applied stays one
-        told = [
-            notice
-            for notice in scene.notices
-            if self._verbatim or notice.kind != NoticeKind.REPAIRED or notice.code == "correction-applied"
+        reported = [
+            warning
+            for warning in scene.warnings
+            if self._verbatim or warning.kind != WarningKind.REPAIRED or warning.code == "correction-applied"
         ]
-        if told:
-            self._contents.ours["notices"] = [notice_record(notice, scene.source) for notice in told]
+        if reported:
+            self._contents.ours["warnings"] = [warning_record(warning, scene.source) for warning in reported]
         for annotation in scene.annotations:
             self._add_read(annotation, scene)
         self._add_trajectories(scene)
@@ -319,12 +319,14 @@ class SceneWriter:
 
     def _add_trajectories(self, scene: Scene) -> None:
         odometry = [sensor for sensor in scene.sensors if isinstance(sensor, OdometrySensor)]
-        records = [trajectory_record(name, way, odometry) for name, way in scene.trajectories.items()]
+        records = [
+            trajectory_record(name, trajectory, odometry) for name, trajectory in scene.trajectories.items()
+        ]
         alone = sum("sensor_id" not in record for record in records)
         what, kept = "the format knows odometry sensors only", "metadata.sceneloom.trajectories"
         self._losses.add("trajectories[]", what, count=alone, kept=kept)
-        told = [{"name": str(sensor.id), "sensor_id": sensor.id} for sensor in odometry]
-        if records and records != told:
+        reported = [{"name": str(sensor.id), "sensor_id": sensor.id} for sensor in odometry]
+        if records and records != reported:
             self._contents.ours["trajectories"] = records
 
     def _opened(self) -> _OpenFile:

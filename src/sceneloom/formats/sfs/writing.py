@@ -36,7 +36,7 @@ def write_scene(
     """Write a scene to a file.
 
     Args:
-        scene: any scene; one that was read from a file of this format keeps its unit, offset and stamps.
+        scene: any scene; one that was read from a file of this format keeps its unit, offset and timestamps.
         path: the file to be made.
         overwrite: whether a file there may be replaced.
         profile: "sfs", or "scale" for a file that Scale's own library loads and validates.
@@ -48,7 +48,7 @@ def write_scene(
 
     Raises:
         OptionError: a value is not one that can be followed, or something cannot be held by the format.
-        DataError: a frame or picture cannot be read.
+        DataError: a frame or image cannot be read.
         OutputError: the file exists, or cannot be written.
     """
     times_ns = list(_known_times(scene))
@@ -99,12 +99,12 @@ def _known_times(scene: Scene) -> Iterator[int]:
         if isinstance(sensor, LidarSensor | RadarSensor) and len(sensor.frames):
             times = sensor.frames.timestamps_ns
             yield from (int(times.min()), int(times.max()))
-        if isinstance(sensor, CameraSensor) and len(sensor.pictures):
-            times = sensor.pictures.timestamps_ns
+        if isinstance(sensor, CameraSensor) and len(sensor.images):
+            times = sensor.images.timestamps_ns
             yield from (int(times.min()), int(times.max()))
         if isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | OdometrySensor):
             poses = sensor.poses
-            if poses is not None and not poses.endless:
+            if poses is not None and not poses.static:
                 yield from (poses.start_ns, poses.stop_ns)
     for annotation in scene.annotations:
         for times in _times_of(annotation):
@@ -122,5 +122,5 @@ def _times_of(annotation: Annotation) -> list[Int64Array]:
         return [np.array([annotation.start_ns], np.int64)]
     if isinstance(annotation, LocalizationAdjustment | CameraCalibration):
         poses = annotation.poses
-        return [] if poses is None or poses.endless else [poses.timestamps_ns]
+        return [] if poses is None or poses.static else [poses.timestamps_ns]
     return []

@@ -1,4 +1,4 @@
-"""The annotations that the topics of boxes tell."""
+"""The annotations that the topics of boxes report."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -6,25 +6,25 @@ from types import MappingProxyType
 from typing import Any
 
 from sceneloom.formats.topics.boxes import Key, Track, annotation_ids, box_2d, cuboid, gather
+from sceneloom.formats.topics.locations import Locations
 from sceneloom.formats.topics.log import Topic
 from sceneloom.formats.topics.names import nearest
 from sceneloom.formats.topics.notes import attributes_from
-from sceneloom.formats.topics.places import Places
 from sceneloom.formats.topics.records import Boxes2DRecord, Boxes3DRecord, Kind
 from sceneloom.formats.topics.survey import Survey
 from sceneloom.scene.annotations.annotation import Annotation
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.warnings import WarningKind
 
 
-def read_annotations(survey: Survey, places: Places, cameras: Mapping[str, Any]) -> list[Annotation]:
-    """Make the annotations of all topics of boxes, those that notes speak of as these say.
+def read_annotations(survey: Survey, locations: Locations, cameras: Mapping[str, Any]) -> list[Annotation]:
+    """Make the annotations of all topics of boxes, those that notes speak of as these state.
 
     Args:
         survey: of all topics.
-        places: of all frames.
-        cameras: ids by the topics of their pictures.
+        locations: of all frames.
+        cameras: ids by the topics of their images.
     """
-    found = [*_cuboids(survey, places), *_boxes_2d(survey, cameras)]
+    found = [*_cuboids(survey, locations), *_boxes_2d(survey, cameras)]
     notes = {(str(note.get("topic")), str(note.get("key"))): note for note in survey.notes.annotations}
     order = {key: row for row, key in enumerate(notes)}
     noted = [
@@ -34,7 +34,7 @@ def read_annotations(survey: Survey, places: Places, cameras: Mapping[str, Any])
 
 
 def _with_unique_ids(annotations: Sequence[Annotation]) -> list[Annotation]:
-    """Number ids that are there once more: an object may be a cuboid and a box in pictures."""
+    """Number ids that are there once more: an object may be a cuboid and a box in images."""
     taken: dict[Any, int] = {}
     found = []
     for annotation in annotations:
@@ -45,13 +45,13 @@ def _with_unique_ids(annotations: Sequence[Annotation]) -> list[Annotation]:
     return found
 
 
-def _cuboids(survey: Survey, places: Places) -> list[tuple[Key, Annotation]]:
+def _cuboids(survey: Survey, locations: Locations) -> list[tuple[Key, Annotation]]:
     tracks: dict[Key, Track] = {}
     for topic in survey.topics(Kind.BOXES_3D):
         tracks |= gather(topic.name, survey.of(topic, Boxes3DRecord), survey)
-    place = f"{survey.log.name}: boxes"
+    location = f"{survey.log.name}: boxes"
     made = [
-        (key, cuboid(identifier, track, places, survey, place))
+        (key, cuboid(identifier, track, locations, survey, location))
         for (key, track), identifier in zip(tracks.items(), annotation_ids([*tracks]), strict=True)
     ]
     return [(key, annotation) for key, annotation in made if annotation is not None]
@@ -70,10 +70,10 @@ def _boxes_2d(survey: Survey, cameras: Mapping[str, Any]) -> list[tuple[Key, Ann
         if camera is None:
             camera = _camera_of(topic, cameras)
         if camera is None:
-            message = "boxes in pictures of a camera that is not told"
-            place = f"{survey.log.name}: {topic.name}"
+            message = "boxes in images of a camera that is not reported"
+            location = f"{survey.log.name}: {topic.name}"
             count = sum(len(record.boxes) for record in records)
-            survey.ledger.note(NoticeKind.SKIPPED, "boxes-without-camera", place, message, count=count)
+            survey.ledger.note(WarningKind.SKIPPED, "boxes-without-camera", location, message, count=count)
             continue
         tracks = gather(topic.name, records, survey)
         ids = annotation_ids([*tracks])

@@ -18,7 +18,7 @@ from sceneloom.formats.files import most_unpacked
 from sceneloom.formats.topics.file_bytes import FileBytes
 
 DIRECT = -1
-"""In place of a chunk's number: the offset is a location in the file."""
+"""Instead of a chunk's number: the offset is a location in the file."""
 
 LARGEST_CHUNK = 1 << 31
 """Chunks that claim to be larger are refused: a damaged head can claim any number [bytes]."""
@@ -243,7 +243,7 @@ def _location(number: int, offset: int) -> str:
 def decompress(compression: str, content: bytes, size: int) -> bytes:
     """Give the first `size` bytes of what was compressed; never asks for memory for more.
 
-    The readers of mcap and rosbags are not used for it: they decompress to whatever length the bytes say.
+    The readers of mcap and rosbags are not used for it: they decompress to whatever length the bytes state.
 
     Raises:
         ValueError: the bytes are damaged, of an unknown compression, or `size` is more than `most_unpacked` allows.

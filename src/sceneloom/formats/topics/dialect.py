@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from sceneloom.formats.loss import Fate, Loss
+from sceneloom.formats.loss import Loss, Support
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,12 +14,13 @@ class Dialect:
         name: of the format, for losses.
         world, ego: names of these frames.
         part: makes a part of a topic's name of an id.
-        fisheye: the name of OpenCV's fisheye lens.
-        lens_topic: last part of topics of lenses.
+        fisheye: the name of OpenCV's fisheye camera model.
+        camera_model_topic: last part of topics of camera models.
         sample_topics: last part of the topic of each stream of an IMU; "" for all that have none of their own.
         videos: whether there are messages for videos.
         covariances: whether poses have covariances.
-        each_lens: whether each picture comes with a message of its lens, as synchronisers of pairs expect.
+        each_camera_model: whether each image comes with a message of its camera model, as synchronisers of pairs
+            expect.
         intensity: dtype of intensities.
     """
 
@@ -28,11 +29,11 @@ class Dialect:
     ego: str
     part: Callable[[str | int], str]
     fisheye: str
-    lens_topic: str
+    camera_model_topic: str
     sample_topics: Mapping[str, str]
     videos: bool
     covariances: bool
-    each_lens: bool = False
+    each_camera_model: bool = False
     intensity: str = "u1"
 
 
@@ -48,12 +49,14 @@ class Losses:
         self._add(Loss(field=field, what=what, count=count))
 
     def converted(self, field: str, what: str, *, count: int = 1, error: float | None = None) -> None:
-        """Something is said in another way."""
-        self._add(Loss(field=field, what=what, count=count, fate=Fate.CONVERTED, largest_error=error))
+        """Something is stated in another way."""
+        self._add(Loss(field=field, what=what, count=count, support=Support.CONVERTED, largest_error=error))
 
     def approximated(self, field: str, what: str, *, count: int = 1, error: float | None = None) -> None:
         """Something is replaced by something near."""
-        self._add(Loss(field=field, what=what, count=count, fate=Fate.APPROXIMATED, largest_error=error))
+        self._add(
+            Loss(field=field, what=what, count=count, support=Support.APPROXIMATED, largest_error=error)
+        )
 
     def _add(self, loss: Loss) -> None:
         if loss.count > 0:

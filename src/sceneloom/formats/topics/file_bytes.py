@@ -1,4 +1,4 @@
-"""Bytes of a file by their place, for those who know from an index where something stands."""
+"""Bytes of a file by their location, for those who know from an index where something stands."""
 
 import os
 from collections.abc import Iterable
@@ -47,11 +47,13 @@ class FileBytes:
         Raises:
             DataError: it cannot be opened.
         """
-        place = path_or_url(path)
-        self.path = redacted(place) if isinstance(place, str) else place
+        location = path_or_url(path)
+        self.path = redacted(location) if isinstance(location, str) else location
         self._identity: FileIdentity | RemoteIdentity
         try:
-            self._identity = RemoteIdentity.of(place) if isinstance(place, str) else FileIdentity.of(place)
+            self._identity = (
+                RemoteIdentity.of(location) if isinstance(location, str) else FileIdentity.of(location)
+            )
         except OSError as error:
             raise DataError(path, "", f"cannot be opened: {error.strerror or error}") from error
         self.size = self._identity.size
@@ -74,7 +76,7 @@ class FileBytes:
         """Read bytes.
 
         Args:
-            start: place of the first.
+            start: location of the first.
             length: how many; all of them have to be there.
 
         Raises:
@@ -90,7 +92,7 @@ class FileBytes:
         """Read bytes, fewer where the file ends before."""
         if start < 0 or length < 0:
             raise DataError(
-                self.path, f"byte {start}", f"{length} bytes wanted; expected a place in the file"
+                self.path, f"byte {start}", f"{length} bytes wanted; expected a location in the file"
             )
         with self._lock:
             file = self._opened()
@@ -100,7 +102,7 @@ class FileBytes:
                 raise DataError(self.path, f"byte {start}", f"cannot be read: {error}") from error
 
     def expect(self, ranges: Iterable[Range]) -> None:
-        """Say what will be read soon: behind a URL it is fetched side by side, on disk nothing happens.
+        """Report what will be read soon: behind a URL it is fetched side by side, on disk nothing happens.
 
         Raises:
             DataError: the file cannot be read.
@@ -120,7 +122,7 @@ class FileBytes:
         if self._closed:
             raise DataError(self.path, "", "is closed")
         if self._file is None or self._process != os.getpid():
-            # a forked process must not move the place at which the other one reads
+            # a forked process must not move the location at which the other one reads
             self._identity.check()
             self._file, self._process = _opened(self._identity), os.getpid()
         return self._file

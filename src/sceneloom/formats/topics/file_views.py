@@ -1,4 +1,4 @@
-"""One open file that several read, each at a place of its own."""
+"""One open file that several read, each at a location of its own."""
 
 import io
 from threading import Lock
@@ -12,33 +12,33 @@ class FileView(io.RawIOBase):
 
     def __init__(self, file: BinaryIO) -> None:
         """Begin at the first byte."""
-        self._file, self._place = file, 0
+        self._file, self._location = file, 0
         with _LOCK:
             self._size = file.seek(0, io.SEEK_END)
 
     def readable(self) -> bool:
-        """Say yes."""
+        """Report yes."""
         return True
 
     def seekable(self) -> bool:
-        """Say yes."""
+        """Report yes."""
         return True
 
     def readinto(self, buffer: Any) -> int:
         """Copy the next bytes into the buffer."""
         with _LOCK:
-            self._file.seek(self._place)
+            self._file.seek(self._location)
             content = self._file.read(len(buffer))
         buffer[: len(content)] = content
-        self._place += len(content)
+        self._location += len(content)
         return len(content)
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
         """Move to a byte."""
-        base = {io.SEEK_SET: 0, io.SEEK_CUR: self._place, io.SEEK_END: self._size}[whence]
-        self._place = max(0, base + offset)
-        return self._place
+        base = {io.SEEK_SET: 0, io.SEEK_CUR: self._location, io.SEEK_END: self._size}[whence]
+        self._location = max(0, base + offset)
+        return self._location
 
     def tell(self) -> int:
         """The byte that is read next."""
-        return self._place
+        return self._location

@@ -1,4 +1,4 @@
-"""The tree of frames that transforms build: fixed ones, and those that move; the ways between frames."""
+"""The tree of frames that transforms build: fixed ones, and those that move; the trajectories between frames."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -11,9 +11,9 @@ from sceneloom.formats.quaternion_lengths import lengths_of
 from sceneloom.formats.topics.records import TransformRecord
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, normalise_quaternion, rotate_vectors
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 
-_STANDS_M, _STANDS_TURN = 1e-9, 1e-12
+_STANDS_M, _STANDS_ROTATION = 1e-9, 1e-12
 """A frame whose transforms all agree within this does not move."""
 
 
@@ -40,7 +40,7 @@ class Edge:
 
     parent: str
     fixed: RigidTransform | None = None
-    path: PosePath | None = None
+    path: Poses | None = None
 
 
 class FrameTree:
@@ -48,7 +48,7 @@ class FrameTree:
 
     Attributes:
         edges: of each frame that has a parent.
-        repeated: how many transforms said the same time once more.
+        repeated: how many transforms stated the same time once more.
         other_parents: how many transforms named another parent than those before.
     """
 
@@ -84,13 +84,15 @@ class FrameTree:
         positions = np.array(rows.positions).reshape(-1, 3)
         quaternions = normalise_quaternion(np.array(rows.quaternions).reshape(-1, 4))
         signs = np.where((quaternions * quaternions[0]).sum(axis=1) < 0, -1.0, 1.0)
-        turns = np.abs(quaternions * signs[:, None] - quaternions[0]).max()
-        if rows.fixed or (np.abs(positions - positions[0]).max() <= _STANDS_M and turns <= _STANDS_TURN):
-            # of a frame that is said to be fixed, the latest word counts
+        rotations = np.abs(quaternions * signs[:, None] - quaternions[0]).max()
+        if rows.fixed or (
+            np.abs(positions - positions[0]).max() <= _STANDS_M and rotations <= _STANDS_ROTATION
+        ):
+            # of a frame that is stated to be fixed, the latest word counts
             return Edge(rows.parent, fixed=RigidTransform.from_quaternion(positions[-1], quaternions[-1]))
         times, first = np.unique(np.array(rows.times_ns, np.int64), return_index=True)
         self.repeated += len(rows.times_ns) - len(times)
-        return Edge(rows.parent, path=PosePath(times, positions[first], quaternions[first]))
+        return Edge(rows.parent, path=Poses(times, positions[first], quaternions[first]))
 
     def _check_chain(self, frame: str, name: str) -> None:
         seen = {frame}
@@ -138,7 +140,7 @@ class FrameTree:
             found[frame] = transform
         return found
 
-    def path(self, ancestor: str, frame: str) -> PosePath | None:
+    def path(self, ancestor: str, frame: str) -> Poses | None:
         """`ancestor_from_frame` over time, at the times of all that moves between them.
 
         None where the ancestor is none, nothing moves, or what moves shares no time.
@@ -153,13 +155,13 @@ class FrameTree:
         return _composed(edges, _common_times(paths))
 
 
-def _common_times(paths: Sequence[PosePath]) -> Int64Array:
+def _common_times(paths: Sequence[Poses]) -> Int64Array:
     times = np.unique(np.concatenate([path.timestamps_ns for path in paths]))
     start, stop = max(path.start_ns for path in paths), min(path.stop_ns for path in paths)
     return times[(times >= start) & (times <= stop)]
 
 
-def _composed(edges: Sequence[Edge], times: Int64Array) -> PosePath | None:
+def _composed(edges: Sequence[Edge], times: Int64Array) -> Poses | None:
     """Compose edges, the lowest first."""
     if len(times) == 0:
         return None
@@ -168,13 +170,13 @@ def _composed(edges: Sequence[Edge], times: Int64Array) -> PosePath | None:
         if edge.path is not None:
             known = np.array_equal(edge.path.timestamps_ns, times)
             poses = edge.path if known else edge.path.interpolate(times)
-            shift, turn = poses.positions, poses.quaternions_xyzw
+            shift, rotation = poses.positions, poses.quaternions_xyzw
         elif edge.fixed is not None:
             shift = np.tile(edge.fixed.translation, (len(times), 1))
-            turn = np.tile(edge.fixed.quaternion_xyzw, (len(times), 1))
-        positions = rotate_vectors(turn, positions) + shift
-        quaternions = multiply_quaternions(turn, quaternions)
-    return PosePath(times, positions, quaternions)
+            rotation = np.tile(edge.fixed.quaternion_xyzw, (len(times), 1))
+        positions = rotate_vectors(rotation, positions) + shift
+        quaternions = multiply_quaternions(rotation, quaternions)
+    return Poses(times, positions, quaternions)
 
 
 def _check(record: TransformRecord, name: str) -> None:

@@ -41,7 +41,7 @@ class KeptPoints:
 
 
 def can_be_kept(record: CloudRecord) -> bool:
-    """Whether a message is as we write them: nothing in it has to be brought to another scale or place."""
+    """Whether a message is as we write them: nothing in it has to be brought to another scale or location."""
     intensity = next((field for field in record.fields if field.name == "intensity"), None)
     return (
         (record.frame_from_points is None or np.array_equal(record.frame_from_points.matrix, np.eye(4)))

@@ -16,7 +16,7 @@ class Topic:
         number: of the stream in its log.
         name: of the topic.
         schema: name of the messages' type.
-        kind: what they say; None where we do not know such messages.
+        kind: what they state; None where we do not know such messages.
         count: how many there are.
         why: what keeps us from reading them, where `kind` is None.
     """
@@ -51,7 +51,7 @@ class TopicLog(Protocol):
         """When each message was recorded, (N,) int64 [ns]."""
         ...
 
-    def stamps(self, topic: Topic) -> tuple[Int64Array, bool]:
+    def timestamps(self, topic: Topic) -> tuple[Int64Array, bool]:
         """The time that each message says itself, (N,) int64 [ns], and whether all of them were looked at."""
         ...
 

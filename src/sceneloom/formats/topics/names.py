@@ -12,13 +12,15 @@ TAILS = frozenset(
         "location", "odometry", "pose", "mag", "temperature", "compressedDepth",
     }
 )  # fmt: skip
-"""Last parts of topics that say what messages are, and not of which sensor."""
+"""Last parts of topics that state what messages are, and not of which sensor."""
 
-LENS_TAILS = frozenset({"camera_info", "calibration", "camera_calibration", "info", "intrinsics"})
+CAMERA_MODEL_TAILS = frozenset({"camera_info", "calibration", "camera_calibration", "info", "intrinsics"})
 
 
 _SAYING = (
-    TAILS | LENS_TAILS | {"annotations", "detections", "detections_2d", "boxes", "bounding_boxes", "objects"}
+    TAILS
+    | CAMERA_MODEL_TAILS
+    | {"annotations", "detections", "detections_2d", "boxes", "bounding_boxes", "objects"}
 )
 
 
@@ -60,7 +62,7 @@ def nearness(topic: str, other: str) -> int:
 def nearest(topic: str, others: Iterable[str]) -> str | None:
     """The topic that belongs to the same sensor as another one: /front/camera_info to /front/image_raw.
 
-    Without the last parts, which say what messages are, one of the two names has to begin with the other.
+    Without the last parts, which state what messages are, one of the two names has to begin with the other.
     """
     base = _bare(topic)
     found = []

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from sceneloom.errors import DataError
+from sceneloom.formats.topics.camera_models import camera_model_from_text
 from sceneloom.formats.topics.cameras import CameraDraft
-from sceneloom.formats.topics.lenses import lens_from_text
+from sceneloom.formats.topics.locations import Locations
 from sceneloom.formats.topics.motion import PoseRows, gnss_sensor, imu_sensor, pose_rows
 from sceneloom.formats.topics.notes import Notes, attributes_from
-from sceneloom.formats.topics.places import Places
 from sceneloom.formats.topics.records import FixRecord, Kind, PoseRecord, SampleRecord
 from sceneloom.formats.topics.survey import Survey
 from sceneloom.formats.topics.sweeps_from_topics import CloudDraft
@@ -24,7 +24,7 @@ from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import ImuSensor, OdometrySensor
 from sceneloom.scene.pose_source import placed_along
-from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Sensor
 from sceneloom.scene.types import Coordinates, PointsFrame
 
@@ -33,10 +33,10 @@ Note = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OwnMounts:
-    """Makes the pictures of a camera with a mounting of its own for each.
+    """Makes the images of a camera with a mounting of its own for each.
 
     Attributes:
-        frames: the pictures or depth images without.
+        frames: the images or depth images without.
         mounts: `ego_from_camera` of each, or None.
     """
 
@@ -44,7 +44,7 @@ class OwnMounts:
     mounts: Sequence[RigidTransform | None]
 
     def __call__(self, k: int) -> Any:
-        """Make picture `k` without reading it."""
+        """Make image `k` without reading it."""
         return replace(self.frames[k], mount=self.mounts[k])
 
 
@@ -52,9 +52,13 @@ class _Noted:
     """Makes the sensors of notes."""
 
     def __init__(
-        self, survey: Survey, clouds: Sequence[CloudDraft], cameras: Sequence[CameraDraft], places: Places
+        self,
+        survey: Survey,
+        clouds: Sequence[CloudDraft],
+        cameras: Sequence[CameraDraft],
+        locations: Locations,
     ) -> None:
-        self.survey, self.places = survey, places
+        self.survey, self.locations = survey, locations
         self.clouds = {draft.reader.topic.name: draft for draft in clouds}
         self.cameras = {draft.topic.name: draft for draft in cameras}
 
@@ -74,7 +78,7 @@ class _Noted:
 
     def posed(self, note: Note, times_ns: Any) -> dict[str, Any]:
         """Fields of sensors that are somewhere."""
-        mount = self.places.mount(note["frame"]) if note.get("mount") else None
+        mount = self.locations.mount(note["frame"]) if note.get("mount") else None
         if "own_mount" in note:
             numbers = np.array(note["own_mount"], np.float64)
             mount = RigidTransform.from_quaternion(numbers[:3], normalise_quaternion(numbers[3:7]))
@@ -82,15 +86,15 @@ class _Noted:
             "mount": mount,
             "coordinates": Coordinates(note.get("coordinates", "world")),
         }
-        told = note.get("poses")
-        if told == "derived" and note.get("mounts") == "each":
-            mounts = self.places.mounts_at(note["frame"], times_ns)
-            fields["poses"] = placed_along(self.places.way, mounts, times_ns)
-        elif told == "derived":
-            fields["poses"] = self.places.poses(note["frame"], mount, times_ns)
-        elif told is not None:
-            rows = self.rows(told)
-            fields["poses"] = None if rows is None else path_of(rows, endless=bool(note.get("endless")))
+        reported = note.get("poses")
+        if reported == "derived" and note.get("mounts") == "each":
+            mounts = self.locations.mounts_at(note["frame"], times_ns)
+            fields["poses"] = placed_along(self.locations.trajectory, mounts, times_ns)
+        elif reported == "derived":
+            fields["poses"] = self.locations.poses(note["frame"], mount, times_ns)
+        elif reported is not None:
+            rows = self.rows(reported)
+            fields["poses"] = None if rows is None else path_of(rows, static=bool(note.get("static")))
         return fields
 
     def rows(self, topic: str) -> PoseRows | None:
@@ -122,26 +126,26 @@ class _Noted:
             kind: type[Any] = CameraSensor if note["type"] == "camera" else DepthCameraSensor
             nothing: LazyFrames[Any] = LazyFrames.of([], [])
             further = self.posed(note, nothing.timestamps_ns) | {"fps": note.get("fps")}
-            made: Sensor = kind(note["id"], lens_from_text(note["lens"]), nothing, **further)
+            made: Sensor = kind(note["id"], camera_model_from_text(note["camera_model"]), nothing, **further)
             return made
         times = draft.frames.timestamps_ns
         if note.get("mounts") == "each":
-            own = OwnMounts(draft.frames, self.places.mounts_at(note["frame"], times))
+            own = OwnMounts(draft.frames, self.locations.mounts_at(note["frame"], times))
             draft = replace(draft, frames=LazyFrames(times, own))
         return draft.sensor(note["id"], fps=note.get("fps"), **self.posed(note, times))
 
     def gnss(self, note: Note) -> Sensor:
-        mount = self.places.mount(note["frame"]) if note.get("mount") else None
+        mount = self.locations.mount(note["frame"]) if note.get("mount") else None
         fixes = self.of(note["topic"], Kind.FIX, FixRecord)
-        place = f"{self.survey.log.name}: {note['topic']}"
-        return gnss_sensor(note["id"], fixes, self.survey, place, mount=mount, **self.common(note))
+        location = f"{self.survey.log.name}: {note['topic']}"
+        return gnss_sensor(note["id"], fixes, self.survey, location, mount=mount, **self.common(note))
 
     def imu(self, note: Note) -> Sensor:
         found: dict[str, Any] = {}
         for topic in note["topics"]:
             samples = self.of(topic, Kind.SAMPLE, SampleRecord)
-            place = f"{self.survey.log.name}: {topic}"
-            found |= imu_sensor(note["id"], samples, self.survey, place).streams
+            location = f"{self.survey.log.name}: {topic}"
+            found |= imu_sensor(note["id"], samples, self.survey, location).streams
         order = [name for name in note.get("streams", ()) if name in found]
         streams = {name: found[name] for name in (*order, *(name for name in found if name not in order))}
         return ImuSensor(note["id"], MappingProxyType(streams), **self.common(note))
@@ -150,9 +154,7 @@ class _Noted:
         rows = self.rows(note["topic"])
         if rows is None:
             raise DataError(self.survey.log.name, note["topic"], "no poses; expected those of the odometry")
-        return OdometrySensor(
-            note["id"], path_of(rows, endless=bool(note.get("endless"))), **self.common(note)
-        )
+        return OdometrySensor(note["id"], path_of(rows, static=bool(note.get("static"))), **self.common(note))
 
     makers: Mapping[str, Callable[["_Noted", Note], Sensor]] = MappingProxyType(
         {
@@ -169,14 +171,14 @@ class _Noted:
 
 
 def noted_sensors(
-    survey: Survey, clouds: Sequence[CloudDraft], cameras: Sequence[CameraDraft], places: Places
+    survey: Survey, clouds: Sequence[CloudDraft], cameras: Sequence[CameraDraft], locations: Locations
 ) -> list[Sensor]:
     """The sensors that notes speak of, in their order.
 
     Raises:
         DataError: the notes do not fit the messages.
     """
-    noted, sensors = _Noted(survey, clouds, cameras, places), []
+    noted, sensors = _Noted(survey, clouds, cameras, locations), []
     for note in survey.notes.sensors:
         try:
             sensors.append(noted.makers[note["type"]](noted, note))
@@ -188,12 +190,12 @@ def noted_sensors(
     return sensors
 
 
-def path_of(rows: PoseRows, *, endless: bool) -> PosePath:
-    """The path that rows tell; without orientations nothing turns."""
+def path_of(rows: PoseRows, *, static: bool) -> Poses:
+    """The path that rows report; without orientations nothing rotates."""
     quaternions = rows.quaternions_xyzw
     if quaternions is None:
         quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (len(rows.timestamps_ns), 1))
-    return PosePath(rows.timestamps_ns, rows.positions, quaternions, endless=endless)
+    return Poses(rows.timestamps_ns, rows.positions, quaternions, static=static)
 
 
 def noted_trajectories(survey: Survey) -> dict[str, Trajectory]:

@@ -1,4 +1,4 @@
-"""What a scene holds that no message has a place for, as JSON, and back."""
+"""What a scene holds that no message has a location for, as JSON, and back."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -61,7 +61,7 @@ def as_json(value: Any) -> Any:
     """Give a value as JSON says it.
 
     Raises:
-        ValueError: JSON cannot say it.
+        ValueError: JSON cannot state it.
     """
     if value is None or isinstance(value, bool | str):
         return value
@@ -79,7 +79,7 @@ def as_json(value: Any) -> Any:
 
 
 def sayable(values: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """The values that JSON can say, and the names of the others."""
+    """The values that JSON can state, and the names of the others."""
     kept, lost = {}, []
     for name, value in values.items():
         try:
@@ -93,18 +93,20 @@ def attribute_notes(attributes: Iterable[AttributePath]) -> tuple[list[dict[str,
     """Attributes as JSON, and how many cannot be."""
     kept, lost = [], 0
     for attribute in attributes:
-        told: dict[str, Any] = {"name": attribute.name}
+        reported: dict[str, Any] = {"name": attribute.name}
         try:
-            told["values"] = as_json(list(attribute.values))
+            reported["values"] = as_json(list(attribute.values))
             if attribute.extras:
-                told["extras"] = as_json(attribute.extras)
+                reported["extras"] = as_json(attribute.extras)
         except ValueError:
             lost += 1
             continue
         if attribute.timestamps_ns is not None:
-            told["timestamps_ns"] = attribute.timestamps_ns.tolist()
-        told |= {name: value for name in _ATTRIBUTE_PARTS if (value := getattr(attribute, name)) is not None}
-        kept.append(told)
+            reported["timestamps_ns"] = attribute.timestamps_ns.tolist()
+        reported |= {
+            name: value for name in _ATTRIBUTE_PARTS if (value := getattr(attribute, name)) is not None
+        }
+        kept.append(reported)
     return kept, lost
 
 
@@ -114,11 +116,11 @@ def attributes_from(notes: Iterable[Mapping[str, Any]], shift_ns: int = 0) -> tu
 
 
 def _attribute(note: Mapping[str, Any], shift_ns: int) -> AttributePath:
-    stamps = note.get("timestamps_ns")
+    timestamps = note.get("timestamps_ns")
     return AttributePath(
         note["name"],
         tuple(tuple(value) if isinstance(value, list) else value for value in note["values"]),
-        None if stamps is None else np.asarray(stamps, np.int64) + shift_ns,
+        None if timestamps is None else np.asarray(timestamps, np.int64) + shift_ns,
         extras=MappingProxyType(note["extras"]) if "extras" in note else NO_FIELDS,
         **{name: note[name] for name in _ATTRIBUTE_PARTS if name in note},
     )

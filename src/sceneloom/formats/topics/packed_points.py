@@ -14,18 +14,18 @@ from sceneloom.formats.topics.records import CloudRecord, PackedField
 _PADDING = "_"
 
 
-def unpack(record: CloudRecord, owner: str, place: str) -> Cloud:
+def unpack(record: CloudRecord, owner: str, location: str) -> Cloud:
     """Take the points of a message apart into columns.
 
     Args:
         record: the message.
         owner: what messages call the log.
-        place: which message it is.
+        location: which message it is.
 
     Raises:
         DataError: a field reaches beyond the point, or there are fewer bytes than points.
     """
-    rows = checked_rows(record, owner, place)
+    rows = checked_rows(record, owner, location)
     names = unique_names([field.name for field in record.fields])
     columns = {
         name: _column(rows, field)
@@ -35,7 +35,7 @@ def unpack(record: CloudRecord, owner: str, place: str) -> Cloud:
     return Cloud(Path(owner), len(rows), columns)
 
 
-def checked_rows(record: CloudRecord, owner: str, place: str) -> AnyArray:
+def checked_rows(record: CloudRecord, owner: str, location: str) -> AnyArray:
     """(N, stride) uint8, the bytes of each point.
 
     Raises:
@@ -43,7 +43,7 @@ def checked_rows(record: CloudRecord, owner: str, place: str) -> AnyArray:
     """
     stride = record.stride
     if stride <= 0 and (len(record.data) or record.count):
-        raise DataError(owner, place, f"{stride} bytes from point to point; expected a positive number")
+        raise DataError(owner, location, f"{stride} bytes from point to point; expected a positive number")
     for field in record.fields:
         end = field.offset + field.dtype.itemsize * field.count
         if field.offset < 0 or end > stride:
@@ -51,27 +51,27 @@ def checked_rows(record: CloudRecord, owner: str, place: str) -> AnyArray:
                 f"field {field.name!r} takes bytes {field.offset} to {end} of each point, which has {stride}; "
                 "expected fields inside the point"
             )
-            raise DataError(owner, place, problem)
-    return _rows(record, owner, place)
+            raise DataError(owner, location, problem)
+    return _rows(record, owner, location)
 
 
-def _rows(record: CloudRecord, owner: str, place: str) -> AnyArray:
+def _rows(record: CloudRecord, owner: str, location: str) -> AnyArray:
     """(N, stride) uint8, the bytes of each point; a view."""
     stride = max(record.stride, 1)
     content = np.frombuffer(record.data, np.uint8)
     count = len(content) // stride if record.count is None else record.count
     if not 0 <= count <= MOST_POINTS:
-        raise DataError(owner, place, f"{count} points; expected 0 to {MOST_POINTS}")
+        raise DataError(owner, location, f"{count} points; expected 0 to {MOST_POINTS}")
     if record.row_bytes is not None and record.row_bytes[0] != record.row_bytes[1] * stride:
-        return _uneven_rows(content, record.row_bytes, stride, count, owner, place)
+        return _uneven_rows(content, record.row_bytes, stride, count, owner, location)
     if len(content) < count * stride:
         problem = f"{len(content)} bytes for {count} points of {stride}; expected {count * stride}"
-        raise DataError(owner, place, problem)
+        raise DataError(owner, location, problem)
     return content[: count * stride].reshape(count, stride)
 
 
 def _uneven_rows(
-    content: AnyArray, row_bytes: tuple[int, int], stride: int, count: int, owner: str, place: str
+    content: AnyArray, row_bytes: tuple[int, int], stride: int, count: int, owner: str, location: str
 ) -> AnyArray:
     """Points in rows that are longer than their points."""
     length, width = row_bytes
@@ -81,7 +81,7 @@ def _uneven_rows(
             f"{height} rows of {length} bytes for {width} points of {stride}, {len(content)} bytes in all; "
             f"expected rows of {width * stride} or more, and all of them"
         )
-        raise DataError(owner, place, problem)
+        raise DataError(owner, location, problem)
     rows = content[: height * length].reshape(height, length)[:, : width * stride]
     return np.ascontiguousarray(rows).reshape(count, stride)
 
@@ -99,7 +99,7 @@ def _column(rows: AnyArray, field: PackedField) -> AnyArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PackedPoints:
-    """Points on their way into a message: the bytes, and what is where in them."""
+    """Points on their trajectory into a message: the bytes, and what is where in them."""
 
     fields: tuple[PackedField, ...]
     stride: int

@@ -1,4 +1,4 @@
-"""Raw pixels of messages, by the names of their encodings, as pictures or depths."""
+"""Raw pixels of messages, by the names of their encodings, as images or depths."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -61,7 +61,7 @@ ENCODINGS: Mapping[str, Encoding] = MappingProxyType(
 """Source: sensor_msgs/image_encodings.hpp of ROS; the schema RawImage of Foxglove takes the same names."""
 
 
-def encoding_of(record: ImageRecord, owner: str, place: str) -> Encoding:
+def encoding_of(record: ImageRecord, owner: str, location: str) -> Encoding:
     """Find the encoding of a message.
 
     Raises:
@@ -70,17 +70,17 @@ def encoding_of(record: ImageRecord, owner: str, place: str) -> Encoding:
     encoding = ENCODINGS.get(record.encoding)
     if encoding is None:
         known = ", ".join(ENCODINGS)
-        raise UnknownFormatError(owner, place, f"encoding {record.encoding!r}; expected one of {known}")
+        raise UnknownFormatError(owner, location, f"encoding {record.encoding!r}; expected one of {known}")
     return encoding
 
 
-def values_of(record: ImageRecord, owner: str, place: str) -> AnyArray:
+def values_of(record: ImageRecord, owner: str, location: str) -> AnyArray:
     """Give the values of all pixels, (height, width, K) of the encoding's dtype, in native byte order.
 
     Raises:
         DataError: the encoding is unknown, or the bytes do not fit the size.
     """
-    encoding = encoding_of(record, owner, place)
+    encoding = encoding_of(record, owner, location)
     dtype = np.dtype(encoding.dtype).newbyteorder(">" if record.big_endian else "<")
     row = record.width * encoding.values * dtype.itemsize
     step = record.step or row
@@ -89,23 +89,23 @@ def values_of(record: ImageRecord, owner: str, place: str) -> AnyArray:
             f"{len(record.data)} bytes in rows of {step} for {record.width}x{record.height} pixels of "
             f"{record.encoding}; expected rows of {row} or more, and all of them"
         )
-        raise DataError(owner, place, problem)
+        raise DataError(owner, location, problem)
     content = np.frombuffer(record.data, np.uint8, record.height * step).reshape(record.height, step)
     values = np.ascontiguousarray(content[:, :row]).view(dtype)
     native = values.astype(dtype.newbyteorder("="), copy=False)
     return native.reshape(record.height, record.width, encoding.values)
 
 
-def picture_of(record: ImageRecord, owner: str, place: str) -> UInt8Array:
-    """Give a picture, (height, width, 3) uint8 red green blue; of 16 bits the upper eight.
+def image_of(record: ImageRecord, owner: str, location: str) -> UInt8Array:
+    """Give an image, (height, width, 3) uint8 red green blue; of 16 bits the upper eight.
 
     Raises:
         DataError: as for `values_of`, or the pixels are depths.
     """
-    encoding = encoding_of(record, owner, place)
+    encoding = encoding_of(record, owner, location)
     if not encoding.order:
-        raise DataError(owner, place, f"encoding {record.encoding!r} is of depths; expected a picture")
-    values = values_of(record, owner, place)
+        raise DataError(owner, location, f"encoding {record.encoding!r} is of depths; expected an image")
+    values = values_of(record, owner, location)
     if values.dtype == np.uint16:
         values = (values >> 8).astype(np.uint8)
     if encoding.bayer:
@@ -113,13 +113,13 @@ def picture_of(record: ImageRecord, owner: str, place: str) -> UInt8Array:
     return np.ascontiguousarray(values[:, :, list(encoding.order)])
 
 
-def depth_of(record: ImageRecord, owner: str, place: str) -> Float32Array:
+def depth_of(record: ImageRecord, owner: str, location: str) -> Float32Array:
     """Give depths, (height, width) float32 [m], 0 for none.
 
     Raises:
         DataError: as for `values_of`.
     """
-    values = values_of(record, owner, place)[:, :, 0]
+    values = values_of(record, owner, location)[:, :, 0]
     if values.dtype == np.uint16:
         return (values * np.float64(MILLIMETRE)).astype(np.float32)
     return cast("Float32Array", np.where(np.isfinite(values) & (values > 0), values, np.float32(0)))
@@ -128,14 +128,14 @@ def depth_of(record: ImageRecord, owner: str, place: str) -> Float32Array:
 def _colours(mosaic: UInt8Array, pattern: str) -> UInt8Array:
     """Give each pixel the colours that it lacks as means of the nearest pixels that have them."""
     height, width = mosaic.shape
-    picture = np.empty((height, width, 3), np.uint8)
+    image = np.empty((height, width, 3), np.uint8)
     for channel, letter in enumerate("rgb"):
         mask = np.zeros((height, width), np.uint16)
-        for place, colour in enumerate(pattern):
+        for location, colour in enumerate(pattern):
             if colour == letter:
-                mask[place // 2 :: 2, place % 2 :: 2] = 1
-        picture[:, :, channel] = _filled(mosaic.astype(np.uint16), mask)
-    return picture
+                mask[location // 2 :: 2, location % 2 :: 2] = 1
+        image[:, :, channel] = _filled(mosaic.astype(np.uint16), mask)
+    return image
 
 
 def _filled(values: AnyArray, mask: AnyArray) -> AnyArray:

@@ -8,7 +8,7 @@ from sceneloom.arrays import AnyArray
 from sceneloom.formats.clouds.points import UNITS_NS, PointTimes
 
 _LONGEST_SWEEP_NS = 1_500_000_000
-"""No lidar turns more slowly."""
+"""No lidar rotates more slowly."""
 
 _SHORTEST_SWEEP_NS = 1_000_000
 """Times over less than this are not those of a sweep, but one time with noise."""
@@ -25,23 +25,25 @@ _ORDERS = {
 
 @dataclass(frozen=True, slots=True)
 class FoundTimes:
-    """What the times of points mean, and where the first and last of a sweep lie from its stamp [ns]."""
+    """What the times of points mean, and where the first and last of a sweep lie from its timestamp [ns]."""
 
     meaning: PointTimes
     first_ns: int
     last_ns: int
 
 
-def find_point_times(name: str, values: AnyArray, stamp_ns: int, sweep_ns: int | None) -> FoundTimes | None:
+def find_point_times(
+    name: str, values: AnyArray, timestamp_ns: int, sweep_ns: int | None
+) -> FoundTimes | None:
     """Find the unit and the zero of a column of times.
 
-    They have to lie within one and a half seconds of the stamp, over a millisecond or more. Of several readings, the
-    one whose sweep lasts most nearly as long as it takes from stamp to stamp counts.
+    They have to lie within one and a half seconds of the timestamp, over a millisecond or more. Of several readings,
+    the one whose sweep lasts most nearly as long as it takes from timestamp to timestamp counts.
 
     Args:
         name: of the column.
         values: (N,) of the points with a return.
-        stamp_ns: of the message [ns].
+        timestamp_ns: of the message [ns].
         sweep_ns: from message to message [ns], where that is known.
 
     Returns:
@@ -55,7 +57,7 @@ def find_point_times(name: str, values: AnyArray, stamp_ns: int, sweep_ns: int |
         return None
     found: list[tuple[float, int, FoundTimes]] = []
     for order, unit in enumerate(_ORDERS[values.dtype.kind]):
-        for rank, (reference, zero_ns) in enumerate((("stamp", 0), ("clock", stamp_ns))):
+        for rank, (reference, zero_ns) in enumerate((("timestamp", 0), ("clock", timestamp_ns))):
             first, last = (
                 _nanoseconds(value, UNITS_NS[unit], exact=exact) - zero_ns for value in (low, high)
             )

@@ -1,4 +1,7 @@
-"""What messages say, whatever their format calls it: the words that logs of messages are read into and written from."""
+"""What messages state, whatever their format calls it.
+
+The words that logs of messages are read into and written from.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,14 +16,14 @@ from sceneloom.scene.types import NO_FIELDS
 
 
 class Kind(StrEnum):
-    """What the messages of a topic say."""
+    """What the messages of a topic state."""
 
     TRANSFORM = "transform"
     CLOUD = "cloud"
     IMAGE = "image"
-    PICTURE = "picture"
+    COMPRESSED_IMAGE = "image"
     VIDEO = "video"
-    LENS = "lens"
+    CAMERA_MODEL = "camera_model"
     POSE = "pose"
     FIX = "fix"
     SAMPLE = "sample"
@@ -29,7 +32,7 @@ class Kind(StrEnum):
     NOTES = "notes"
 
 
-LARGE = frozenset({Kind.CLOUD, Kind.IMAGE, Kind.PICTURE, Kind.VIDEO})
+LARGE = frozenset({Kind.CLOUD, Kind.IMAGE, Kind.COMPRESSED_IMAGE, Kind.VIDEO})
 """Kinds whose messages are read one by one, when they are asked for."""
 
 
@@ -47,7 +50,7 @@ class TransformRecord:
 
 @dataclass(frozen=True, slots=True)
 class PackedField:
-    """One value of each point: its name, its place among the bytes of a point, its dtype, how many."""
+    """One value of each point: its name, its location among the bytes of a point, its dtype, how many."""
 
     name: str
     offset: int
@@ -95,8 +98,8 @@ class ImageRecord:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PictureRecord:
-    """A whole picture file, or the packets of one picture of a video; `form` is "jpeg", "png", "h264", …."""
+class CompressedImageRecord:
+    """A whole image file, or the packets of one image of a video; `form` is "jpeg", "png", "h264", …."""
 
     timestamp_ns: int
     frame_id: str
@@ -105,8 +108,8 @@ class PictureRecord:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LensRecord:
-    """A lens in the words of camera calibrations: `model` with `coefficients`, and (9,) K row by row."""
+class CameraModelRecord:
+    """A camera model in the words of camera calibrations: `model` with `coefficients`, and (9,) K row by row."""
 
     timestamp_ns: int
     frame_id: str
@@ -126,9 +129,9 @@ class PoseRecord:
         timestamp_ns: when [ns].
         frame_id: in which frame.
         position: (3,) float64 [m].
-        quaternion_xyzw: (4,) float64, or None where it is not said.
-        body: the frame of the body; "" where it is not said.
-        covariance: (6, 6) float64 of position [m], then turn [rad]; None where it is not said.
+        quaternion_xyzw: (4,) float64, or None where it is not stated.
+        body: the frame of the body; "" where it is not stated.
+        covariance: (6, 6) float64 of position [m], then rotate [rad]; None where it is not stated.
     """
 
     timestamp_ns: int
@@ -165,12 +168,12 @@ class Box3D:
 
     Attributes:
         id: of the object; "" where it has none.
-        frame_id: of centre and turn.
+        frame_id: of centre and rotate.
         center: (3,) float64 [m].
         quaternion_xyzw: (4,) float64.
         size_lwh: (3,) float64 [m].
         label: class of the object, or None.
-        told: what else is said, by name.
+        reported: what else is stated, by name.
     """
 
     id: str
@@ -179,12 +182,12 @@ class Box3D:
     quaternion_xyzw: Float64Array
     size_lwh: Float64Array
     label: str | None = None
-    told: Mapping[str, str] = field(default_factory=lambda: NO_FIELDS)
+    reported: Mapping[str, str] = field(default_factory=lambda: NO_FIELDS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Boxes3DRecord:
-    """Boxes in space at a time, the ids of those that are gone, and how many drawings are no boxes."""
+    """Boxes in space at a time, the ids of those that are gone, and how many plots are no boxes."""
 
     timestamp_ns: int
     boxes: tuple[Box3D, ...]
@@ -194,17 +197,17 @@ class Boxes3DRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Box2D:
-    """A box in a picture: left, top, width, height [px] from the picture's corner; the rest as in `Box3D`."""
+    """A box in an image: left, top, width, height [px] from the image's corner; the rest as in `Box3D`."""
 
     id: str
     box_ltwh: tuple[float, float, float, float]
     label: str | None = None
-    told: Mapping[str, str] = field(default_factory=lambda: NO_FIELDS)
+    reported: Mapping[str, str] = field(default_factory=lambda: NO_FIELDS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Boxes2DRecord:
-    """Boxes in the picture of a time, and how many drawings are no boxes."""
+    """Boxes in the image of a time, and how many plots are no boxes."""
 
     timestamp_ns: int
     frame_id: str
@@ -214,7 +217,7 @@ class Boxes2DRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NotesRecord:
-    """What a scene holds that no message has a place for, as JSON."""
+    """What a scene holds that no message has a location for, as JSON."""
 
     timestamp_ns: int
     text: str
@@ -224,8 +227,8 @@ AnyRecord = (
     TransformRecord
     | CloudRecord
     | ImageRecord
-    | PictureRecord
-    | LensRecord
+    | CompressedImageRecord
+    | CameraModelRecord
     | PoseRecord
     | FixRecord
     | SampleRecord

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from sceneloom.errors import OptionError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.topics.frames import FrameTree
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.warnings import WarningKind
 
 EGO_NAMES = ("base_link", "ego", "ego_vehicle", "base_footprint", "vehicle", "base", "body")
 """What the frame of a vehicle is called, the likeliest first. Source: REP 105 for the first."""
@@ -15,7 +15,7 @@ EGO_NAMES = ("base_link", "ego", "ego_vehicle", "base_footprint", "vehicle", "ba
 
 @dataclass(frozen=True, slots=True)
 class Roles:
-    """The frames that a scene is told in.
+    """The frames that a scene is reported in.
 
     Attributes:
         ego: that sensors are mounted on; None where no sensor has a frame in the tree.
@@ -32,7 +32,7 @@ def choose_roles(
     *,
     ego: str | None,
     world: str | None,
-    place: str,
+    location: str,
     ledger: Ledger,
 ) -> Roles:
     """Choose the frames.
@@ -44,7 +44,7 @@ def choose_roles(
         tree: the frames.
         sensor_frames: of all sensors.
         ego, world: frames that somebody chose, or None.
-        place: for notices.
+        location: for warnings.
         ledger: takes what was chosen.
 
     Raises:
@@ -65,7 +65,7 @@ def choose_roles(
         others = above[above.index(tree.edges[moving[0]].parent) : -1]
         choice = f"; {', '.join(others)} could be it, too" if others else ""
         message = f"frame {chosen!r} is the ego, {world!r} the world{choice}"
-        ledger.note(NoticeKind.ASSUMED, "frames-chosen", place, message)
+        ledger.note(WarningKind.ASSUMED, "frames-chosen", location, message)
     return Roles(chosen, world)
 
 

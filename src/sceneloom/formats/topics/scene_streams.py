@@ -1,4 +1,4 @@
-"""A scene as streams of records: what its sensors measured, where they were, what was said; and notes of the rest."""
+"""A scene as streams of records: what its sensors measured, where they were, what was stated; and notes of the rest."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -11,9 +11,9 @@ from sceneloom.formats.topics.names import unique_parts
 from sceneloom.formats.topics.notes import VERSION, attribute_notes, sayable
 from sceneloom.formats.topics.records import TransformRecord
 from sceneloom.formats.topics.sensor_streams import SensorStreams
-from sceneloom.formats.topics.streams import Said, Stream
+from sceneloom.formats.topics.streams import Stated, Stream
 from sceneloom.formats.topics.written_boxes import box_2d_stream, cuboid_stream, keys_of
-from sceneloom.formats.topics.written_ways import trajectory_streams, way_of
+from sceneloom.formats.topics.written_trajectories import trajectory_of, trajectory_streams
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations.annotation import Annotation
@@ -34,18 +34,18 @@ class SceneStreams:
 
     Attributes:
         streams: of all records but the notes.
-        notes: what no message has a place for, as JSON will have it.
+        notes: what no message has a location for, as JSON will have it.
         losses: what is lost; it grows while the streams are followed.
         start_ns, stop_ns: first and last time of all streams [ns].
     """
 
-    def __init__(self, scene: Scene, dialect: Dialect, *, pictures: str) -> None:
+    def __init__(self, scene: Scene, dialect: Dialect, *, images: str) -> None:
         """Plan the streams; nothing is read but what is needed to know their times.
 
         Args:
             scene: the drive.
             dialect: the habits of the format.
-            pictures: one of `written_pictures.PICTURES`.
+            images: one of `written_images.IMAGES`.
         """
         self.losses = Losses()
         self.streams: list[Stream] = []
@@ -58,18 +58,18 @@ class SceneStreams:
         ]
         plain = len(scene.sensors) - len(held)
         self.losses.dropped("sensors.plain", "sensors of a type that there are no messages for", count=plain)
-        self.way = way_of(scene)
-        check_one_ego(scene, self.way)
+        self.trajectory = trajectory_of(scene)
+        check_one_ego(scene, self.trajectory)
         start_ns = min((int(times[0]) for times in self._known_times()), default=0)
-        sensors = SensorStreams(dialect, self.way, self.losses, start_ns, pictures)
+        sensors = SensorStreams(dialect, self.trajectory, self.losses, start_ns, images)
         sensor_notes = [sensors.add(sensor, part) for sensor, part in held]
-        ways, way_notes = trajectory_streams(scene, dialect, self.losses)
+        trajectories, trajectory_notes = trajectory_streams(scene, dialect, self.losses)
         self.streams += [self._fixed_frames(sensors.mounts, start_ns), *self._moving_frames(sensors)]
-        self.streams += [*ways, *sensors.streams]
+        self.streams += [*trajectories, *sensors.streams]
         frames = {"ego": dialect.ego, "world": dialect.world}
         self.notes: dict[str, Any] = {"version": VERSION, "frames": frames, "sensors": sensor_notes}
         self.notes |= {
-            "trajectories": way_notes,
+            "trajectories": trajectory_notes,
             "annotations": self._annotations(sensor_notes, sensors.frames),
         }
         self.notes |= self._free_fields()
@@ -87,9 +87,9 @@ class SceneStreams:
                 yield trajectory.timestamps_ns
 
     def _fixed_frames(self, mounts: Mapping[str, tuple[str, RigidTransform]], start_ns: int) -> Stream:
-        """Where frames are in others for good, said once, at the beginning."""
+        """Where frames are in others for good, stated once, at the beginning."""
 
-        def make(k: int) -> Iterator[Said]:
+        def make(k: int) -> Iterator[Stated]:
             del k
             for child, (parent, transform) in mounts.items():
                 yield (
@@ -102,10 +102,10 @@ class SceneStreams:
         return Stream(np.full(1 if mounts else 0, start_ns, np.int64), make)
 
     def _moving_frames(self, sensors: SensorStreams) -> Iterator[Stream]:
-        """The way of the ego, and of sensors that are on no ego."""
+        """The ego trajectory, and of sensors that are on no ego."""
         paths = dict(sensors.paths)
-        if self.way is not None:
-            paths = {self._dialect.ego: (self._dialect.world, self.way), **paths}
+        if self.trajectory is not None:
+            paths = {self._dialect.ego: (self._dialect.world, self.trajectory), **paths}
         for child, (parent, path) in paths.items():
             yield Stream(path.timestamps_ns, _transforms(parent, child, path))
 
@@ -123,7 +123,7 @@ class SceneStreams:
             stream = cuboid_stream(cuboids, named, CUBOIDS_TOPIC, self._dialect.world, angles)
             self.streams.append(stream)
             topics |= {id(annotation): CUBOIDS_TOPIC for annotation in cuboids}
-            what = "angles become unit quaternions, which do not tell whole turns"
+            what = "angles become unit quaternions, which do not report whole rotations"
             self.losses.converted("annotations.cuboid.path.values", what, count=len(cuboids))
         by_camera: dict[tuple[type, Any], list[Box2DAnnotation]] = {}
         for annotation in annotations:
@@ -148,30 +148,30 @@ class SceneStreams:
 
     def _note_left_out(self, annotations: Sequence[Annotation]) -> None:
         for annotation in annotations:
-            self.losses.dropped(KINDS[type(annotation)], "annotations that there are no drawings for")
+            self.losses.dropped(KINDS[type(annotation)], "annotations that there are no plots for")
 
     def _annotation_note(self, annotation: Any, topic: str, key: str) -> dict[str, Any]:
         kind = KINDS[type(annotation)]
         attributes, lost = attribute_notes(annotation.attributes)
-        self.losses.dropped(f"{kind}.attributes", "values that JSON cannot say", count=lost)
+        self.losses.dropped(f"{kind}.attributes", "values that JSON cannot state", count=lost)
         extras, names = sayable(annotation.extras)
-        self.losses.dropped(f"{kind}.extras", "values that JSON cannot say", count=len(names))
+        self.losses.dropped(f"{kind}.extras", "values that JSON cannot state", count=len(names))
         self.losses.dropped(
             f"{kind}.path.extras", "further fields of a path", count=bool(annotation.path.extras)
         )
-        stamps = annotation.path.timestamps_ns
-        repeated = len(stamps) - len(np.unique(stamps))
+        timestamps = annotation.path.timestamps_ns
+        repeated = len(timestamps) - len(np.unique(timestamps))
         self.losses.dropped(f"{kind}.path.timestamps_ns", "rows with the time of another one", count=repeated)
         for name in ("activations", "projections"):
             count = len(getattr(annotation, name, ()))
             self.losses.dropped(f"{kind}.{name}", "there are no messages for them", count=count)
         note: dict[str, Any] = {"topic": topic, "key": key, "id": annotation.id}
-        told = {
+        reported = {
             "parent_id": annotation.parent_id,
             "label": annotation.label,
             "stationary": annotation.stationary,
         }
-        note |= {name: value for name, value in told.items() if value is not None}
+        note |= {name: value for name, value in reported.items() if value is not None}
         return (
             note | ({"attributes": attributes} if attributes else {}) | ({"extras": extras} if extras else {})
         )
@@ -180,10 +180,10 @@ class SceneStreams:
         scene, found = self._scene, {}
         for name in ("metadata", "extras"):
             kept, lost = sayable(getattr(scene, name))
-            self.losses.dropped(name, f"values that JSON cannot say: {', '.join(lost)}", count=len(lost))
+            self.losses.dropped(name, f"values that JSON cannot state: {', '.join(lost)}", count=len(lost))
             found[name] = kept
         attributes, count = attribute_notes(scene.attributes)
-        self.losses.dropped("attributes", "values that JSON cannot say", count=count)
+        self.losses.dropped("attributes", "values that JSON cannot state", count=count)
         metadata = dict(found["metadata"])
         if any(isinstance(annotation, CuboidAnnotation) for annotation in scene.annotations):
             ours = metadata.get("sceneloom")
@@ -196,8 +196,8 @@ class SceneStreams:
         return {**found, "attributes": attributes, "time_offset_ns": scene.time_offset_ns}
 
 
-def _transforms(parent: str, child: str, path: Any) -> Callable[[int], Iterator[Said]]:
-    def make(k: int) -> Iterator[Said]:
+def _transforms(parent: str, child: str, path: Any) -> Callable[[int], Iterator[Stated]]:
+    def make(k: int) -> Iterator[Stated]:
         yield (
             FRAMES_TOPIC,
             TransformRecord(

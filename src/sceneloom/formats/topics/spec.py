@@ -109,10 +109,12 @@ def _is_sqlite_bag(path: Path) -> bool:
 
 
 _NO_MESSAGE = "there are no messages for it"
-_SOURCE_STAMPS = "stamps of the source are not written beside our own"
-_JSON = converted("written as JSON; values that JSON cannot say are dropped, which is told")
+_SOURCE_TIMESTAMPS = "timestamps of the source are not written beside our own"
+_JSON = converted("written as JSON; values that JSON cannot state are dropped, which is reported")
 
-_ALONG = converted("told by the mounting and the ego's way where these say the same, within their rounding")
+_ALONG = converted(
+    "reported by the mounting and the ego trajectory where these state the same, within their rounding"
+)
 _QUATERNION = converted("rotations become unit quaternions")
 
 
@@ -124,7 +126,7 @@ def _swept(kind: str) -> dict[str, Holding]:
         f"{kind}.frames.extras": dropped(_NO_MESSAGE),
         f"{kind}.frames.points.extras": converted(
             "fields of 32 bits, and floats of 64; whole numbers of 64 bits become floats, others than one number for "
-            "each point are dropped, which is told"
+            "each point are dropped, which is reported"
         ),
     }
 
@@ -135,10 +137,10 @@ def _seeing(kind: str, frames: str) -> dict[str, Holding]:
         f"{kind}.poses": _ALONG,
         f"{kind}.extras": _JSON,
         f"{kind}.camera": converted(
-            "lenses that other programs do not know are written as only we read them"
+            "camera models that other programs do not know are written as only we read them"
         ),
         f"{kind}.{frames}.mount": converted(
-            "transforms, at the times of pictures where they are not all the same"
+            "transforms, at the times of images where they are not all the same"
         ),
         f"{kind}.{frames}.extras": dropped(_NO_MESSAGE),
     }
@@ -149,14 +151,14 @@ _SUPPORTS: Supports = MappingProxyType(
         "": KEPT,
         **_swept("sensors.lidar"),
         **_swept("sensors.radar"),
-        **_seeing("sensors.camera", "pictures"),
+        **_seeing("sensors.camera", "images"),
         **_seeing("sensors.depth_camera", "frames"),
         "sensors.points.extras": _JSON,
         "sensors.odometry.extras": _JSON,
         "sensors.imu.extras": _JSON,
         "sensors.gnss.extras": _JSON,
         "sensors.gnss.mount": _QUATERNION,
-        "sensors.camera.pictures.encoded": converted("JPEG files are copied"),
+        "sensors.camera.images.encoded": converted("JPEG files are copied"),
         "sensors.camera.video": converted(
             "H.264 and HEVC are copied packet by packet, others become JPEG files"
         ),
@@ -164,21 +166,21 @@ _SUPPORTS: Supports = MappingProxyType(
         "sensors.depth_camera.frames.scale": converted(
             "millimetres are kept; other steps become floats of metres"
         ),
-        "sensors.imu.streams.accelerometer.file_seconds": dropped(_SOURCE_STAMPS),
-        "sensors.imu.streams.gyroscope.file_seconds": dropped(_SOURCE_STAMPS),
-        "sensors.imu.streams.magnetometer.file_seconds": dropped(_SOURCE_STAMPS),
-        "sensors.imu.streams.other.file_seconds": dropped(_SOURCE_STAMPS),
+        "sensors.imu.streams.accelerometer.file_seconds": dropped(_SOURCE_TIMESTAMPS),
+        "sensors.imu.streams.gyroscope.file_seconds": dropped(_SOURCE_TIMESTAMPS),
+        "sensors.imu.streams.magnetometer.file_seconds": dropped(_SOURCE_TIMESTAMPS),
+        "sensors.imu.streams.other.file_seconds": dropped(_SOURCE_TIMESTAMPS),
         "sensors.gnss.accuracies": converted("variances are written, as large to the east as to the north"),
         "sensors.gnss.vertical_accuracies": converted("variances are written"),
-        "sensors.gnss.file_seconds": dropped(_SOURCE_STAMPS),
+        "sensors.gnss.file_seconds": dropped(_SOURCE_TIMESTAMPS),
         "sensors.plain": dropped(_NO_MESSAGE),
         "sensors.order": KEPT,
-        "trajectories.file_seconds": dropped(_SOURCE_STAMPS),
-        "annotations": dropped("there are drawings of cuboids and of boxes in pictures only"),
+        "trajectories.file_seconds": dropped(_SOURCE_TIMESTAMPS),
+        "annotations": dropped("there are plots of cuboids and of boxes in images only"),
         "annotations.order": KEPT,
         "annotations.cuboid": KEPT,
         "annotations.cuboid.path.values": converted(
-            "angles become unit quaternions, which do not tell whole turns"
+            "angles become unit quaternions, which do not report whole rotations"
         ),
         "annotations.cuboid.path.extras": dropped(_NO_MESSAGE),
         "annotations.cuboid.extras": _JSON,
@@ -200,18 +202,18 @@ _BAG_SUPPORTS: Supports = MappingProxyType(
     {
         **_SUPPORTS,
         "sensors.camera.video": approximated(
-            'pictures become JPEG files, unless foxglove_msgs are asked for (pictures="video")'
+            'images become JPEG files, unless foxglove_msgs are asked for (images="video")'
         ),
-        "sensors.imu.streams.magnetometer.values": converted("tesla in place of µT"),
+        "sensors.imu.streams.magnetometer.values": converted("tesla instead of µT"),
         "sensors.imu.streams.other": dropped(
             "there are messages for temperatures only, which are converted to °C"
         ),
         "annotations.box_2d.path.values": converted("centre and size are written"),
-        "trajectories.covariances": converted("place before turn"),
+        "trajectories.covariances": converted("location before rotate"),
     }
 )
 
-_READ_OPTIONS = ("lenient", "assume_model", "stamps", "ego", "world")
+_READ_OPTIONS = ("lenient", "assume_model", "timestamps", "ego", "world")
 
 MCAP = FormatSpec(
     name="mcap",
@@ -224,7 +226,7 @@ MCAP = FormatSpec(
     read_options=_READ_OPTIONS,
     reads_urls=True,
     writer="sceneloom.formats.mcap.scene_to_mcap:write_mcap",
-    write_options=("compression", "pictures"),
+    write_options=("compression", "images"),
     supports=MappingProxyType(
         {**_SUPPORTS, "trajectories.covariances": dropped("messages of poses have none")}
     ),
@@ -241,7 +243,7 @@ ROS1 = FormatSpec(
     reader="sceneloom.formats.ros.reader:open_ros1",
     read_options=(*_READ_OPTIONS, "distro"),
     writer="sceneloom.formats.ros.scene_to_bag:write_ros1",
-    write_options=("pictures", "distro"),
+    write_options=("images", "distro"),
     supports=_BAG_SUPPORTS,
     extra="ros",
     needs=("mcap", "rosbags", "ruamel.yaml"),
@@ -256,7 +258,7 @@ ROS2 = FormatSpec(
     reader="sceneloom.formats.ros.reader:open_ros2",
     read_options=(*_READ_OPTIONS, "distro"),
     writer="sceneloom.formats.ros.scene_to_bag:write_ros2",
-    write_options=("pictures", "storage", "distro"),
+    write_options=("images", "storage", "distro"),
     supports=_BAG_SUPPORTS,
     extra="ros",
     needs=("mcap", "rosbags", "ruamel.yaml"),

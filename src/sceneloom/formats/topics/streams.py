@@ -1,4 +1,4 @@
-"""Records on their way into a log: streams with known times, merged in their order without reading ahead."""
+"""Records on their trajectory into a log: streams with known times, merged in their order without reading ahead."""
 
 import heapq
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -8,8 +8,8 @@ from typing import Protocol
 from sceneloom.arrays import Int64Array
 from sceneloom.formats.topics.records import AnyRecord
 
-Said = tuple[str, AnyRecord]
-"""A topic, and what is said on it."""
+Stated = tuple[str, AnyRecord]
+"""A topic, and what is stated on it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -18,11 +18,11 @@ class Stream:
 
     Attributes:
         times_ns: (N,) int64 [ns], ascending.
-        make: makes what is said at row `k`; called once for each row, in their order.
+        make: makes what is stated at row `k`; called once for each row, in their order.
     """
 
     times_ns: Int64Array
-    make: Callable[[int], Iterable[Said]]
+    make: Callable[[int], Iterable[Stated]]
 
 
 def merged(streams: Sequence[Stream]) -> Iterator[tuple[int, str, AnyRecord]]:

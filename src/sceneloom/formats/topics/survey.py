@@ -1,4 +1,4 @@
-"""A first look at all topics: what they say, when, and everything of them that is small."""
+"""A first look at all topics: what they state, when, and everything of them that is small."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -12,8 +12,8 @@ from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.topics.log import Topic, TopicLog
 from sceneloom.formats.topics.notes import Notes, read_notes
 from sceneloom.formats.topics.records import LARGE, AnyRecord, Kind, TransformRecord
-from sceneloom.formats.topics.stamps import TopicTimes, settle_times
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.formats.topics.timestamps import TopicTimes, settle_times
+from sceneloom.scene.warnings import WarningKind
 
 R = TypeVar("R")
 
@@ -24,7 +24,7 @@ class Survey:
 
     Attributes:
         log: the messages.
-        ledger: takes notices and faults.
+        ledger: takes warnings and faults.
         notes: what our writer left.
         times_ns: of the messages of each topic of large ones, by its number.
         records: of each topic of small ones, by its number, with the times that count.
@@ -50,13 +50,13 @@ class Survey:
         return [record for record in self.records.get(topic.number, ()) if isinstance(record, record_type)]
 
 
-def survey(log: TopicLog, ledger: Ledger, *, stamps: str | None) -> Survey:
+def survey(log: TopicLog, ledger: Ledger, *, timestamps: str | None) -> Survey:
     """Look at all topics.
 
     Args:
         log: the messages.
-        ledger: takes notices and faults.
-        stamps: which times count, "header" or "receive"; None: see `settle_times`.
+        ledger: takes warnings and faults.
+        timestamps: which times count, "header" or "receive"; None: see `settle_times`.
 
     Raises:
         DataError: a small message is wrong, or topics are on different clocks.
@@ -70,27 +70,31 @@ def survey(log: TopicLog, ledger: Ledger, *, stamps: str | None) -> Survey:
             continue
         received = log.receive_times(topic)
         if topic.kind in LARGE:
-            told, looked = log.stamps(topic)
+            reported, looked = log.timestamps(topic)
             if not looked and not found.notes.ours:
-                message = (
-                    "some messages say the time at which they were received, so the others are taken to do so"
+                message = "some messages state the time at which they were received, so the others are taken to do so"
+                ledger.note(
+                    WarningKind.ASSUMED, "timestamps-from-index", f"{log.name}: {topic.name}", message
                 )
-                ledger.note(NoticeKind.ASSUMED, "stamps-from-index", f"{log.name}: {topic.name}", message)
-            times.append(TopicTimes(topic, told, received))
+            times.append(TopicTimes(topic, reported, received))
         else:
             rows[topic.number] = _read(log, topic, ledger)
             first = np.array([records[0].timestamp_ns for _, records in rows[topic.number]], np.int64)
             kept = received[[k for k, _ in rows[topic.number]]] if len(first) else np.zeros(0, np.int64)
-            fixed = topic.kind is Kind.LENS or _are_fixed([r for _, row in rows[topic.number] for r in row])
+            fixed = topic.kind is Kind.CAMERA_MODEL or _are_fixed(
+                [r for _, row in rows[topic.number] for r in row]
+            )
             times.append(TopicTimes(topic, first, kept, fixed))
-    settled = settle_times([row for row in times if len(row.stamps_ns)], log.name, ledger, wanted=stamps)
+    settled = settle_times(
+        [row for row in times if len(row.timestamps_ns)], log.name, ledger, wanted=timestamps
+    )
     # our own writer moves scenes that begin before 0 where a format knows no such times
     moved_ns = int(found.notes.root.get("time_shift_ns", 0))
     for row in times:
         number = row.topic.number
-        settled[number] = settled.get(number, row.stamps_ns) - moved_ns
+        settled[number] = settled.get(number, row.timestamps_ns) - moved_ns
         if number in rows:
-            counted = settled[number] - row.stamps_ns
+            counted = settled[number] - row.timestamps_ns
             found.records[number] = [
                 _moved(record, int(shift))
                 for (_, records), shift in zip(rows[number], counted.tolist(), strict=True)
@@ -112,7 +116,7 @@ def _moved(record: AnyRecord, shift_ns: int) -> AnyRecord:
 
 
 def _read(log: TopicLog, topic: Topic, ledger: Ledger) -> list[tuple[int, list[AnyRecord]]]:
-    """Read all messages of a topic; those that say nothing are left out."""
+    """Read all messages of a topic; those that state nothing are left out."""
     found = []
     for k in range(topic.count):
         try:
@@ -126,7 +130,7 @@ def _read(log: TopicLog, topic: Topic, ledger: Ledger) -> list[tuple[int, list[A
 
 
 def _note_unknown(log: TopicLog, ledger: Ledger) -> None:
-    """Tell which messages are not read, by their type."""
+    """Report which messages are not read, by their type."""
     groups: dict[tuple[str, str], list[Topic]] = {}
     for topic in log.topics:
         if topic.kind is None and topic.count:
@@ -135,4 +139,4 @@ def _note_unknown(log: TopicLog, ledger: Ledger) -> None:
         names = ", ".join(sorted({topic.name for topic in topics}))
         message = f"messages {schema or 'without a type'} on {names}: {why}"
         count = sum(topic.count for topic in topics)
-        ledger.note(NoticeKind.SKIPPED, "unknown-messages", log.name, message, count=count)
+        ledger.note(WarningKind.SKIPPED, "unknown-messages", log.name, message, count=count)

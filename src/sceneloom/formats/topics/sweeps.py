@@ -27,7 +27,7 @@ from sceneloom.formats.topics.point_times import find_point_times
 from sceneloom.formats.topics.records import CloudRecord
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.clouds import LidarFrame, LidarPoints, RadarFrame, RadarPoints, white_where_unseen
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.warnings import WarningKind
 
 SPEED_COLUMNS = ("velocity", "doppler", "radial_speed", "range_rate", "v_doppler_mps", "speed_radial")
 """Names of the speed along the line of sight."""
@@ -41,7 +41,7 @@ OLD_TIME_COLUMN = "offset_ns"
 TIME_COLUMNS: Mapping[tuple[str, str], str] = MappingProxyType(
     {("t", "u4"): "nanoseconds", ("time", "f8"): "seconds"}
 )
-"""Names and dtypes of the times of points from their sweep's stamp, in messages of ours, and their units.
+"""Names and dtypes of the times of points from their sweep's timestamp, in messages of ours, and their units.
 
 Source: `t` as the drivers of Ouster write it, `time` as those of Velodyne do, but with 64 bits; programs that read
 clouds of others (KISS-ICP, LIO-SAM) know both by their names.
@@ -60,7 +60,7 @@ class CloudReader:
         log: that they are in.
         topic: that they are of.
         rows: (N,) int64, number of each message in its topic.
-        stamps_ns: (N,) int64 [ns], as the messages say, in order.
+        timestamps_ns: (N,) int64 [ns], as the messages state, in order.
         starts_ns: (N,) int64 [ns], start of each sweep.
         mapping: what the columns mean.
         whole: whether points at the origin are points: in messages of ours they are.
@@ -69,7 +69,7 @@ class CloudReader:
     log: TopicLog
     topic: Topic
     rows: Int64Array
-    stamps_ns: Int64Array
+    timestamps_ns: Int64Array
     starts_ns: Int64Array
     mapping: PointMapping = field(default_factory=PointMapping)
     whole: bool = False
@@ -78,37 +78,37 @@ class CloudReader:
         """Read message `k`."""
         record = self.log.read(self.topic, int(self.rows[k]))[0]
         if not isinstance(record, CloudRecord):
-            raise DataError(self.log.name, self.place(k), "no points; expected a cloud")
+            raise DataError(self.log.name, self.location(k), "no points; expected a cloud")
         return record
 
-    def place(self, k: int) -> str:
+    def location(self, k: int) -> str:
         """Where message `k` stands, for messages."""
         return f"{self.topic.name}[{int(self.rows[k])}]"
 
     def cloud(self, k: int) -> Cloud:
         """Read the columns of message `k`."""
-        return unpack(self.record(k), self.log.name, self.place(k))
+        return unpack(self.record(k), self.log.name, self.location(k))
 
     def points(self, k: int) -> tuple[LidarPoints, dict[str, Any]]:
         """Read the points of message `k`, and what was left out of them."""
         record = self.record(k)
         if self.whole and can_be_kept(record):
-            rows = checked_rows(record, self.log.name, self.place(k))
+            rows = checked_rows(record, self.log.name, self.location(k))
             return LidarPoints.of_packed(KeptPoints(self, k, record, len(rows))), {}
         return self.unpacked(k, record)
 
     def unpacked(self, k: int, record: CloudRecord) -> tuple[LidarPoints, dict[str, Any]]:
         """Take the points of message `k` apart, and count what was left out of them."""
-        cloud = unpack(record, self.log.name, self.place(k))
-        clock = SweepClock(int(self.stamps_ns[k]), int(self.starts_ns[k]), 0)
+        cloud = unpack(record, self.log.name, self.location(k))
+        clock = SweepClock(int(self.timestamps_ns[k]), int(self.starts_ns[k]), 0)
         mapping = _ours(cloud) if self.whole else self.mapping
         if mapping.times is not None and mapping.times.field not in cloud.columns:
             mapping = replace(mapping, times=None)
         try:
             read = points_of(cloud, mapping, clock, keep_all=self.whole)
         except DataError as error:
-            place = ": ".join(filter(None, (self.place(k), error.place)))
-            raise DataError(self.log.name, place, error.problem) from None
+            location = ": ".join(filter(None, (self.location(k), error.location)))
+            raise DataError(self.log.name, location, error.problem) from None
         counts = {"dropped_points": read.dropped, "clipped_intensities": read.clipped}
         points = _placed(read.points, record.frame_from_points)
         return self._with_cameras(points), {n: c for n, c in counts.items() if c}
@@ -130,10 +130,10 @@ class CloudReader:
 def _ours(cloud: Cloud) -> PointMapping:
     """What the columns of a message of ours mean."""
     if OLD_TIME_COLUMN in cloud.columns:
-        return replace(_OURS, times=PointTimes("nanoseconds", "stamp", OLD_TIME_COLUMN))
+        return replace(_OURS, times=PointTimes("nanoseconds", "timestamp", OLD_TIME_COLUMN))
     for (name, dtype), unit in TIME_COLUMNS.items():
         if name in cloud.columns and cloud.columns[name].dtype.str[1:] == dtype:
-            return replace(_OURS, times=PointTimes(unit, "stamp", name))
+            return replace(_OURS, times=PointTimes(unit, "timestamp", name))
     return _OURS
 
 
@@ -200,8 +200,8 @@ def speed_column(columns: Mapping[str, AnyArray]) -> str | None:
 
 def _directions(columns: dict[str, AnyArray], positions: AnyArray) -> AnyArray:
     if all(name in columns for name in DIRECTION_COLUMNS):
-        told = [columns.pop(name) for name in DIRECTION_COLUMNS]
-        return read_only(np.stack(told, axis=1), np.float32)
+        reported = [columns.pop(name) for name in DIRECTION_COLUMNS]
+        return read_only(np.stack(reported, axis=1), np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
         distances = np.linalg.norm(positions, axis=1, keepdims=True)
     ahead = np.divide(positions, distances, out=np.zeros_like(positions), where=distances > 0)
@@ -245,38 +245,36 @@ def _scale(values: AnyArray, name: str, where: str, ledger: Ledger) -> Any:
     if scale is None:
         top = f" goes up to {values.max():g} and" if values.dtype.kind in "iuf" and len(values) else ""
         message = f"{name}{top} is of no usual scale; it is kept as it is, and is no brightness"
-        ledger.note(NoticeKind.SKIPPED, "intensity-not-used", where, message)
+        ledger.note(WarningKind.SKIPPED, "intensity-not-used", where, message)
     elif values.dtype != np.uint8:
         message = f"{name} goes up to {values.max(initial=0):g}, so {scale.maximum:g} becomes 255"
-        ledger.note(NoticeKind.ASSUMED, "intensity-scale", where, message)
+        ledger.note(WarningKind.ASSUMED, "intensity-scale", where, message)
     return scale
 
 
 def _with_times(
     reader: CloudReader, cloud: Cloud, k: int, name: str, where: str, ledger: Ledger
 ) -> CloudReader:
-    sweep_ns = int(np.median(np.diff(reader.stamps_ns))) if len(reader.stamps_ns) > 1 else None
+    sweep_ns = int(np.median(np.diff(reader.timestamps_ns))) if len(reader.timestamps_ns) > 1 else None
     values = cloud.columns[name]
-    found = find_point_times(name, values, int(reader.stamps_ns[k]), sweep_ns or None)
+    found = find_point_times(name, values, int(reader.timestamps_ns[k]), sweep_ns or None)
     if found is None:
         message = (
             f"field {name!r} is no time of points in any unit, relative or absolute; it is kept as it is"
         )
-        ledger.note(NoticeKind.SKIPPED, "point-times-not-used", where, message)
+        ledger.note(WarningKind.SKIPPED, "point-times-not-used", where, message)
         return reader
     meaning = found.meaning
-    base = "the message's stamp" if meaning.relative_to == "stamp" else "the clock's zero"
+    base = "the message's timestamp" if meaning.relative_to == "timestamp" else "the clock's zero"
     message = f"field {name!r} is taken for times of points: {meaning.unit} from {base}"
-    ledger.note(NoticeKind.ASSUMED, "point-times-assumed", where, message)
+    ledger.note(WarningKind.ASSUMED, "point-times-assumed", where, message)
     reader = replace(reader, mapping=replace(reader.mapping, times=meaning))
     if not found.first_ns < -_EARLY_NS:
         return reader
-    message = (
-        f"sweeps begin {-found.first_ns / 1e9:.6f} s before the stamps of their messages, and are stamped so"
-    )
-    ledger.note(NoticeKind.ASSUMED, "stamps-after-start", where, message)
-    return replace(reader, starts_ns=read_only(reader.stamps_ns + found.first_ns))
+    message = f"sweeps begin {-found.first_ns / 1e9:.6f} s before the timestamps of their messages, and are timestamped so"
+    ledger.note(WarningKind.ASSUMED, "timestamps-after-start", where, message)
+    return replace(reader, starts_ns=read_only(reader.timestamps_ns + found.first_ns))
 
 
 _EARLY_NS = 1_000_000
-"""Points may be this much earlier than the stamp of their sweep: drivers round."""
+"""Points may be this much earlier than the timestamp of their sweep: drivers round."""

@@ -7,10 +7,9 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
+from sceneloom.formats.topics.locations import Locations
 from sceneloom.formats.topics.log import Topic
-from sceneloom.formats.topics.places import Places
 from sceneloom.formats.topics.records import CloudRecord
-from sceneloom.formats.topics.stamps import in_order
 from sceneloom.formats.topics.survey import Survey
 from sceneloom.formats.topics.sweeps import (
     DIRECTION_COLUMNS,
@@ -20,6 +19,7 @@ from sceneloom.formats.topics.sweeps import (
     speed_column,
     understood,
 )
+from sceneloom.formats.topics.timestamps import in_order
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
 from sceneloom.scene.frames import LazyFrames
 
@@ -38,11 +38,11 @@ class CloudDraft:
     frame_id: str
     is_radar: bool
 
-    def placed(self, sensor_id: str | int, places: Places) -> LidarSensor | RadarSensor:
-        """The sensor as the frames place it."""
-        mount = places.mount(self.frame_id)
-        frame = places.points_frame(self.frame_id)
-        poses = places.poses(self.frame_id, mount, self.reader.starts_ns)
+    def placed(self, sensor_id: str | int, locations: Locations) -> LidarSensor | RadarSensor:
+        """The sensor as the frames location it."""
+        mount = locations.mount(self.frame_id)
+        frame = locations.points_frame(self.frame_id)
+        poses = locations.poses(self.frame_id, mount, self.reader.starts_ns)
         return self.sensor(sensor_id, mount=mount, poses=poses, points_frame=frame)
 
     def sensor(
@@ -67,19 +67,19 @@ def draft_cloud(survey: Survey, topic: Topic) -> CloudDraft:
     Raises:
         DataError: the first message is damaged.
     """
-    stamps = survey.times_ns[topic.number]
-    place = f"{survey.log.name}: {topic.name}"
-    rows = in_order(stamps, place, survey.ledger)
+    timestamps = survey.times_ns[topic.number]
+    location = f"{survey.log.name}: {topic.name}"
+    rows = in_order(timestamps, location, survey.ledger)
     first = survey.log.read(topic, int(rows[0]))[0]
     if not isinstance(first, CloudRecord):
         raise DataError(survey.log.name, f"{topic.name}[{int(rows[0])}]", "no points; expected a cloud")
     ours = survey.notes.ours and any(note.get("topic") == topic.name for note in survey.notes.sensors)
-    reader = CloudReader(survey.log, topic, rows, stamps[rows], stamps[rows], whole=ours)
+    reader = CloudReader(survey.log, topic, rows, timestamps[rows], timestamps[rows], whole=ours)
     names = {field.name: np.zeros(0) for field in first.fields}
     return CloudDraft(understood(reader, survey.ledger), first.frame_id, _is_radar(topic.name, names))
 
 
 def _is_radar(name: str, columns: dict[str, AnyArray]) -> bool:
-    """Whether points are a radar's: they have speeds, and the topic or our own fields say so."""
-    told = "radar" in name.lower() or all(column in columns for column in DIRECTION_COLUMNS)
-    return told and speed_column(columns) is not None
+    """Whether points are a radar's: they have speeds, and the topic or our own fields report it."""
+    reported = "radar" in name.lower() or all(column in columns for column in DIRECTION_COLUMNS)
+    return reported and speed_column(columns) is not None

@@ -1,4 +1,4 @@
-"""Pictures of a video that come one per message, as a video file that everything else can read."""
+"""Images of a video that come one per message, as a video file that everything else can read."""
 
 import io
 import tempfile
@@ -13,8 +13,8 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
 from sceneloom.formats.topics.file_views import FileView
 from sceneloom.formats.topics.log import Topic, TopicLog
-from sceneloom.formats.topics.records import PictureRecord
-from sceneloom.scene.cameras import Picture, VideoContent
+from sceneloom.formats.topics.records import CompressedImageRecord
+from sceneloom.scene.cameras import CameraImage, VideoContent
 
 if TYPE_CHECKING:
     from sceneloom.formats.video.reader import VideoReader
@@ -24,21 +24,27 @@ CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc"}
 
 
 class MessageVideo:
-    """The video of a topic: put into an mp4 file of no name when its first picture is asked for.
+    """The video of a topic: put into an mp4 file of no name when its first image is asked for.
 
     Attributes:
         log: that the messages are in.
         topic: that they are of.
         rows: (N,) int64, number of each message in its topic, in the order in which they are decoded.
-        stamps_ns: (N,) int64 [ns], of the messages in the same order.
+        timestamps_ns: (N,) int64 [ns], of the messages in the same order.
         codec: as FFmpeg calls it.
     """
 
     def __init__(
-        self, log: TopicLog, topic: Topic, rows: Int64Array, stamps_ns: Int64Array, codec: str
+        self, log: TopicLog, topic: Topic, rows: Int64Array, timestamps_ns: Int64Array, codec: str
     ) -> None:
         """Read nothing yet."""
-        self.log, self.topic, self.rows, self.stamps_ns, self.codec = log, topic, rows, stamps_ns, codec
+        self.log, self.topic, self.rows, self.timestamps_ns, self.codec = (
+            log,
+            topic,
+            rows,
+            timestamps_ns,
+            codec,
+        )
         self._begin()
 
     def _begin(self) -> None:
@@ -47,7 +53,7 @@ class MessageVideo:
         self._lock = Lock()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in ("log", "topic", "rows", "stamps_ns", "codec")}
+        return {name: getattr(self, name) for name in ("log", "topic", "rows", "timestamps_ns", "codec")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -62,8 +68,8 @@ class MessageVideo:
         """The bytes of each message, in the order in which they are decoded."""
         for row in self.rows.tolist():
             record = self.log.read(self.topic, row)[0]
-            if not isinstance(record, PictureRecord) or CODECS.get(record.form) != self.codec:
-                form = getattr(record, "form", "no picture")
+            if not isinstance(record, CompressedImageRecord) or CODECS.get(record.form) != self.codec:
+                form = getattr(record, "form", "no image")
                 problem = f"{form!r}; expected {self.codec} as the first message"
                 raise DataError(self.log.name, f"{self.topic.name}[{row}]", problem)
             yield record.data
@@ -76,12 +82,12 @@ class MessageVideo:
             return cast("BinaryIO", io.BufferedReader(FileView(self._file)))
 
     def size(self) -> tuple[int, int]:
-        """Width and height of its pictures [px]."""
+        """Width and height of its images [px]."""
         reader = self._opened()
         return reader.width, reader.height
 
     def rgb(self, k: int) -> UInt8Array:
-        """Decode the picture that is shown as number `k`."""
+        """Decode the image that is shown as number `k`."""
         return self._opened().rgb(k)
 
     def content(self) -> VideoContent:
@@ -104,12 +110,12 @@ class MessageVideo:
         if reader is None:
             reader = self._reader = VideoReader(self.open, name=self.name)
             if reader.count != len(self.rows):
-                problem = f"{reader.count} pictures in {len(self.rows)} messages; expected one in each"
+                problem = f"{reader.count} images in {len(self.rows)} messages; expected one in each"
                 raise DataError(self.log.name, self.topic.name, problem)
         return reader
 
     def _made(self) -> BinaryIO:
-        """Put the packets into a file, with the times that the messages say."""
+        """Put the packets into a file, with the times that the messages state."""
         from sceneloom.formats.topics.video_packets import annex_b_to_mp4
 
         with tempfile.TemporaryFile() as raw:
@@ -117,7 +123,7 @@ class MessageVideo:
                 raw.write(packet)
             target = cast("BinaryIO", tempfile.TemporaryFile())  # noqa: SIM115 - it stays open with the video
             try:
-                annex_b_to_mp4(cast("BinaryIO", raw), target, self.stamps_ns, self.name)
+                annex_b_to_mp4(cast("BinaryIO", raw), target, self.timestamps_ns, self.name)
             except BaseException:
                 target.close()
                 raise
@@ -125,20 +131,20 @@ class MessageVideo:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class VideoPictures:
-    """Makes the pictures of a camera from a video of messages.
+class VideoImages:
+    """Makes the images of a camera from a video of messages.
 
     Attributes:
         video: of the topic.
         timestamps_ns: (N,) int64 [ns], in the order of showing.
-        lens_at: gives the lens at a time.
+        camera_model_at: gives the camera model at a time.
     """
 
     video: MessageVideo
     timestamps_ns: Int64Array
-    lens_at: Callable[[int], Camera]
+    camera_model_at: Callable[[int], Camera]
 
-    def __call__(self, k: int) -> Picture:
-        """Make picture `k` without decoding it."""
-        stamp_ns = int(self.timestamps_ns[k])
-        return Picture(stamp_ns, self.lens_at(stamp_ns), partial(self.video.rgb, k))
+    def __call__(self, k: int) -> CameraImage:
+        """Make image `k` without decoding it."""
+        timestamp_ns = int(self.timestamps_ns[k])
+        return CameraImage(timestamp_ns, self.camera_model_at(timestamp_ns), partial(self.video.rgb, k))

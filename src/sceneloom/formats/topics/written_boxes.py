@@ -1,4 +1,4 @@
-"""Cuboids and boxes in pictures as drawings of messages."""
+"""Cuboids and boxes in images as plots of messages."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.formats.topics.records import Box2D, Box3D, Boxes2DRecord, Boxes3DRecord
-from sceneloom.formats.topics.streams import Said, Stream
+from sceneloom.formats.topics.streams import Stated, Stream
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations.annotation import Annotation
 from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
@@ -62,14 +62,14 @@ def cuboid_stream(
     rows = _Rows.of(annotations)
     last = {int(owner): int(annotations[owner].path.timestamps_ns[-1]) for owner in range(len(annotations))}
     ends = sorted(last.items(), key=lambda row: row[1])
-    place = 0
+    location = 0
 
-    def make(k: int) -> Iterator[Said]:
-        nonlocal place
+    def make(k: int) -> Iterator[Stated]:
+        nonlocal location
         time_ns, gone = int(rows.times_ns[k]), []
-        while place < len(ends) and ends[place][1] < time_ns:
-            gone.append(keys[ends[place][0]])
-            place += 1
+        while location < len(ends) and ends[location][1] < time_ns:
+            gone.append(keys[ends[location][0]])
+            location += 1
         boxes = tuple(
             _cuboid(annotations[owner], keys[owner], row, frame_id, angles) for owner, row in rows.at(k)
         )
@@ -80,17 +80,17 @@ def cuboid_stream(
 
 def _cuboid(annotation: CuboidAnnotation, key: str, row: int, frame_id: str, angles: CuboidAngles) -> Box3D:
     values = annotation.path.values[row]
-    turn = angles.quaternions(values[6:])
-    return Box3D(key, frame_id, values[3:6], turn, values[:3], annotation.label)
+    rotation = angles.quaternions(values[6:])
+    return Box3D(key, frame_id, values[3:6], rotation, values[:3], annotation.label)
 
 
 def box_2d_stream(
     annotations: Sequence[Box2DAnnotation], keys: Sequence[str], topic: str, frame_id: str
 ) -> Stream:
-    """Draw boxes into the pictures of a camera at each of their times."""
+    """Draw boxes into the images of a camera at each of their times."""
     rows = _Rows.of(annotations)
 
-    def make(k: int) -> Iterator[Said]:
+    def make(k: int) -> Iterator[Stated]:
         boxes = tuple(
             Box2D(keys[owner], _ltwh(annotations[owner], row), annotations[owner].label)
             for owner, row in rows.at(k)

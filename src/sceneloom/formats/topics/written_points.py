@@ -10,7 +10,7 @@ from sceneloom.formats.topics.dialect import Losses
 from sceneloom.formats.topics.kept_points import kept_record
 from sceneloom.formats.topics.packed_points import pack
 from sceneloom.formats.topics.records import CloudRecord
-from sceneloom.formats.topics.streams import Said
+from sceneloom.formats.topics.streams import Stated
 from sceneloom.formats.topics.sweeps import (
     DIRECTION_COLUMNS,
     OLD_TIME_COLUMN,
@@ -20,7 +20,7 @@ from sceneloom.formats.topics.sweeps import (
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor, grey_where_unseen
 
 Columns = dict[tuple[str, ...], AnyArray]
-"""Columns on their way into a message, (N,), or (N, k) by their k names."""
+"""Columns on their trajectory into a message, (N,), or (N, k) by their k names."""
 
 _HELD = frozenset(["u1", "i1", "u2", "i2", "u4", "i4", "f4", "f8"])
 _MOST_NS = 2**32 - 1
@@ -28,7 +28,7 @@ _MOST_NS = 2**32 - 1
 
 @dataclass(slots=True)
 class CloudWriter:
-    """Makes the records of a sensor of points; counts what has no place in them.
+    """Makes the records of a sensor of points; counts what has no location in them.
 
     Attributes:
         topic: of the messages.
@@ -44,7 +44,7 @@ class CloudWriter:
     losses: Losses
     intensity: str = "u1"
 
-    def lidar(self, sensor: LidarSensor, k: int) -> Iterator[Said]:
+    def lidar(self, sensor: LidarSensor, k: int) -> Iterator[Stated]:
         """Make the record of sweep `k`."""
         frame = sensor.frames[k]
         points = frame.points
@@ -68,7 +68,7 @@ class CloudWriter:
         self._note_frame(frame.extras)
         yield self.topic, self._record(columns, len(points), frame.timestamp_ns)
 
-    def radar(self, sensor: RadarSensor, k: int) -> Iterator[Said]:
+    def radar(self, sensor: RadarSensor, k: int) -> Iterator[Stated]:
         """Make the record of cycle `k`."""
         frame = sensor.frames[k]
         points = frame.points
@@ -83,7 +83,7 @@ class CloudWriter:
         self._note_frame(frame.extras)
         yield self.topic, self._record(columns, len(points), frame.timestamp_ns)
 
-    def map(self, sensor: PointsSensor, timestamp_ns: int) -> Iterator[Said]:
+    def map(self, sensor: PointsSensor, timestamp_ns: int) -> Iterator[Stated]:
         """Make the only record of a map."""
         columns = _positions(sensor.positions)
         if sensor.colors is not None:
@@ -104,30 +104,30 @@ class CloudWriter:
     def _add_extras(self, columns: Columns, extras: Mapping[str, AnyArray]) -> None:
         taken = {name for names in columns for name in names}
         for name, column in extras.items():
-            place = f"{self.field}.points.extras.{name}"
-            said = (name.lower(), column.dtype.str[1:])
+            location = f"{self.field}.points.extras.{name}"
+            stated = (name.lower(), column.dtype.str[1:])
             if (
                 column.ndim != 1
                 or name in taken
                 or name.lower() in _TAKEN
-                or said in TIME_COLUMNS
+                or stated in TIME_COLUMNS
                 or name.startswith("_")
             ):
                 self.losses.dropped(
-                    place, "not one number for each point, or of a name that means something else"
+                    location, "not one number for each point, or of a name that means something else"
                 )
             elif column.dtype.str[1:] in _HELD:
                 columns[name,] = column
             elif column.dtype.kind in "iufb":
-                self._add_converted(columns, name, column, place)
+                self._add_converted(columns, name, column, location)
             else:
-                self.losses.dropped(place, f"values of type {column.dtype}")
+                self.losses.dropped(location, f"values of type {column.dtype}")
 
-    def _add_converted(self, columns: Columns, name: str, column: AnyArray, place: str) -> None:
+    def _add_converted(self, columns: Columns, name: str, column: AnyArray, location: str) -> None:
         numbers = column.astype(np.uint8 if column.dtype.kind == "b" else np.float64)
         error = float(np.abs(column.astype(np.longdouble) - numbers.astype(np.longdouble)).max(initial=0))
         what = f"values of type {column.dtype} written as {numbers.dtype}"
-        (self.losses.approximated if error else self.losses.converted)(place, what, error=error)
+        (self.losses.approximated if error else self.losses.converted)(location, what, error=error)
         columns[name,] = numbers
 
     def _note_frame(self, extras: Mapping[str, object]) -> None:
@@ -161,17 +161,19 @@ def _colours(colors: AnyArray) -> Columns:
     return {("red", "green", "blue"): colors, ("alpha",): np.full(len(colors), 255, np.uint8)}
 
 
-def _offsets(timestamps_ns: AnyArray, stamp_ns: int) -> Columns:
-    """Times of points from their sweep's stamp, in the names and units that other programs look for.
+def _offsets(timestamps_ns: AnyArray, timestamp_ns: int) -> Columns:
+    """Times of points from their sweep's timestamp, in the names and units that other programs look for.
 
-    `t` in whole nanoseconds; `time` in seconds where some are earlier than the stamp or later than 32 bits tell, exact
-    to the nanosecond over 52 days.
+    `t` in whole nanoseconds; `time` in seconds where some are earlier than the timestamp or later than 32 bits report,
+    exact to the nanosecond over 52 days.
     """
     span_ns = (
-        (int(timestamps_ns.min()), int(timestamps_ns.max())) if len(timestamps_ns) else (stamp_ns, stamp_ns)
+        (int(timestamps_ns.min()), int(timestamps_ns.max()))
+        if len(timestamps_ns)
+        else (timestamp_ns, timestamp_ns)
     )
-    if span_ns[0] < stamp_ns or span_ns[1] > stamp_ns + _MOST_NS:
-        return {("time",): (timestamps_ns - stamp_ns).astype(np.float64) / 1e9}
+    if span_ns[0] < timestamp_ns or span_ns[1] > timestamp_ns + _MOST_NS:
+        return {("time",): (timestamps_ns - timestamp_ns).astype(np.float64) / 1e9}
     offsets = np.empty(len(timestamps_ns), np.uint32)
-    np.subtract(timestamps_ns, stamp_ns, out=offsets, casting="unsafe")
+    np.subtract(timestamps_ns, timestamp_ns, out=offsets, casting="unsafe")
     return {("t",): offsets}

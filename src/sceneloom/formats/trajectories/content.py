@@ -1,4 +1,4 @@
-"""What a file of a trajectory holds, and how its reading and writing are told to go."""
+"""What a file of a trajectory holds, and how its reading and writing are reported to go."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -7,11 +7,11 @@ from pathlib import Path
 from sceneloom.arrays import Float64Array
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Loss, Supports
-from sceneloom.formats.trajectories.holdings import HOLDS, METRES
+from sceneloom.formats.trajectories.supported_fields import HOLDS, METRES
 from sceneloom.scene.motion import GnssSensor
-from sceneloom.scene.notices import Notice
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.types import NO_FIELDS
+from sceneloom.scene.warnings import DataWarning
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,11 +21,11 @@ class TrajectoryFile:
     Attributes:
         trajectory: the poses, device to world; positions of fixes are east, north and up of `origin_lla`.
         form: name of the form it was read from.
-        fixes: what a satellite receiver told, or None.
+        fixes: what a satellite receiver reported, or None.
         origin_lla: (3,) float64: latitude [deg], longitude [deg], altitude [m] of the world's origin, or None.
         columns: (N, 3) float64 by name, what else a pose bears: "velocities" [m/s], "gyroscope_biases" [rad/s],
             "accelerometer_biases" [m/s²].
-        notices: what was assumed, repaired or left out.
+        warnings: what was assumed, repaired or left out.
     """
 
     trajectory: Trajectory
@@ -33,7 +33,7 @@ class TrajectoryFile:
     fixes: GnssSensor | None = None
     origin_lla: Float64Array | None = None
     columns: Mapping[str, Float64Array] = field(default_factory=lambda: NO_FIELDS)
-    notices: tuple[Notice, ...] = ()
+    warnings: tuple[DataWarning, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,15 +61,15 @@ class TrajectoryForm:
 
     Attributes:
         name: by which it is chosen.
-        suffixes: of paths that are written in it where nothing else is said.
+        suffixes: of paths that are written in it where nothing else is stated.
         looks_like: what a person recognises it by.
         recognises: whether the beginning of a file's text looks like it.
         read: gives the content of a file.
-        write: puts a content into a new file, and tells what that has no place for. It is given the path to write to
+        write: puts a content into a new file, and reports what that has no field for. It is given the path to write to
             and, for messages, the one that will be the file's in the end.
         beside: where a second file stands that is written with it, or None.
-        supports: what becomes of each field of a scene out of which a way is written.
-        fix_supports: the same where it is what a satellite receiver told.
+        supports: what becomes of each field of a scene out of which a trajectory is written.
+        fix_supports: the same where it is what a satellite receiver reported.
     """
 
     name: str

@@ -12,7 +12,7 @@ from sceneloom.arrays import read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Loss
-from sceneloom.formats.poses import Poses
+from sceneloom.formats.poses import PoseRows
 from sceneloom.formats.rig.csv_files import read_table
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
 from sceneloom.formats.trajectories.first_lines import first_values
@@ -57,31 +57,31 @@ def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
         )
         raise DataError(path, f"line {table.lines[0]}", problem)
     values = table.numbers(range(1, width))
-    stamps = table.stamps(0, reading.unit or "nanoseconds")
+    timestamps = table.timestamps(0, reading.unit or "nanoseconds")
     quaternions = None if width == _POSITIONS_ONLY else values[:, [4, 5, 6, 3]]
-    rows = Poses(stamps, values[:, :3], quaternions, table.lines)
-    way, kept = ordered(path, reading.name or path.stem, rows, ledger)
+    rows = PoseRows(timestamps, values[:, :3], quaternions, table.lines)
+    trajectory, kept = ordered(path, reading.name or path.stem, rows, ledger)
     columns = {
         name: read_only(values[kept, 7 + 3 * k : 10 + 3 * k])
         for k, name in enumerate(_FURTHER)
         if 10 + 3 * k <= width - 1
     }
-    return TrajectoryFile(way, FORM.name, columns=columns)
+    return TrajectoryFile(trajectory, FORM.name, columns=columns)
 
 
 def _write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
-    way, quaternions = oriented(content, target, FORM.name)
+    trajectory, quaternions = oriented(content, target, FORM.name)
     further = []
     for name in _FURTHER:
         if name not in content.columns:
             break
         further.append(name)
     names = [*_POSE, *(_FURTHER[name].format(axis) for name in further for axis in "xyz")]
-    parts = [way.positions, quaternions[:, [3, 0, 1, 2]], *(content.columns[name] for name in further)]
+    parts = [trajectory.positions, quaternions[:, [3, 0, 1, 2]], *(content.columns[name] for name in further)]
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(", ".join(names) + "\n")
         values = np.concatenate(parts, axis=1).tolist()
-        for time_ns, row in zip(way.timestamps_ns.tolist(), values, strict=True):
+        for time_ns, row in zip(trajectory.timestamps_ns.tolist(), values, strict=True):
             file.write(f"{time_ns},{numbers_text(row, ',')}\n")
     return further_losses(content, kept=further)
 

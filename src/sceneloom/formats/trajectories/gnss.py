@@ -10,20 +10,20 @@ from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Loss
-from sceneloom.formats.poses import Poses
+from sceneloom.formats.poses import PoseRows
 from sceneloom.formats.recording.written_times import seconds_text
 from sceneloom.formats.rig.csv_files import TIME_COLUMNS, Table, pick_columns, read_table
 from sceneloom.formats.rig.motion_sensors import GNSS_COLUMNS
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
 from sceneloom.formats.trajectories.first_lines import first_names
-from sceneloom.formats.trajectories.holdings import FIXES, PLACES
 from sceneloom.formats.trajectories.rows import further_losses, ordered
+from sceneloom.formats.trajectories.supported_fields import FIXES, LOCATIONS
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from sceneloom.scene.motion import GnssSensor
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.warnings import WarningKind
 
-_PLACE = ("latitude", "longitude", "altitude")
+_LOCATION = ("latitude", "longitude", "altitude")
 
 
 def _recognises(text: str) -> bool:
@@ -40,17 +40,17 @@ def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
         raise DataError(path, "line 1", f"no column for {', '.join(missing)} among {', '.join(table.names)}")
     if not table.rows:
         raise DataError(path, "", "holds no fixes; expected at least one")
-    positions_lla = table.numbers([columns[role] for role in _PLACE if role in columns])
+    positions_lla = table.numbers([columns[role] for role in _LOCATION if role in columns])
     if "altitude" not in columns:
-        ledger.note(NoticeKind.ASSUMED, "altitude-zero", str(path), "no column of altitudes; taken as 0 m")
+        ledger.note(WarningKind.ASSUMED, "altitude-zero", str(path), "no column of altitudes; taken as 0 m")
         positions_lla = np.concatenate([positions_lla, np.zeros((len(positions_lla), 1))], axis=1)
-    _check_places(table, positions_lla)
-    rows = Poses(table.stamps(columns["time"], reading.unit), positions_lla, None, table.lines)
-    way, kept = ordered(path, reading.name or path.stem, rows, ledger)
+    _check_locations(table, positions_lla)
+    rows = PoseRows(table.timestamps(columns["time"], reading.unit), positions_lla, None, table.lines)
+    trajectory, kept = ordered(path, reading.name or path.stem, rows, ledger)
     fixes = GnssSensor(
-        way.name,
-        way.timestamps_ns,
-        way.positions,
+        trajectory.name,
+        trajectory.timestamps_ns,
+        trajectory.positions,
         _accuracies(table, columns.get("accuracy"), kept),
         _accuracies(table, columns.get("vertical_accuracy"), kept),
     )
@@ -60,19 +60,19 @@ def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
 def of_fixes(
     fixes: GnssSensor, *, origin_lla: Float64Array | None = None, name: str | None = None
 ) -> TrajectoryFile:
-    """The way of a satellite receiver: metres east, north and up of an origin, else of its first fix."""
+    """The trajectory of a satellite receiver: metres east, north and up of an origin, else of its first fix."""
     origin = fixes.positions_lla[0] if origin_lla is None else origin_lla
     positions = read_only(enu_from_geodetic(fixes.positions_lla, origin))
-    way = Trajectory(name or str(fixes.id), fixes.timestamps_ns, positions)
-    return TrajectoryFile(way, fixes=fixes, origin_lla=read_only(origin))
+    trajectory = Trajectory(name or str(fixes.id), fixes.timestamps_ns, positions)
+    return TrajectoryFile(trajectory, fixes=fixes, origin_lla=read_only(origin))
 
 
-def _check_places(table: Table, positions_lla: Float64Array) -> None:
+def _check_locations(table: Table, positions_lla: Float64Array) -> None:
     outside = (np.abs(positions_lla[:, 0]) > 90) | (np.abs(positions_lla[:, 1]) > 180)
     if outside.any():
         k = int(np.flatnonzero(outside)[0])
-        told = f"latitude {positions_lla[k, 0]}, longitude {positions_lla[k, 1]}"
-        problem = f"{told}; expected degrees within ±90 and ±180"
+        reported = f"latitude {positions_lla[k, 0]}, longitude {positions_lla[k, 1]}"
+        problem = f"{reported}; expected degrees within ±90 and ±180"
         raise DataError(table.path, f"line {table.lines[k]}", problem)
 
 
@@ -94,7 +94,7 @@ def _accuracies(table: Table, column: int | None, kept: Int64Array) -> Float64Ar
 def _write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
     fixes, losses = content.fixes, further_losses(replace(content, fixes=None))
     if fixes is None:
-        fixes = _fixes_of_way(content, target)
+        fixes = _fixes_of_trajectory(content, target)
         if content.trajectory.quaternions_xyzw is not None:
             field = f"trajectories[{content.trajectory.name}].quaternions_xyzw"
             losses.append(Loss(field=field, what="left out", count=len(fixes.timestamps_ns)))
@@ -109,16 +109,16 @@ def _write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
     return losses
 
 
-def _fixes_of_way(content: TrajectoryFile, target: Path) -> GnssSensor:
+def _fixes_of_trajectory(content: TrajectoryFile, target: Path) -> GnssSensor:
     if content.origin_lla is None:
         raise OptionError(
-            f"{target}: where on earth the trajectory {content.trajectory.name!r} has its origin is not known; say "
+            f"{target}: where on earth the trajectory {content.trajectory.name!r} has its origin is not known; state "
             "latitude, longitude and altitude of it (`--origin`)"
         )
-    way = content.trajectory
-    unknown = np.full(len(way.timestamps_ns), np.nan)
-    places = geodetic_from_enu(way.positions, content.origin_lla)
-    return GnssSensor(way.name, way.timestamps_ns, places, unknown, unknown)
+    trajectory = content.trajectory
+    unknown = np.full(len(trajectory.timestamps_ns), np.nan)
+    locations = geodetic_from_enu(trajectory.positions, content.origin_lla)
+    return GnssSensor(trajectory.name, trajectory.timestamps_ns, locations, unknown, unknown)
 
 
 FORM = TrajectoryForm(
@@ -128,6 +128,6 @@ FORM = TrajectoryForm(
     _recognises,
     _read,
     _write,
-    supports=PLACES,
+    supports=LOCATIONS,
     fix_supports=FIXES,
 )

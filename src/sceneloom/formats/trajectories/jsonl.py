@@ -17,18 +17,18 @@ from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.files import file_faults, open_file
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Loss
-from sceneloom.formats.poses import Poses
+from sceneloom.formats.poses import PoseRows
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_problem, quote
 from sceneloom.formats.recording.line_shapes import ROOT_KEYS, NamedPose
 from sceneloom.formats.recording.merged_lines import merged_lines
 from sceneloom.formats.recording.trajectories import RANKS
 from sceneloom.formats.recording.written_lines import NumberLines
 from sceneloom.formats.recording.written_times import TimeWriter
-from sceneloom.formats.rig.stamps import StampError, parse_stamp
+from sceneloom.formats.rig.timestamps import TimestampError, parse_timestamp
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
-from sceneloom.formats.trajectories.holdings import NAMED
 from sceneloom.formats.trajectories.rows import further_losses, ordered
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.formats.trajectories.supported_fields import NAMED
+from sceneloom.scene.warnings import WarningKind
 
 ROOT_NAME = "output"
 """How poses right at the root are called."""
@@ -43,14 +43,14 @@ _OTHER_KEYS = ROOT_KEYS - {"groundTruth", "pose"}
 
 
 class _UnfitLineError(Exception):
-    """A line is valid JSON, but does not say what a pose needs."""
+    """A line is valid JSON, but does not state what a pose needs."""
 
 
 @dataclass(slots=True)
 class _Poses:
     """The lines of one trajectory; the values are x y z [m] and the quaternion x y z w, NaN where there is none."""
 
-    stamps_ns: "array[int]" = field(default_factory=lambda: array("q"))
+    timestamps_ns: "array[int]" = field(default_factory=lambda: array("q"))
     values: "array[float]" = field(default_factory=lambda: array("d"))
     lines: "array[int]" = field(default_factory=lambda: array("q"))
     unturned: int = 0
@@ -79,11 +79,11 @@ def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
     name = _chosen(path, found, reading.name, ledger)
     poses = found[name]
     values = np.frombuffer(poses.values, np.float64).reshape(-1, 7)
-    turned = poses.unturned < len(poses.lines)
-    rows = Poses(
-        np.frombuffer(poses.stamps_ns, np.int64),
+    rotated = poses.unturned < len(poses.lines)
+    rows = PoseRows(
+        np.frombuffer(poses.timestamps_ns, np.int64),
         values[:, :3],
-        values[:, 3:] if turned else None,
+        values[:, 3:] if rotated else None,
         poses.lines,
     )
     return TrajectoryFile(ordered(path, name, rows, ledger)[0], FORM.name)
@@ -94,13 +94,15 @@ def _take_line(found: dict[str, _Poses], text: bytes, number: int, unit: str | N
     line = _decode_line(text)
     for key, raw in _poses_of(line, text):
         pose = _decode_pose(raw)
-        stamp_ns = _stamp(line, unit)
+        timestamp_ns = _timestamp(line, unit)
         poses = found.setdefault(pose.name or key if key == "pose" else key, _Poses())
-        place, turn = pose.position, pose.orientation
-        poses.stamps_ns.append(stamp_ns)
-        poses.values.extend((place.x, place.y, place.z))
-        poses.values.extend((nan,) * 4 if turn is None else (turn.x, turn.y, turn.z, turn.w))
-        poses.unturned += turn is None
+        location, rotation = pose.position, pose.orientation
+        poses.timestamps_ns.append(timestamp_ns)
+        poses.values.extend((location.x, location.y, location.z))
+        poses.values.extend(
+            (nan,) * 4 if rotation is None else (rotation.x, rotation.y, rotation.z, rotation.w)
+        )
+        poses.unturned += rotation is None
         poses.lines.append(number)
 
 
@@ -120,15 +122,15 @@ def _fields(raw: msgspec.Raw) -> _Line:
         return {}
 
 
-def _stamp(line: _Line, unit: str | None) -> int:
+def _timestamp(line: _Line, unit: str | None) -> int:
     if "time" not in line:
         raise _UnfitLineError("time: missing; expected seconds")
     text = bytes(line["time"])
     if text[:1] not in b"-0123456789":
         raise _UnfitLineError(f"time: {quote(text)}; expected a number")
     try:
-        return parse_stamp(text.decode(), unit)
-    except StampError as error:
+        return parse_timestamp(text.decode(), unit)
+    except TimestampError as error:
         raise _UnfitLineError(f"time: {error}") from None
 
 
@@ -144,16 +146,16 @@ def _chosen(path: Path, found: Mapping[str, _Poses], name: str | None, ledger: L
     others = ", ".join(other for other in found if other != chosen)
     if others:
         message = f"took the trajectory {chosen!r}; there are also: {others}"
-        ledger.note(NoticeKind.ASSUMED, "chosen-trajectory", str(path), message)
+        ledger.note(WarningKind.ASSUMED, "chosen-trajectory", str(path), message)
     return chosen
 
 
 def _write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
     del target
     # the number that a time was read from may mean another nanosecond when its decimals are read exactly
-    way = replace(content.trajectory, file_seconds=None)
+    trajectory = replace(content.trajectory, file_seconds=None)
     with path.open("wb") as file:
-        for lines in merged_lines([NumberLines(TimeWriter(), {}).trajectory(way, None)]):
+        for lines in merged_lines([NumberLines(TimeWriter(), {}).trajectory(trajectory, None)]):
             file.write("\n".join([*lines, ""]).encode())
     return further_losses(content)
 

@@ -1,7 +1,7 @@
 """KITTI: lines of 12 numbers, the rows of [R t] one after another; no times.
 
 Source: the development kit of KITTI's odometry benchmark. There, the poses are those of the left camera (x right, y
-down, z forward) in the frame of its first picture.
+down, z forward) in the frame of its first image.
 """
 
 from collections.abc import Iterable
@@ -14,25 +14,25 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Loss
-from sceneloom.formats.poses import Poses
+from sceneloom.formats.poses import PoseRows
 from sceneloom.formats.recording.written_times import seconds_text
 from sceneloom.formats.rig.csv_files import Table, read_table
-from sceneloom.formats.rig.stamps import FARTHEST_NS
-from sceneloom.formats.rig.times import line_stamps
+from sceneloom.formats.rig.times import line_timestamps
+from sceneloom.formats.rig.timestamps import FARTHEST_NS
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
 from sceneloom.formats.trajectories.first_lines import first_values
-from sceneloom.formats.trajectories.holdings import MATRICES
 from sceneloom.formats.trajectories.rows import further_losses, numbers_text, ordered, oriented
+from sceneloom.formats.trajectories.supported_fields import MATRICES
 from sceneloom.geometry.rotations import (
     GREATEST_ERROR,
     matrix_from_quaternion,
     quaternion_from_matrix,
 )
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.warnings import WarningKind
 
 
 def times_beside(path: Path) -> Path:
-    """Where the times of a file of poses are written: `way.kitti` has its in `way.times.txt`."""
+    """Where the times of a file of poses are written: `trajectory.kitti` has its in `trajectory.times.txt`."""
     return path.with_name(f"{path.stem}.times.txt")
 
 
@@ -46,10 +46,10 @@ def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
     if len(table.rows[0]) != 12:
         problem = f"{len(table.rows[0])} values; expected 12: three rows of [R t]"
         raise DataError(path, f"line {table.lines[0]}", problem)
-    stamps = _stamps(path, len(table.rows), reading, ledger)
+    timestamps = _timestamps(path, len(table.rows), reading, ledger)
     matrices = table.numbers(range(12)).reshape(-1, 3, 4)
     quaternions = _quaternions(table, matrices[:, :, :3])
-    rows = Poses(stamps, matrices[:, :, 3].copy(), quaternions, table.lines)
+    rows = PoseRows(timestamps, matrices[:, :, 3].copy(), quaternions, table.lines)
     return TrajectoryFile(ordered(path, reading.name or path.stem, rows, ledger)[0], FORM.name)
 
 
@@ -72,7 +72,7 @@ def _quaternions(table: Table, matrices: Float64Array) -> Float64Array:
     return quaternion_from_matrix(u @ vt)
 
 
-def _stamps(path: Path, count: int, reading: Reading, ledger: Ledger) -> Int64Array:
+def _timestamps(path: Path, count: int, reading: Reading, ledger: Ledger) -> Int64Array:
     """The times of the poses: of a file that was named, by a rate, or of a file of times beside the poses."""
     if reading.times is not None and reading.rate_hz is not None:
         raise OptionError("times and a rate; expected one of both")
@@ -87,18 +87,18 @@ def _stamps(path: Path, count: int, reading: Reading, ledger: Ledger) -> Int64Ar
         )
         raise DataError(path, "", problem)
     if reading.times is None:
-        ledger.note(NoticeKind.ASSUMED, "times-beside", str(path), f"its times were taken from {found.name}")
-    stamps = line_stamps(found, reading.unit)
-    if len(stamps) != count:
+        ledger.note(WarningKind.ASSUMED, "times-beside", str(path), f"its times were taken from {found.name}")
+    timestamps = line_timestamps(found, reading.unit)
+    if len(timestamps) != count:
         raise DataError(
-            found, "", f"{len(stamps)} times for the {count} poses of {path.name}; expected as many"
+            found, "", f"{len(timestamps)} times for the {count} poses of {path.name}; expected as many"
         )
-    return stamps
+    return timestamps
 
 
 def _found_beside(path: Path) -> Path | None:
-    places = (times_beside(path), path.with_name(f"{path.stem}_times.txt"), path.with_name("times.txt"))
-    return next((place for place in places if place.is_file() and place != path), None)
+    locations = (times_beside(path), path.with_name(f"{path.stem}_times.txt"), path.with_name("times.txt"))
+    return next((location for location in locations if location.is_file() and location != path), None)
 
 
 def _evenly(count: int, rate_hz: float) -> Int64Array:
@@ -112,12 +112,12 @@ def _evenly(count: int, rate_hz: float) -> Int64Array:
 
 
 def _write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
-    way, quaternions = oriented(content, target, FORM.name)
-    matrices = np.concatenate([matrix_from_quaternion(quaternions), way.positions[:, :, None]], axis=2)
+    trajectory, quaternions = oriented(content, target, FORM.name)
+    matrices = np.concatenate([matrix_from_quaternion(quaternions), trajectory.positions[:, :, None]], axis=2)
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"{numbers_text(matrix, ' ')}\n" for matrix in matrices.reshape(-1, 12).tolist())
     with times_beside(path).open("w", encoding="utf-8", newline="\n") as file:
-        file.writelines(f"{seconds_text(time_ns)}\n" for time_ns in way.timestamps_ns.tolist())
+        file.writelines(f"{seconds_text(time_ns)}\n" for time_ns in trajectory.timestamps_ns.tolist())
     return further_losses(content)
 
 

@@ -8,18 +8,18 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.loss import Fate, Loss
-from sceneloom.formats.poses import GREATEST_NORM_ERROR, Poses
+from sceneloom.formats.loss import Loss, Support
+from sceneloom.formats.poses import GREATEST_NORM_ERROR, PoseRows
 from sceneloom.formats.recording.written_times import seconds_text
 from sceneloom.formats.trajectories.content import TrajectoryFile
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.warnings import WarningKind
 
 FARTHEST = 1e12
-"""Positions beyond it [m] are of no way on or around the earth, and their squares leave no digits."""
+"""Positions beyond it [m] are of no trajectory on or around the earth, and their squares leave no digits."""
 
 
-def ordered(path: Path, name: str, rows: Poses, ledger: Ledger) -> tuple[Trajectory, Int64Array]:
+def ordered(path: Path, name: str, rows: PoseRows, ledger: Ledger) -> tuple[Trajectory, Int64Array]:
     """Judge the poses, and sort them by time.
 
     Returns:
@@ -34,21 +34,23 @@ def ordered(path: Path, name: str, rows: Poses, ledger: Ledger) -> tuple[Traject
     times = rows.timestamps_ns[usable]
     back = np.flatnonzero(times[1:] < times[:-1])
     if len(back):
-        place = f"{path}: line {rows.lines[int(usable[back[0] + 1])]}"
-        ledger.note(NoticeKind.REPAIRED, "poses-sorted", place, "poses run backwards in time; sorted by time")
+        location = f"{path}: line {rows.lines[int(usable[back[0] + 1])]}"
+        ledger.note(
+            WarningKind.REPAIRED, "poses-sorted", location, "poses run backwards in time; sorted by time"
+        )
     usable = usable[np.argsort(times, kind="stable")]
     kept = _once(path, rows, usable, ledger)
     quaternions = rows.quaternions_xyzw
-    way = Trajectory(
+    trajectory = Trajectory(
         name,
         read_only(rows.timestamps_ns[kept]),
         read_only(rows.positions[kept]),
         None if quaternions is None else read_only(quaternions[kept]),
     )
-    return way, kept
+    return trajectory, kept
 
 
-def _sound(path: Path, rows: Poses, ledger: Ledger) -> Int64Array:
+def _sound(path: Path, rows: PoseRows, ledger: Ledger) -> Int64Array:
     wrong: dict[int, str] = {}
     far = ~(np.abs(rows.positions) <= FARTHEST).all(axis=1)
     for k in np.flatnonzero(far).tolist():
@@ -57,17 +59,17 @@ def _sound(path: Path, rows: Poses, ledger: Ledger) -> Int64Array:
         with np.errstate(over="ignore"):
             norms = np.sqrt((rows.quaternions_xyzw**2).sum(axis=1))
         for k in np.flatnonzero(~(np.abs(norms - 1.0) <= GREATEST_NORM_ERROR)).tolist():
-            told = rows.quaternions_xyzw[k].tolist()
+            reported = rows.quaternions_xyzw[k].tolist()
             wrong[k] = (
-                f"orientation {told} (x, y, z, w) of length {norms[k]:.4g}; expected length 1 within 0.01"
+                f"orientation {reported} (x, y, z, w) of length {norms[k]:.4g}; expected length 1 within 0.01"
             )
     for k in sorted(wrong):
         ledger.fault("unusable-poses", DataError(path, f"line {rows.lines[k]}", wrong[k]))
     return np.delete(np.arange(len(rows.timestamps_ns)), sorted(wrong))
 
 
-def _once(path: Path, rows: Poses, usable: Int64Array, ledger: Ledger) -> Int64Array:
-    """Keep one pose per time: a body is in one place."""
+def _once(path: Path, rows: PoseRows, usable: Int64Array, ledger: Ledger) -> Int64Array:
+    """Keep one pose per time: a body is in one location."""
     times = rows.timestamps_ns[usable]
     repeated = np.flatnonzero(times[1:] == times[:-1]) + 1
     if not len(repeated):
@@ -87,13 +89,13 @@ def oriented(content: TrajectoryFile, target: Path, form: str) -> tuple[Trajecto
     Raises:
         OptionError: it has none.
     """
-    way = content.trajectory
-    if way.quaternions_xyzw is None:
+    trajectory = content.trajectory
+    if trajectory.quaternions_xyzw is None:
         raise OptionError(
-            f"{target}: the trajectory {way.name!r} has positions without orientations, and {form} needs both; "
+            f"{target}: the trajectory {trajectory.name!r} has positions without orientations, and {form} needs both; "
             "choose the form csv or jsonl, or gnss for fixes"
         )
-    return way, way.quaternions_xyzw
+    return trajectory, trajectory.quaternions_xyzw
 
 
 def numbers_text(values: Iterable[float], separator: str) -> str:
@@ -102,18 +104,20 @@ def numbers_text(values: Iterable[float], separator: str) -> str:
 
 
 def further_losses(content: TrajectoryFile, *, kept: Iterable[str] = ()) -> list[Loss]:
-    """What poses bear besides, and a form of plain poses has no place for."""
-    way = content.trajectory
+    """What poses bear besides, and a form of plain poses has no field for."""
+    trajectory = content.trajectory
     losses = [
-        Loss(field=f"trajectories[{way.name}].{name}", what="left out", count=len(values))
+        Loss(field=f"trajectories[{trajectory.name}].{name}", what="left out", count=len(values))
         for name, values in content.columns.items()
         if name not in set(kept)
     ]
-    if way.covariances is not None:
-        field = f"trajectories[{way.name}].covariances"
-        losses.append(Loss(field=field, what="left out", count=len(way.covariances)))
+    if trajectory.covariances is not None:
+        field = f"trajectories[{trajectory.name}].covariances"
+        losses.append(Loss(field=field, what="left out", count=len(trajectory.covariances)))
     if content.fixes is not None:
         field, what = f"sensors[{content.fixes.id}]", "written as metres east, north and up of the first fix"
-        told = Loss(field=field, what=what, count=len(content.fixes.timestamps_ns), fate=Fate.CONVERTED)
-        losses.append(told)
+        reported = Loss(
+            field=field, what=what, count=len(content.fixes.timestamps_ns), support=Support.CONVERTED
+        )
+        losses.append(reported)
     return losses

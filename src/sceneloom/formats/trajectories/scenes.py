@@ -1,4 +1,4 @@
-"""A trajectory inside a scene: recorded in it, computed from it, or told by its satellite receiver."""
+"""A trajectory inside a scene: recorded in it, computed from it, or reported by its satellite receiver."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -15,23 +15,23 @@ from sceneloom.formats.trajectories.gnss import of_fixes
 from sceneloom.motion.gnss_receivers import usable_fixes
 from sceneloom.motion.trajectories import GNSS, RESERVED
 from sceneloom.scene.motion import GnssSensor
-from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Corrections, Scene
 from sceneloom.scene.types import Progress
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 FIXES = "fixes"
-"""Name of the positions that the first satellite receiver of a scene told; of others, `fixes:ID`."""
+"""Name of the positions that the first satellite receiver of a scene reported; of others, `fixes:ID`."""
 
 
 def is_scene_name(name: str | None) -> bool:
-    """Whether a trajectory of that name is computed from sensors, or told by one."""
+    """Whether a trajectory of that name is computed from sensors, or reported by one."""
     return name is not None and (name in RESERVED or name.partition(":")[0] == FIXES)
 
 
 def read_scene_trajectory(
     form: FormatSpec,
-    place: Any,
+    location: Any,
     reading: Reading,
     options: Mapping[str, Any],
     progress: Progress | None = None,
@@ -40,13 +40,13 @@ def read_scene_trajectory(
 
     Args:
         form: the format of the scene.
-        place: what the format opens.
-        reading: its `name`: a name out of `scene.trajectories`, "lidar" or "gnss" to find the way from the sweeps or
-            from GNSS and IMU, "fixes" or "fixes:ID" for what a satellite receiver told. None: the default one; where
-            there is none and no lidar, the fixes as received, since what is compared is what was told, and not what
-            a smoother makes of it where a scene is placed; else what `find_ego_motion` finds.
+        location: what the format opens.
+        reading: its `name`: a name out of `scene.trajectories`, "lidar" or "gnss" to find the trajectory from the
+            sweeps or from GNSS and IMU, "fixes" or "fixes:ID" for what a satellite receiver reported. None: the default
+            one; where there is none and no lidar, the fixes as received, since what is compared is what was reported,
+            and not what a smoother makes of it where a scene is placed; else what `find_ego_motion` finds.
         options: reading options of the format.
-        progress: told after each sweep, where the way is found from the sweeps.
+        progress: reported after each sweep, where the trajectory is found from the sweeps.
 
     Raises:
         OptionError: there is none of that name.
@@ -54,7 +54,7 @@ def read_scene_trajectory(
     """
     further = dict(options)
     chosen = chosen_corrections(further.pop("corrections", Corrections.APPLY))
-    with form.open(place, **further) as opened:
+    with form.open(location, **further) as opened:
         scene = replace(opened, corrections=chosen).corrected()
         found = _named(scene, reading, progress)
     return TrajectoryFile(
@@ -63,7 +63,7 @@ def read_scene_trajectory(
         found.fixes,
         found.origin_lla,
         found.columns,
-        (*scene.notices, *found.notices),
+        (*scene.warnings, *found.warnings),
     )
 
 
@@ -85,10 +85,10 @@ def _named(scene: Scene, reading: Reading, progress: Progress | None) -> Traject
 
 
 def _received(scene: Scene, sensor: GnssSensor, name: str, reading: Reading) -> TrajectoryFile:
-    """The fixes that are places: one at 0, 0 before reception would else be the origin of all."""
-    place, usable = f"{scene.source}: sensors[{sensor.id}]", usable_fixes(sensor)
+    """The fixes that are locations: one at 0, 0 before reception would else be the origin of all."""
+    location, usable = f"{scene.source}: sensors[{sensor.id}]", usable_fixes(sensor)
     if not usable.any():
-        raise PoseError(f"{place}: no usable GNSS fixes in it; expected one or more")
+        raise PoseError(f"{location}: no usable GNSS fixes in it; expected one or more")
     if usable.all():
         return of_fixes(sensor, origin_lla=reading.origin_lla, name=name)
     kept = GnssSensor(
@@ -98,11 +98,11 @@ def _received(scene: Scene, sensor: GnssSensor, name: str, reading: Reading) -> 
         sensor.accuracies[usable],
         sensor.vertical_accuracies[usable],
     )
-    lost, message = int((~usable).sum()), "fixes that are no place were left out"
-    told = Notice(
-        kind=NoticeKind.SKIPPED, code="gnss-fixes-left-out", place=place, message=message, count=lost
+    lost, message = int((~usable).sum()), "fixes that are no location were left out"
+    reported = DataWarning(
+        kind=WarningKind.SKIPPED, code="gnss-fixes-left-out", location=location, message=message, count=lost
     )
-    return replace(of_fixes(kept, origin_lla=reading.origin_lla, name=name), notices=(told,))
+    return replace(of_fixes(kept, origin_lla=reading.origin_lla, name=name), warnings=(reported,))
 
 
 def _computed(scene: Scene, name: str | None, progress: Progress | None) -> TrajectoryFile:
@@ -110,13 +110,15 @@ def _computed(scene: Scene, name: str | None, progress: Progress | None) -> Traj
 
     ego = find_ego_motion(scene, name=name, progress=progress)
     path = ego.path
-    if path.endless:
-        raise PoseError(f"{scene.source}: the way {ego.name!r} has no times; nothing can be compared with it")
-    way = Trajectory(
+    if path.static:
+        raise PoseError(
+            f"{scene.source}: the trajectory {ego.name!r} has no times; nothing can be compared with it"
+        )
+    trajectory = Trajectory(
         ego.name, path.timestamps_ns, path.positions, path.quaternions_xyzw, covariances=ego.covariances
     )
     origin = None if ego.enu_origin_lla is None else read_only(ego.enu_origin_lla, np.float64)
-    return TrajectoryFile(way, origin_lla=origin, notices=ego.notices)
+    return TrajectoryFile(trajectory, origin_lla=origin, warnings=ego.warnings)
 
 
 def _choices(scene: Scene, receivers: list[GnssSensor]) -> str:

@@ -13,14 +13,14 @@ from sceneloom.errors import OptionError, PoseError, UnknownFormatError, check_o
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import replacing_together
-from sceneloom.formats.table import claims_of, format_and_place, format_names
+from sceneloom.formats.table import claims_of, format_and_location, format_names
 from sceneloom.formats.trajectories import euroc, gnss, jsonl, kitti, named_columns, tum
 from sceneloom.formats.trajectories.axes import from_optical, to_optical
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
 from sceneloom.formats.trajectories.first_lines import beginning
 from sceneloom.formats.trajectories.scenes import is_scene_name, read_scene_trajectory
 from sceneloom.formats.urls import is_url
-from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.types import Progress
 
 TRAJECTORY_FORMS: Mapping[str, TrajectoryForm] = MappingProxyType(
@@ -88,15 +88,15 @@ def read_trajectory_file(
         )
     _check_used(where, chosen, reading)
     if chosen is None:
-        scene_form, place = format_and_place(where, format=form)
+        scene_form, location = format_and_location(where, format=form)
         options = {**options, **({"lenient": True} if lenient else {})}
-        content = read_scene_trajectory(scene_form, place, reading, options, progress)
+        content = read_scene_trajectory(scene_form, location, reading, options, progress)
     else:
         check_option_names(f"opening a trajectory ({chosen.name})", options, _READING)
         ledger = Ledger(lenient=lenient)
         with ledger.telling():
             content = chosen.read(Path(where), reading, ledger)
-        content = replace(content, notices=ledger.notices)
+        content = replace(content, warnings=ledger.warnings)
     return from_optical(content) if optical else content
 
 
@@ -132,9 +132,9 @@ def read_trajectory(path: str | Path, **options: Any) -> Trajectory:
             decide; `name` of one of several trajectories; `times`, a file with one time per line, or `rate_hz`, for
             KITTI files; `unit` of the times in a text ("seconds" … "nanoseconds"); `origin_lla`, latitude [deg],
             longitude [deg] and altitude [m] that positions of fixes are seen from, else their first; `optical`, whether
-            the poses are of a camera's axes, to be turned to x forward, y left, z up; `lenient`, to leave out bad lines
-            and second poses of one time; `progress`, told after each sweep where a way is found from the sweeps; others
-            go to the format of a scene.
+            the poses are of a camera's axes, to be rotated to x forward, y left, z up; `lenient`, to leave out bad
+            lines and second poses of one time; `progress`, reported after each sweep where a trajectory is found from
+            the sweeps; others go to the format of a scene.
 
     Returns:
         Poses of the device in the world, times exact, positions and orientations as the file has them.
@@ -149,7 +149,7 @@ def read_trajectory(path: str | Path, **options: Any) -> Trajectory:
 
 
 def write_trajectory(
-    trajectory: Trajectory | PosePath | TrajectoryFile,
+    trajectory: Trajectory | Poses | TrajectoryFile,
     path: str | Path,
     *,
     form: str | None = None,
@@ -160,15 +160,15 @@ def write_trajectory(
     """Write a trajectory to a file.
 
     Args:
-        trajectory: what to write; a `TrajectoryFile` brings what else its file said.
+        trajectory: what to write; a `TrajectoryFile` brings what else its file stated.
         path: the file to write; its suffix chooses the form unless `form` does.
         form: a name out of `TRAJECTORY_FORMS`.
         origin_lla: latitude [deg], longitude [deg] and altitude [m] of the world's origin, for the form `gnss`.
-        optical: whether to turn the axes from x forward, y left, z up to those of cameras.
+        optical: whether to rotate the axes from x forward, y left, z up to those of cameras.
         overwrite: whether a file that exists may be replaced.
 
     Returns:
-        What the form has no place for.
+        What the form has no field for.
 
     Raises:
         OptionError: no form has that suffix or name, or the trajectory lacks what the form needs.
@@ -188,19 +188,21 @@ def write_trajectory(
         return LossReport.of(chosen.write(content, draft, target))
 
 
-def content_of(way: Trajectory | PosePath | TrajectoryFile) -> TrajectoryFile:
-    """A trajectory or a path of poses with nothing besides; what a file said as it is.
+def content_of(trajectory: Trajectory | Poses | TrajectoryFile) -> TrajectoryFile:
+    """A trajectory or a path of poses with nothing besides; what a file stated as it is.
 
     Raises:
         PoseError: a path is one pose for all times.
     """
-    if isinstance(way, TrajectoryFile):
-        return way
-    if isinstance(way, Trajectory):
-        return TrajectoryFile(way)
-    if way.endless:
+    if isinstance(trajectory, TrajectoryFile):
+        return trajectory
+    if isinstance(trajectory, Trajectory):
+        return TrajectoryFile(trajectory)
+    if trajectory.static:
         raise PoseError("a pose that holds at all times is no way; expected poses with a time each")
-    return TrajectoryFile(Trajectory("poses", way.timestamps_ns, way.positions, way.quaternions_xyzw))
+    return TrajectoryFile(
+        Trajectory("poses", trajectory.timestamps_ns, trajectory.positions, trajectory.quaternions_xyzw)
+    )
 
 
 def find_form(path: str | Path) -> TrajectoryForm | None:
@@ -221,7 +223,7 @@ def find_form(path: str | Path) -> TrajectoryForm | None:
     if text is not None:
         forms = TRAJECTORY_FORMS.values()
         found = next((form for form in forms if form.recognises(text)), None)
-        # a suffix of its own tells the form of a file that is torn, whose fault can then be named
+        # a suffix of its own reports the form of a file that is torn, whose fault can then be named
         found = found or next(
             (form for form in forms if where.suffix.lower() in OWN_SUFFIXES & {*form.suffixes}), None
         )
@@ -264,6 +266,8 @@ def _origin(origin_lla: Sequence[float]) -> Float64Array:
     origin = np.asarray(origin_lla, np.float64)
     inside = origin.shape == (3,) and bool((np.abs(origin) <= (90, 180, 1e8)).all())
     if not inside:
-        told = list(map(float, origin.ravel()))
-        raise OptionError(f"origin {told}; expected latitude and longitude in degrees, altitude in metres")
+        reported = list(map(float, origin.ravel()))
+        raise OptionError(
+            f"origin {reported}; expected latitude and longitude in degrees, altitude in metres"
+        )
     return origin

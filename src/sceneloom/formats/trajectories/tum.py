@@ -9,7 +9,7 @@ from pathlib import Path
 from sceneloom.errors import DataError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.loss import Loss
-from sceneloom.formats.poses import Poses
+from sceneloom.formats.poses import PoseRows
 from sceneloom.formats.recording.written_times import seconds_text
 from sceneloom.formats.rig.csv_files import read_table
 from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
@@ -30,15 +30,20 @@ def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
         problem = f"{len(table.rows[0])} values; expected 8: timestamp tx ty tz qx qy qz qw"
         raise DataError(path, f"line {table.lines[0]}", problem)
     values = table.numbers(range(1, 8))
-    rows = Poses(table.stamps(0, reading.unit), values[:, :3], values[:, 3:], table.lines)
+    rows = PoseRows(table.timestamps(0, reading.unit), values[:, :3], values[:, 3:], table.lines)
     return TrajectoryFile(ordered(path, reading.name or path.stem, rows, ledger)[0], FORM.name)
 
 
 def _write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
-    way, quaternions = oriented(content, target, FORM.name)
+    trajectory, quaternions = oriented(content, target, FORM.name)
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(_HEADER)
-        rows = zip(way.timestamps_ns.tolist(), way.positions.tolist(), quaternions.tolist(), strict=True)
+        rows = zip(
+            trajectory.timestamps_ns.tolist(),
+            trajectory.positions.tolist(),
+            quaternions.tolist(),
+            strict=True,
+        )
         for time_ns, position, quaternion in rows:
             file.write(f"{seconds_text(time_ns)} {numbers_text((*position, *quaternion), ' ')}\n")
     return further_losses(content)

@@ -1,1 +1,1 @@
-"""Pictures in and out of videos and PNG folders: exact reading, encoding, copying without encoding."""
+"""Images in and out of videos and PNG folders: exact reading, encoding, copying without encoding."""

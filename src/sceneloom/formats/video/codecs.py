@@ -38,7 +38,7 @@ def is_lossless(codec: str) -> bool:
 
 
 def available_codecs() -> dict[str, bool]:
-    """Say of each codec that drives come in whether it is there."""
+    """Report of each codec that drives come in whether it is there."""
     from av.codec import Codec
     from av.codec.codec import UnknownCodecError
 

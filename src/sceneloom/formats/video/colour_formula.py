@@ -32,7 +32,7 @@ class ColourFormula:
     half_columns: int
 
     def rgb(self, frame: VideoFrame) -> UInt8Array:
-        """Give (height, width, 3) uint8 of a picture of even size in three planes of bytes."""
+        """Give (height, width, 3) uint8 of an image of even size in three planes of bytes."""
         luma, blue, red = (_rows(plane) for plane in frame.planes)
         rgb = np.empty((frame.height, frame.width, 3), np.uint8)
         lines = rgb.reshape(frame.height, 3 * frame.width)
@@ -47,9 +47,9 @@ _FORMULAS = tuple(
 
 
 def formula_like_converter(frame: VideoFrame) -> ColourFormula | None:
-    """Find the formula that gives what the converter gives, within a level, for a picture marked like this one.
+    """Find the formula that gives what the converter gives, within a level, for an image marked like this one.
 
-    The marks that say where samples of colour lie are shown to the converter only, so it is asked by a picture that
+    The marks that state where samples of colour lie are shown to the converter only, so it is asked by an image that
     it marks itself. None where no formula of ours does.
     """
     probe = VideoReformatter().reformat(frame, width=_PROBE_WIDTH, height=_PROBE_HEIGHT)

@@ -1,4 +1,4 @@
-"""Red, green and blue of a decoded picture: by a formula of ours where there is one, else by FFmpeg's converter."""
+"""Red, green and blue of a decoded image: by a formula of ours where there is one, else by FFmpeg's converter."""
 
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,7 @@ _HALVED = frozenset({"yuv420p", "yuvj420p"})
 
 
 class Colours:
-    """Converts the pictures of one stream; for one thread at a time."""
+    """Converts the images of one stream; for one thread at a time."""
 
     def __init__(self) -> None:
         self._reformatter = VideoReformatter()
@@ -29,7 +29,7 @@ class Colours:
         """Give (height, width, 3) uint8, red green blue.
 
         Raises:
-            av.FFmpegError, ValueError: the converter does not know the picture's pixels.
+            av.FFmpegError, ValueError: the converter does not know the image's pixels.
         """
         formula = self._formula_of(frame) if _is_halved(frame) else None
         return convert(frame, self._reformatter) if formula is None else formula.rgb(frame)
@@ -37,7 +37,7 @@ class Colours:
     def _formula_of(self, frame: VideoFrame) -> "ColourFormula | None":
         kind = (frame.format.name, frame.colorspace, frame.color_range, frame.interlaced_frame)
         if kind not in self._formulas:
-            # loads the compiler: for pictures only, not for opening and counting
+            # loads the compiler: for images only, not for opening and counting
             from sceneloom.formats.video.colour_formula import formula_like_converter
 
             self._formulas[kind] = formula_like_converter(frame)

@@ -1,4 +1,4 @@
-"""No decoder is open while a process forks: the child would have its file, at one common place, but not its threads.
+"""No decoder is open while a process forks: the child would have its file, at one common location, but not its threads.
 
 A decoder whose threads are gone hangs when it is used or closed, and even when its process ends.
 """

@@ -1,4 +1,4 @@
-"""Which pictures a video holds, found by walking through its packets without decoding any."""
+"""Which images a video holds, found by walking through its packets without decoding any."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -16,28 +16,28 @@ from sceneloom.formats.video.matroska import check_whole
 from sceneloom.formats.video.source import OpenVideo, VideoSource, decoder_faults
 
 _ASSUMED_RATE = Fraction(25)
-"""Pictures a second where neither packets nor container name any time; only `timestamps` depend on it."""
+"""Images a second where neither packets nor container name any time; only `timestamps` depend on it."""
 
 _UNTIMED = frozenset({"avi", "h264", "hevc"})
-"""Containers that say nothing of when a picture is shown."""
+"""Containers that state nothing of when an image is shown."""
 
 _REORDERS = 1 << 3
 """Source: AV_CODEC_PROP_REORDER of libavcodec/codec_desc.h."""
 
 _MOST_REORDERED = 16
-"""So many pictures at most are stored before one that is shown before them. Source: H.264, `max_num_reorder_frames`."""
+"""So many images at most are stored before one that is shown before them. Source: H.264, `max_num_reorder_frames`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VideoIndex:
-    """The pictures of a video in the order in which they are shown.
+    """The images of a video in the order in which they are shown.
 
     Attributes:
         time_base: length of one tick [s].
         pts: (N,) int64 [ticks], presentation times, ascending; counted up where the container has none.
-        positions: (N,) int64, each picture's place among the packets.
-        entries: (N,) int64, the picture at whose key frame decoding has to begin to get this one.
-        timed: whether `pts` identify a picture; else pictures are known by counting from the start only.
+        positions: (N,) int64, each image's location among the packets.
+        entries: (N,) int64, the image at whose key frame decoding has to begin to get this one.
+        timed: whether `pts` identify an image; else images are known by counting from the start only.
         hidden: packets that have to be decoded but are not shown (cut away by an edit list).
     """
 
@@ -53,16 +53,16 @@ class VideoIndex:
 
     @property
     def timestamps(self) -> Float64Array:
-        """(N,) float64 [s], presentation time of each picture."""
+        """(N,) float64 [s], presentation time of each image."""
         return self.pts.astype(np.float64) * (self.time_base.numerator / self.time_base.denominator)
 
     @property
     def independent(self) -> bool:
-        """Whether each picture is a key frame."""
+        """Whether each image is a key frame."""
         return bool(np.array_equal(self.entries, np.arange(len(self))))
 
     def part(self, taken: Int64Array) -> "VideoIndex":
-        """The list of some of the pictures, (M,) ascending, as if the others had never been stored."""
+        """The list of some of the images, (M,) ascending, as if the others had never been stored."""
         order = np.argsort(np.argsort(self.positions[taken])).astype(np.int64)
         entries = np.maximum(np.searchsorted(taken, self.entries[taken], side="right") - 1, 0).astype(
             np.int64
@@ -70,7 +70,7 @@ class VideoIndex:
         return VideoIndex(self.time_base, self.pts[taken], order, entries, timed=self.timed, hidden=0)
 
     def find(self, pts: int | None) -> int | None:
-        """The picture that has this presentation time, or None."""
+        """The image that has this presentation time, or None."""
         if pts is None:
             return None
         index = int(np.searchsorted(self.pts, pts))
@@ -93,12 +93,12 @@ def _lacks_presentation_times(opened: OpenVideo) -> bool:
 
 
 def codec_reorders(stream: VideoStream) -> bool:
-    """Whether pictures of this codec may be shown in another order than they are stored in."""
+    """Whether images of this codec may be shown in another order than they are stored in."""
     return bool(stream.codec_context.codec.properties & _REORDERS)
 
 
 def presentation_ticks(packet: "Packet[VideoStream]", *, reorders: bool) -> int | None:
-    """When a packet's picture is shown: its pts, or its dts where the codec never reorders pictures."""
+    """When a packet's image is shown: its pts, or its dts where the codec never reorders images."""
     if packet.pts is not None:
         return packet.pts
     return None if reorders else packet.dts
@@ -113,7 +113,7 @@ def read_index(
         source: the video.
         name: what messages call it.
         options: further ones for the container.
-        cut_off: take the pictures of a video that breaks off, up to the first that may be missing.
+        cut_off: take the images of a video that breaks off, up to the first that may be missing.
 
     Raises:
         DataError: the container breaks off, or a packet is damaged.
@@ -150,15 +150,15 @@ def _walk(opened: OpenVideo, name: str) -> _Packets:
     declared = opened.stream.frames if "mp4" in opened.container.format.name else 0
     if len(ticks) + hidden < declared:
         found = len(ticks) + hidden
-        raise DataError(name, "", f"is cut off: holds {found} of the {declared} pictures that it declares")
+        raise DataError(name, "", f"is cut off: holds {found} of the {declared} images that it declares")
     return _Packets(ticks, keys, hidden)
 
 
 def _first_packets(opened: OpenVideo) -> _Packets:
     """Walk as far as a container that breaks off can be followed.
 
-    A picture that is shown before one that is there may have been stored after it. No packet after the last one is
-    decoded earlier than that, nor shown before it is decoded: the pictures up to the last decoding time are all there.
+    An image that is shown before one that is there may have been stored after it. No packet after the last one is
+    decoded earlier than that, nor shown before it is decoded: the images up to the last decoding time are all there.
     """
     reorders, guessed = codec_reorders(opened.stream), _lacks_presentation_times(opened)
     found: list[tuple[int | None, bool]] = []
@@ -191,10 +191,10 @@ def _index_of(packets: _Packets, time_base: Fraction, rate: Fraction | None) -> 
 
 
 def _entries(pts: Int64Array, keys: BoolArray, order: Int64Array) -> Int64Array:
-    """For each picture, the last key frame that is both stored and shown no later than it.
+    """For each image, the last key frame that is both stored and shown no later than it.
 
-    A picture stored after a key frame but shown before it may lean on what came before the key frame (open
-    groups of pictures), so decoding for it has to begin at the key frame before.
+    An image stored after a key frame but shown before it may lean on what came before the key frame (open
+    groups of images), so decoding for it has to begin at the key frame before.
     """
     ranks = np.empty(len(order), np.int64)
     ranks[order] = np.arange(len(order))

@@ -1,6 +1,6 @@
-"""Whether a Matroska file ends where its elements say: FFmpeg reads one that is cut off without a word.
+"""Whether a Matroska file ends where its elements state: FFmpeg reads one that is cut off without a word.
 
-Pictures that are shown earlier may be stored later, so what is left of a cut file is not its first pictures.
+Images that are shown earlier may be stored later, so what is left of a cut file is not its first images.
 
 Source: RFC 8794 (EBML), sections 4 to 6; RFC 9559 (Matroska), section 5.1.
 """
@@ -38,20 +38,20 @@ def check_whole(source: VideoSource, name: str) -> None:
 
 def _declared_stop(file: BinaryIO, size: int) -> int:
     """The end of the element that reaches farthest, as far as the file can be followed."""
-    place = 0
-    while place < size:
-        element = _read_head(file, place)
+    location = 0
+    while location < size:
+        element = _read_head(file, location)
         if element is None:
-            return place
+            return location
         if element.stop is not None and element.stop > size:
             return element.stop
         into = element.identifier == _SEGMENT or element.stop is None
-        place = element.start if into else int(element.stop or 0)
-    return place
+        location = element.start if into else int(element.stop or 0)
+    return location
 
 
-def _read_head(file: BinaryIO, place: int) -> _Element | None:
-    file.seek(place)
+def _read_head(file: BinaryIO, location: int) -> _Element | None:
+    file.seek(location)
     head = file.read(_LONGEST_HEAD)
     identifier_length = _width(head[:1], longest=4)
     size_length = _width(head[identifier_length : identifier_length + 1], longest=8)
@@ -61,7 +61,7 @@ def _read_head(file: BinaryIO, place: int) -> _Element | None:
     identifier = int.from_bytes(head[:identifier_length], "big")
     unknown = (1 << 7 * size_length) - 1
     size = int.from_bytes(head[identifier_length:start], "big") & unknown
-    return _Element(identifier, place + start, None if size == unknown else place + start + size)
+    return _Element(identifier, location + start, None if size == unknown else location + start + size)
 
 
 def _width(first: bytes, *, longest: int) -> int:

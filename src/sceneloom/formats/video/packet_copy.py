@@ -42,8 +42,8 @@ class PacketTimes:
     def of(cls, index: VideoIndex, timestamps_seconds: Sequence[float] | Float64Array | None) -> Self:
         """Spread times, given in the order of showing, over the packets in their order of storage.
 
-        A picture must be decoded no later than it is shown. With the packets' times sorted, s, and d the most
-        places that a packet is stored behind its rank in showing, dts[k] = s[k - d] fulfils that and increases;
+        An image must be decoded no later than it is shown. With the packets' times sorted, s, and d the most
+        locations that a packet is stored behind its rank in showing, dts[k] = s[k - d] fulfils that and increases;
         before the first time it goes on backwards in steps of the first period.
         """
         if timestamps_seconds is None:
@@ -61,14 +61,14 @@ class PacketTimes:
         return cls(tick, shown[ranks], np.concatenate([before, shown])[:count], periods[ranks])
 
 
-def check_count(stamps: int, pictures: int) -> None:
-    """Refuse a list of times that is not one for each picture.
+def check_count(timestamps: int, images: int) -> None:
+    """Refuse a list of times that is not one for each image.
 
     Raises:
         ArrayError: it is not.
     """
-    if stamps != pictures:
-        raise ArrayError(f"timestamps_seconds: {stamps} times for {pictures} pictures; expected one for each")
+    if timestamps != images:
+        raise ArrayError(f"timestamps_seconds: {timestamps} times for {images} images; expected one for each")
 
 
 def copy_packets(
@@ -80,7 +80,7 @@ def copy_packets(
     *,
     taken: BoolArray | None = None,
 ) -> None:
-    """Copy packets that hold pictures into a new container, one at a time.
+    """Copy packets that hold images into a new container, one at a time.
 
     Args:
         source: the video.
@@ -98,11 +98,11 @@ def copy_packets(
     opened = OpenVideo(source, name)
     try:
         header = len(opened.stream.codec_context.extradata or b"")
-        output = open_container(target, container, pictures=len(times.pts), header_bytes=header)
+        output = open_container(target, container, images=len(times.pts), header_bytes=header)
         try:
             with writing_faults(called):
                 stream = _same_stream(output, opened.stream, times.tick)
-            for position, packet in enumerate(_taken(iter_picture_packets(opened, name), taken)):
+            for position, packet in enumerate(_taken(iter_image_packets(opened, name), taken)):
                 set_times(packet, times, position, name)
                 packet.stream = stream
                 with writing_faults(called):
@@ -129,8 +129,8 @@ def _same_stream(output: OutputContainer, original: VideoStream, tick: Fraction)
     return stream
 
 
-def iter_picture_packets(opened: OpenVideo, name: str) -> "Iterator[Packet[VideoStream]]":
-    """Give the packets that hold a picture which is shown, in the order of storage.
+def iter_image_packets(opened: OpenVideo, name: str) -> "Iterator[Packet[VideoStream]]":
+    """Give the packets that hold an image which is shown, in the order of storage.
 
     Raises:
         DataError: the container is damaged.
@@ -168,11 +168,11 @@ def set_times(packet: "Packet[VideoStream]", times: PacketTimes, position: int, 
 
 
 def _to_ticks(timestamps_seconds: Sequence[float] | Float64Array, count: int) -> Int64Array:
-    stamps = np.asarray(timestamps_seconds, np.float64)
-    check_count(len(stamps), count)
-    ticks = np.rint((stamps - stamps[:1]) / float(MICROSECONDS)).astype(np.int64)
+    timestamps = np.asarray(timestamps_seconds, np.float64)
+    check_count(len(timestamps), count)
+    ticks = np.rint((timestamps - timestamps[:1]) / float(MICROSECONDS)).astype(np.int64)
     backwards = np.flatnonzero(np.diff(ticks) <= 0)
     if len(backwards):
         k = int(backwards[0]) + 1
-        raise ArrayError(f"timestamps_seconds[{k}]: {stamps[k]}; expected more than {stamps[k - 1]}")
+        raise ArrayError(f"timestamps_seconds[{k}]: {timestamps[k]}; expected more than {timestamps[k - 1]}")
     return ticks

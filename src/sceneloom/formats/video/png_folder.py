@@ -1,4 +1,4 @@
-"""A folder of numbered PNG pictures with the interface of a video."""
+"""A folder of numbered PNG images with the interface of a video."""
 
 import re
 from collections.abc import Collection
@@ -9,7 +9,7 @@ from PIL import Image, UnidentifiedImageError
 
 from sceneloom.arrays import AnyArray, UInt8Array, UInt16Array
 from sceneloom.errors import DataError
-from sceneloom.formats.encoded_pictures import open_image
+from sceneloom.formats.encoded_images import open_image
 
 _NUMBERED = re.compile(r"(\d{8})\.png")
 _EIGHT_BIT_MODES = {"1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX"}
@@ -19,31 +19,31 @@ _STEPS = frozenset({"I", "I;16", "I;16B", "I;16L"})
 """Its modes for 16-bit grey; PNG has no wider grey."""
 
 
-def picture_name(index: int) -> str:
-    """File name of the picture with this number."""
+def image_name(index: int) -> str:
+    """File name of the image with this number."""
     return f"{index:08d}.png"
 
 
 class PngFolder:
-    """The pictures `00000000.png`, `00000001.png`, … of a folder; decoded when asked for, none kept.
+    """The images `00000000.png`, `00000001.png`, … of a folder; decoded when asked for, none kept.
 
     Attributes:
         name: what messages call the folder.
         codec: "png".
-        count: number of pictures.
-        width, height: size of the first picture, and so of all [px].
+        count: number of images.
+        width, height: size of the first image, and so of all [px].
         fps: None: the files have no times.
-        has_steps: whether the first picture, and so all, are 16-bit grey, as depths are kept.
+        has_steps: whether the first image, and so all, are 16-bit grey, as depths are kept.
 
     Raises:
-        DataError: the folder is missing or empty, a number is missing, or the first picture cannot be read.
+        DataError: the folder is missing or empty, a number is missing, or the first image cannot be read.
     """
 
     codec = "png"
     fps: float | None = None
 
     def __init__(self, folder: Path) -> None:
-        """List the folder and read the head of its first picture."""
+        """List the folder and read the head of its first image."""
         self.name = str(folder)
         self._folder = folder
         self.count = _count(folder)
@@ -52,25 +52,25 @@ class PngFolder:
             self.has_steps = first.mode in _STEPS
 
     def rgb(self, index: int) -> UInt8Array:
-        """Decode one picture.
+        """Decode one image.
 
         Returns:
             (height, width, 3) uint8, red green blue; grey is repeated, transparency dropped.
 
         Raises:
-            DataError: there is no such picture, or it is damaged, of another size, or of 16-bit grey.
+            DataError: there is no such image, or it is damaged, of another size, or of 16-bit grey.
         """
         with self._checked(index, _EIGHT_BIT_MODES, "8-bit grey or colour") as image:
             return self._decoded(image, "RGB", np.uint8, index)
 
     def steps(self, index: int) -> UInt16Array:
-        """Decode one picture of 16-bit grey.
+        """Decode one image of 16-bit grey.
 
         Returns:
             (height, width) uint16, as they are stored.
 
         Raises:
-            DataError: there is no such picture, or it is damaged, of another size, or not of 16-bit grey.
+            DataError: there is no such image, or it is damaged, of another size, or not of 16-bit grey.
         """
         with self._checked(index, _STEPS, "16-bit grey") as image:
             return self._decoded(image, "I", np.uint16, index)
@@ -80,8 +80,8 @@ class PngFolder:
 
     def _checked(self, index: int, modes: Collection[str], expected: str) -> Image.Image:
         if not 0 <= index < self.count:
-            raise DataError(self.name, f"picture {index}", f"does not exist: the folder holds {self.count}")
-        place, image = picture_name(index), self._open(index)
+            raise DataError(self.name, f"image {index}", f"does not exist: the folder holds {self.count}")
+        location, image = image_name(index), self._open(index)
         if image.size != (self.width, self.height):
             size = "x".join(map(str, image.size))
             problem = f"is {size}; expected {self.width}x{self.height} as the first one"
@@ -90,22 +90,22 @@ class PngFolder:
         else:
             return image
         image.close()
-        raise DataError(self.name, place, problem)
+        raise DataError(self.name, location, problem)
 
     def _decoded(self, image: Image.Image, mode: str, dtype: type[np.generic], index: int) -> AnyArray:
         try:
             return np.array(image.convert(mode)).astype(dtype)
         except (OSError, ValueError, SyntaxError) as error:
-            raise DataError(self.name, picture_name(index), f"cannot be decoded: {error}") from error
+            raise DataError(self.name, image_name(index), f"cannot be decoded: {error}") from error
 
     def _open(self, index: int) -> Image.Image:
-        place = picture_name(index)
+        location = image_name(index)
         try:
-            return open_image(self._folder / place, ("PNG",))
+            return open_image(self._folder / location, ("PNG",))
         except UnidentifiedImageError as error:
-            raise DataError(self.name, place, "is no PNG picture") from error
+            raise DataError(self.name, location, "is no PNG image") from error
         except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-            raise DataError(self.name, place, f"cannot be read: {error}") from error
+            raise DataError(self.name, location, f"cannot be read: {error}") from error
 
 
 def _count(folder: Path) -> int:
@@ -114,10 +114,10 @@ def _count(folder: Path) -> int:
     matches = (_NUMBERED.fullmatch(entry.name) for entry in folder.iterdir())
     numbers = sorted(int(match[1]) for match in matches if match)
     if not numbers:
-        raise DataError(folder, "", "holds no pictures; expected 00000000.png and so on")
+        raise DataError(folder, "", "holds no images; expected 00000000.png and so on")
     for expected, number in enumerate(numbers):
         if number != expected:
             raise DataError(
-                folder, picture_name(expected), f"is missing; the next picture is {picture_name(number)}"
+                folder, image_name(expected), f"is missing; the next image is {image_name(number)}"
             )
     return len(numbers)

@@ -1,4 +1,4 @@
-"""Frame-exact reading of a video: any picture by its number; forward without seeking or decoding twice."""
+"""Frame-exact reading of a video: any image by its number; forward without seeking or decoding twice."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -27,18 +27,18 @@ from sceneloom.formats.video.source import (
 from sceneloom.formats.video.table_index import read_table_index
 
 _TABLES = b"ftyp"
-"""What mp4 and mov videos begin with after four bytes: their tables say where each picture is. Matroska has none."""
+"""What mp4 and mov videos begin with after four bytes: their tables state where each image is. Matroska has none."""
 
 _STEPS = ("gray16le", "gray16be")
 """FFmpeg's names of pixels that are one 16-bit number each."""
 
 
 class VideoReader:
-    """The pictures of one video, by number in the order in which they are shown.
+    """The images of one video, by number in the order in which they are shown.
 
-    Nothing decoded is kept but the decoder's own state and the picture it gave last; while that one is used, the
-    decoder works on the next ones, four at most. Safe to share between threads, which then take turns. A pickled
-    reader takes the list of pictures along and opens its file again in the process that it comes to; of bytes in
+    Nothing decoded is kept but the decoder's own state and the image it gave last; while that one is used, the
+    decoder works on the next ones, four at most. Safe to share between threads, which then take rotates. A pickled
+    reader takes the list of images along and opens its file again in the process that it comes to; of bytes in
     memory it takes the bytes. A forked process opens anew, too.
 
     Matrix and range of the colours are the stream's own; BT.601 and limited range where it names none. A rotation
@@ -47,8 +47,8 @@ class VideoReader:
     Attributes:
         name: what messages call the video.
         codec: "h264", "hevc", "ffv1", … as FFmpeg calls it.
-        width, height: picture size [px].
-        has_steps: whether its pictures are one plane of 16-bit numbers, as depths are kept.
+        width, height: image size [px].
+        has_steps: whether its images are one plane of 16-bit numbers, as depths are kept.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class VideoReader:
         Args:
             source: a file, its bytes, or a function that opens a seekable binary file anew each time.
             name: what messages call the video, where the source is not a file.
-            index: the list of its pictures, where it is known already.
+            index: the list of its images, where it is known already.
             cut_off: read what is left of a video that breaks off.
 
         Raises:
@@ -126,12 +126,12 @@ class VideoReader:
         self._opened = self._cursor = None
 
     def release(self) -> None:
-        """Let threads decode again; the next picture opens the file anew."""
+        """Let threads decode again; the next image opens the file anew."""
         self._lock.release()
 
     @property
     def index(self) -> VideoIndex:
-        """The list of pictures, made at the first call by walking through the file without decoding.
+        """The list of images, made at the first call by walking through the file without decoding.
 
         Raises:
             DataError: the file is damaged or cut off.
@@ -150,57 +150,57 @@ class VideoReader:
 
     @property
     def count(self) -> int:
-        """Exact number of pictures."""
+        """Exact number of images."""
         return len(self.index)
 
     @property
     def timestamps(self) -> Float64Array:
-        """(N,) float64 [s], presentation time of each picture as the container has it."""
+        """(N,) float64 [s], presentation time of each image as the container has it."""
         return self.index.timestamps
 
     @property
     def fps(self) -> float | None:
-        """Pictures a second: what the container says, else the mean rate of the time stamps, else None."""
+        """Images a second: what the container says, else the mean rate of the timestamps, else None."""
         if self._rate:
             return self._rate
-        stamps = self.timestamps
-        span = float(stamps[-1] - stamps[0]) if len(stamps) > 1 else 0.0
-        return (len(stamps) - 1) / span if span > 0 else None
+        timestamps = self.timestamps
+        span = float(timestamps[-1] - timestamps[0]) if len(timestamps) > 1 else 0.0
+        return (len(timestamps) - 1) / span if span > 0 else None
 
     def rgb(self, index: int) -> UInt8Array:
-        """Decode one picture.
+        """Decode one image.
 
         Args:
-            index: 0 for the picture that is shown first.
+            index: 0 for the image that is shown first.
 
         Returns:
             (height, width, 3) uint8, red green blue.
 
         Raises:
-            DataError: there is no such picture, or it cannot be decoded.
+            DataError: there is no such image, or it cannot be decoded.
         """
         with self._lock:
             return self._convert(self._checked_frame(index), index)
 
     def steps(self, index: int) -> UInt16Array:
-        """Decode one picture of 16-bit numbers.
+        """Decode one image of 16-bit numbers.
 
         Returns:
             (height, width) uint16, as they are stored.
 
         Raises:
-            DataError: there is no such picture, it cannot be decoded, or is of another kind.
+            DataError: there is no such image, it cannot be decoded, or is of another kind.
         """
         with self._lock:
             frame = self._checked_frame(index)
             if frame.format.name not in _STEPS:
                 problem = f"has pixels of type {frame.format.name}; expected one of {', '.join(_STEPS)}"
-                raise DataError(self.name, f"picture {index}", problem)
-            with decoder_faults(self.name, f"picture {index}"):
+                raise DataError(self.name, f"image {index}", problem)
+            with decoder_faults(self.name, f"image {index}"):
                 return np.ascontiguousarray(frame.to_ndarray(), np.uint16)
 
     def close(self) -> None:
-        """Release the file; the reader gives no pictures afterwards."""
+        """Release the file; the reader gives no images afterwards."""
         with self._lock:
             if self._opened is not None:
                 self._opened.close()
@@ -227,7 +227,7 @@ class VideoReader:
         except DataError:
             if not self._ahead or self._closed:
                 raise
-        # a decoder that works ahead does not say which packet is damaged
+        # a decoder that works ahead does not state which packet is damaged
         self._stop_working_ahead()
         return self._decoded(index)
 
@@ -235,26 +235,26 @@ class VideoReader:
         cursor = self._cursor
         if cursor is None or not cursor.reaches(index):
             if cursor is not None and index > 0 and self._ahead and self._known_index().independent:
-                # of pictures that need no other, jumps would decode several for each one
+                # of images that need no other, jumps would decode several for each one
                 self._stop_working_ahead()
             cursor = self._cursor = self._seek(index) or self._restart()
         frame = cursor.advance(index)
         if frame is None and cursor.first > 0:
-            # a key frame after which the decoder needs more than one picture to recover
+            # a key frame after which the decoder needs more than one image to recover
             cursor = self._cursor = self._restart()
             frame = cursor.advance(index)
         if frame is None:
-            raise DataError(self.name, f"picture {index}", "cannot be decoded: the decoder gives nothing")
+            raise DataError(self.name, f"image {index}", "cannot be decoded: the decoder gives nothing")
         return frame
 
     def _seek(self, index: int) -> Cursor | None:
-        pictures, opened = self._known_index(), self._open_file()
-        entry = int(pictures.entries[index])
-        if not pictures.timed or (entry == 0 and self._cursor is None):
+        images, opened = self._known_index(), self._open_file()
+        entry = int(images.entries[index])
+        if not images.timed or (entry == 0 and self._cursor is None):
             return None
-        with decoder_faults(self.name, f"picture {index}"):
-            opened.container.seek(int(pictures.pts[entry]), stream=opened.stream, backward=True)
-        cursor = Cursor(opened, pictures, self.name)
+        with decoder_faults(self.name, f"image {index}"):
+            opened.container.seek(int(images.pts[entry]), stream=opened.stream, backward=True)
+        cursor = Cursor(opened, images, self.name)
         return cursor if cursor.enter(entry) else self._restart()
 
     def _restart(self) -> Cursor:
@@ -289,21 +289,21 @@ class VideoReader:
     def _checked_frame(self, index: int) -> VideoFrame:
         count = len(self._known_index())
         if not 0 <= index < count:
-            raise DataError(self.name, f"picture {index}", f"does not exist: the video holds {count}")
+            raise DataError(self.name, f"image {index}", f"does not exist: the video holds {count}")
         frame = self._frame(index)
         if (frame.width, frame.height) != (self.width, self.height):
             found, expected = f"{frame.width}x{frame.height}", f"{self.width}x{self.height}"
             problem = f"is {found}; expected {expected} as the video's head says"
-            raise DataError(self.name, f"picture {index}", problem)
+            raise DataError(self.name, f"image {index}", problem)
         return frame
 
     def _convert(self, frame: VideoFrame, index: int) -> UInt8Array:
-        with decoder_faults(self.name, f"picture {index}"):
+        with decoder_faults(self.name, f"image {index}"):
             return self._colours.rgb(frame)
 
 
 def open_video(source: VideoSource, *, name: str | None = None, cut_off: bool = False) -> VideoReader:
-    """Open a video for reading by picture number.
+    """Open a video for reading by image number.
 
     Args:
         source: a file, its bytes, or a function that opens a seekable binary file anew each time.
@@ -313,10 +313,10 @@ def open_video(source: VideoSource, *, name: str | None = None, cut_off: bool = 
     Raises:
         DataError: it is no video, or holds no video stream.
     """
-    in_pieces = getattr(source, "in_pieces", None)  # of a file that is not on disk yet
-    content = in_pieces() if in_pieces is not None and not cut_off else None
+    in_chunks = getattr(source, "in_chunks", None)  # of a file that is not on disk yet
+    content = in_chunks() if in_chunks is not None and not cut_off else None
     if content is not None and bytes(content[4:8]) == _TABLES:
         shown = source_name(source, name)
-        with suppress(DataError):  # what is wrong with it, all of it tells
+        with suppress(DataError):  # what is wrong with it, all of it reports
             return VideoReader(content, name=shown, index=read_table_index(content, shown))
     return VideoReader(source, name=name, cut_off=cut_off)

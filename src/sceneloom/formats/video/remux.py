@@ -27,13 +27,13 @@ class RemuxResult:
     """What was written.
 
     Attributes:
-        pictures: how many.
+        images: how many.
         codec: the codec in the target.
         copied: whether the packets are the source's own.
         reason: why they are not; None where they are.
     """
 
-    pictures: int
+    images: int
     codec: str
     copied: bool
     reason: str | None = None
@@ -48,20 +48,20 @@ def remux_to_mp4(
     crop_to_even: bool = False,
     name: str | None = None,
 ) -> RemuxResult:
-    """Put a video into mp4, H.264 and HEVC packet by packet, others as H.264; the first picture is shown at 0.
+    """Put a video into mp4, H.264 and HEVC packet by packet, others as H.264; the first image is shown at 0.
 
     Args:
         source: read twice or more: the packets' times have to be known before the first is written.
         target: a seekable binary file, written from where it stands at 0; it stays open.
-        timestamps_seconds: when each picture is shown, strictly increasing; None for the source's own times.
-        frame_indices: which pictures to take, ascending, by the order in which they are shown; None for all.
-        crop_to_even: where the pictures must be encoded and a side is odd, cut off its last line.
+        timestamps_seconds: when each image is shown, strictly increasing; None for the source's own times.
+        frame_indices: which images to take, ascending, by the order in which they are shown; None for all.
+        crop_to_even: where the images must be encoded and a side is odd, cut off its last line.
         name: what messages call the source.
 
     Raises:
         DataError: the source is damaged.
-        ArrayError: not one time for each picture, or times that do not increase.
-        OptionError: the pictures must be encoded, have an odd size, and may not be cropped.
+        ArrayError: not one time for each image, or times that do not increase.
+        OptionError: the images must be encoded, have an odd size, and may not be cropped.
         OutputError: the target cannot be written.
     """
     called = source_name(source, name)
@@ -69,17 +69,17 @@ def remux_to_mp4(
         chosen = range(reader.count) if frame_indices is None else frame_indices
         reason = _obstacle(reader, chosen, _MP4_CODECS)
         if reason is not None:
-            stamps = _stamps_of(reader, chosen) if timestamps_seconds is None else timestamps_seconds
-            pictures = (reader.rgb(index) for index in chosen)
+            timestamps = _timestamps_of(reader, chosen) if timestamps_seconds is None else timestamps_seconds
+            images = (reader.rgb(index) for index in chosen)
             result = encode_to_mp4(
-                pictures,
+                images,
                 target,
                 fps=reader.fps,
-                timestamps_seconds=stamps,
+                timestamps_seconds=timestamps,
                 count=len(chosen),
                 crop_to_even=crop_to_even,
             )
-            return RemuxResult(result.pictures, result.codec, copied=False, reason=reason)
+            return RemuxResult(result.images, result.codec, copied=False, reason=reason)
         codec, index = reader.codec, reader.index
     copy_packets(source, target, "mp4", PacketTimes.of(index, timestamps_seconds), called)
     return RemuxResult(len(index), codec, copied=True)
@@ -89,7 +89,7 @@ def copy_to_matroska(
     source: VideoSource,
     target: VideoTarget,
     *,
-    pictures: int | None = None,
+    images: int | None = None,
     frame_indices: Sequence[int] | Int64Array | None = None,
     name: str | None = None,
 ) -> RemuxResult | None:
@@ -98,13 +98,13 @@ def copy_to_matroska(
     Args:
         source: read twice or more: the packets' times have to be known before the first is written.
         target: a path or a seekable binary file.
-        pictures: how many pictures there must be; None for any number.
-        frame_indices: which pictures to take, ascending, by the order in which they are shown; None for all.
+        images: how many images there must be; None for any number.
+        frame_indices: which images to take, ascending, by the order in which they are shown; None for all.
         name: what messages call the source.
 
     Returns:
         What was written; None, and nothing written, where the packets cannot be copied: their times are unknown,
-        some are not to be shown, they are not as many as they must be, pictures that are taken cannot be decoded
+        some are not to be shown, they are not as many as they must be, images that are taken cannot be decoded
         without others that are not, or Matroska does not hold their codec.
 
     Raises:
@@ -113,7 +113,7 @@ def copy_to_matroska(
     """
     called = source_name(source, name)
     with VideoReader(source, name=called) as reader:
-        wanted = range(reader.count if pictures is None else pictures)
+        wanted = range(reader.count if images is None else images)
         if _obstacle(reader, wanted, frozenset({reader.codec})) is not None:
             return None
         codec, index = reader.codec, reader.index
@@ -135,13 +135,13 @@ def _codecs_of_matroska() -> frozenset[str]:
 
 
 def can_be_cut(index: VideoIndex, taken: Int64Array) -> bool:
-    """Whether some pictures of a video can be decoded without the others.
+    """Whether some images of a video can be decoded without the others.
 
-    A picture needs what is stored from its key frame up to it, and nothing else.
+    An image needs what is stored from its key frame up to it, and nothing else.
 
     Args:
-        index: the list of the video's pictures.
-        taken: which pictures, by the order in which they are shown.
+        index: the list of the video's images.
+        taken: which images, by the order in which they are shown.
     """
     if len(taken) == 0 or (np.diff(taken) <= 0).any() or taken[0] < 0 or taken[-1] >= len(index):
         return False
@@ -153,7 +153,7 @@ def can_be_cut(index: VideoIndex, taken: Int64Array) -> bool:
 
 
 def encode_to_mp4(
-    pictures: Iterable[UInt8Array],
+    images: Iterable[UInt8Array],
     target: VideoTarget,
     *,
     fps: float | None = None,
@@ -161,33 +161,33 @@ def encode_to_mp4(
     count: int | None = None,
     crop_to_even: bool = False,
 ) -> RemuxResult:
-    """Encode pictures as H.264 in mp4, one at a time; the first is shown at 0.
+    """Encode images as H.264 in mp4, one at a time; the first is shown at 0.
 
     Args:
-        pictures: (height, width, 3) uint8 each, red green blue, all of one size.
+        images: (height, width, 3) uint8 each, red green blue, all of one size.
         target: a path or a seekable binary file.
-        fps: nominal pictures a second; None for what the times say.
-        timestamps_seconds: when each picture is shown, strictly increasing; None for even steps at `fps`.
-        count: how many pictures there are; needed only where there are no times, for the tables to stand first.
+        fps: nominal images a second; None for what the times state.
+        timestamps_seconds: when each image is shown, strictly increasing; None for even steps at `fps`.
+        count: how many images there are; needed only where there are no times, for the tables to stand first.
         crop_to_even: cut off the last line of an odd side; else odd sizes are refused.
 
     Raises:
-        ArrayError: not one time for each picture, or times that do not increase.
+        ArrayError: not one time for each image, or times that do not increase.
         OptionError: the size is odd.
-        OutputError: there is no picture, or the target cannot be written.
+        OutputError: there is no image, or the target cannot be written.
     """
-    stamps = None if timestamps_seconds is None else np.asarray(timestamps_seconds, np.float64)
-    remaining = iter(pictures)
+    timestamps = None if timestamps_seconds is None else np.asarray(timestamps_seconds, np.float64)
+    remaining = iter(images)
     first = next(remaining, None)
     if first is None:
-        raise OutputError(f"{target_name(target)}: cannot be written: a video needs at least one picture")
+        raise OutputError(f"{target_name(target)}: cannot be written: a video needs at least one image")
     height, width = first.shape[:2]
     if crop_to_even:
         height, width = height - height % 2, width - width % 2
-    most = count if stamps is None else len(stamps)
-    rate = fps or _mean_rate(stamps)
-    with VideoWriter(target, width, height, rate, container="mp4", pictures=most) as writer:
-        for rgb, seconds in _with_times(chain([first], remaining), stamps):
+    most = count if timestamps is None else len(timestamps)
+    rate = fps or _mean_rate(timestamps)
+    with VideoWriter(target, width, height, rate, container="mp4", images=most) as writer:
+        for rgb, seconds in _with_times(chain([first], remaining), timestamps):
             writer.add(rgb[:height, :width], seconds)
     return RemuxResult(writer.count, "h264", copied=False)
 
@@ -196,35 +196,35 @@ def _obstacle(reader: VideoReader, chosen: Sequence[int], codecs: frozenset[str]
     """Why the packets cannot be copied; None where they can."""
     index = reader.index
     if len(index) == 0:
-        raise DataError(reader.name, "", "holds no pictures")
+        raise DataError(reader.name, "", "holds no images")
     obstacles = (
         (reader.codec not in codecs, f"{reader.codec} is not copied into mp4"),
-        (not index.timed, "the source does not say when its pictures are shown"),
-        (index.hidden > 0, "the source holds pictures that are not to be shown"),
-        (not np.array_equal(chosen, np.arange(len(index))), "not all pictures of the source are taken"),
+        (not index.timed, "the source does not state when its images are shown"),
+        (index.hidden > 0, "the source holds images that are not to be shown"),
+        (not np.array_equal(chosen, np.arange(len(index))), "not all images of the source are taken"),
     )
     return next((reason for stands, reason in obstacles if stands), None)
 
 
-def _stamps_of(reader: VideoReader, chosen: Sequence[int]) -> Float64Array | None:
+def _timestamps_of(reader: VideoReader, chosen: Sequence[int]) -> Float64Array | None:
     return reader.timestamps[np.asarray(chosen, np.int64)] if reader.index.timed else None
 
 
-def _mean_rate(stamps: Float64Array | None) -> float:
-    if stamps is None or len(stamps) < 2 or not stamps[-1] > stamps[0]:
+def _mean_rate(timestamps: Float64Array | None) -> float:
+    if timestamps is None or len(timestamps) < 2 or not timestamps[-1] > timestamps[0]:
         return _DEFAULT_FPS
-    return (len(stamps) - 1) / float(stamps[-1] - stamps[0])
+    return (len(timestamps) - 1) / float(timestamps[-1] - timestamps[0])
 
 
 def _with_times(
-    pictures: Iterable[UInt8Array], stamps: Float64Array | None
+    images: Iterable[UInt8Array], timestamps: Float64Array | None
 ) -> Iterator[tuple[UInt8Array, float | None]]:
-    if stamps is None:
-        yield from ((rgb, None) for rgb in pictures)
+    if timestamps is None:
+        yield from ((rgb, None) for rgb in images)
         return
     count = 0
-    for rgb in pictures:
-        if count < len(stamps):
-            yield rgb, float(stamps[count])
+    for rgb in images:
+        if count < len(timestamps):
+            yield rgb, float(timestamps[count])
         count += 1
-    check_count(len(stamps), count)
+    check_count(len(timestamps), count)

@@ -28,7 +28,7 @@ _DEMUXERS = (
 
 
 _MOST_AHEAD = 4
-"""Pictures that are decoded at the same time at most: each is kept, and a jump waits for all of them."""
+"""Images that are decoded at the same time at most: each is kept, and a jump waits for all of them."""
 
 
 def source_name(source: VideoSource, name: str | None) -> str:
@@ -53,13 +53,13 @@ def open_bytes(source: VideoSource) -> BinaryIO:
 
 
 @contextmanager
-def decoder_faults(name: str, place: str) -> Iterator[None]:
-    """Turn whatever the video library raises into a DataError at `place`."""
+def decoder_faults(name: str, location: str) -> Iterator[None]:
+    """Rotate whatever the video library raises into a DataError at `location`."""
     try:
         yield
     except (av.FFmpegError, OSError, ValueError, MemoryError) as error:
         problem = getattr(error, "strerror", None) or str(error) or type(error).__name__
-        raise DataError(name, place, f"cannot be read as video: {problem}") from error
+        raise DataError(name, location, f"cannot be read as video: {problem}") from error
 
 
 class OpenVideo:
@@ -68,7 +68,7 @@ class OpenVideo:
     Attributes:
         container: positioned at the first packet.
         stream: the container's video.
-        works_ahead: whether the decoder gives pictures and faults some packets late.
+        works_ahead: whether the decoder gives images and faults some packets late.
 
     Raises:
         DataError: the source cannot be opened, is no video, or holds no video stream.
@@ -121,12 +121,12 @@ class OpenVideo:
             raise DataError(name, "", "holds no video stream")
         decoder = stream.codec_context
         if decoder is None or decoder.width <= 0 or decoder.height <= 0:
-            raise DataError(name, "", "its video stream is of an unknown codec or picture size")
+            raise DataError(name, "", "its video stream is of an unknown codec or image size")
         check_pixels(name, "", decoder.width, decoder.height)
         return stream
 
     def decode_ahead(self) -> None:
-        """Have other processors work on the next pictures while the last is used; to be said before there is one.
+        """Have other processors work on the next images while the last is used; to be stated before there is one.
 
         What others pass over is a fault to it, too: who wants to know
         which packet is damaged, and to have what others make of it, asks one that does not work ahead.

@@ -1,4 +1,4 @@
-"""Which pictures an mp4 video holds, by its tables alone: the pictures themselves are not read."""
+"""Which images an mp4 video holds, by its tables alone: the images themselves are not read."""
 
 import io
 from collections.abc import Iterator
@@ -8,7 +8,10 @@ from sceneloom.formats.byte_stream import Bytes, ByteStream
 from sceneloom.formats.video.index import VideoIndex, read_index
 
 BY_TABLES = {"fflags": "noparse+nofillin"}
-"""Options for packets that are told as the tables tell them. Source: AVFMT_FLAG_NOPARSE of libavformat/avformat.h."""
+"""Options for packets that are reported as the tables report them. Source.
+
+AVFMT_FLAG_NOPARSE of libavformat/avformat.h.
+"""
 
 _LONG_SIZE, _TO_THE_END = 1, 0
 _LOOKED_AT = 64 << 10
@@ -16,7 +19,7 @@ _MOST_BOXES = 10_000
 
 
 def read_table_index(content: Bytes, name: str) -> VideoIndex:
-    """Walk through all packets of an mp4 video; of the bytes of its pictures only the first few are fetched.
+    """Walk through all packets of an mp4 video; of the bytes of its images only the first few are fetched.
 
     Raises:
         DataError: the container breaks off.
@@ -25,7 +28,10 @@ def read_table_index(content: Bytes, name: str) -> VideoIndex:
 
 
 def open_hollow(content: Bytes) -> BinaryIO:
-    """Open an mp4 video as a file whose pictures read as NULs, but for the first bytes, by which decoders are told."""
+    """Open an mp4 video as a file whose images read as NULs, but for the first bytes.
+
+    By which decoders are reported.
+    """
     payloads = [(start + _LOOKED_AT, stop) for start, stop in _media(content)]
     return cast("BinaryIO", io.BufferedReader(_Hollow(content, payloads), _LOOKED_AT))
 
@@ -38,12 +44,12 @@ class _Hollow(ByteStream):
         self._payloads = payloads
 
     def readinto(self, buffer: Any) -> int:
-        start, length = self.place, len(buffer)
+        start, length = self.location, len(buffer)
         for first, stop in self._payloads:
             if first <= start < stop:
                 length = min(length, stop - start)
                 buffer[:length] = bytes(length)
-                self.place += length
+                self.location += length
                 return length
             if start < first:
                 length = min(length, first - start)
@@ -51,21 +57,21 @@ class _Hollow(ByteStream):
 
 
 def _media(content: Bytes) -> Iterator[tuple[int, int]]:
-    """What is in the boxes that hold pictures: first byte, and the one after the last.
+    """What is in the boxes that hold images: first byte, and the one after the last.
 
     Source: ISO/IEC 14496-12, 4.2 (boxes) and 8.1.1 (media data).
     """
-    place = 0
+    location = 0
     for _ in range(_MOST_BOXES):
-        head = bytes(content[place : place + 16])
+        head = bytes(content[location : location + 16])
         if len(head) < 8:
             return
         size, name, header = int.from_bytes(head[:4], "big"), head[4:8], 8
         if size == _LONG_SIZE:
             size, header = int.from_bytes(head[8:16], "big"), 16
-        stop = len(content) if size == _TO_THE_END else place + size
-        if stop < place + header:
+        stop = len(content) if size == _TO_THE_END else location + size
+        if stop < location + header:
             return
         if name == b"mdat":
-            yield place + header, min(stop, len(content))
-        place = stop
+            yield location + header, min(stop, len(content))
+        location = stop

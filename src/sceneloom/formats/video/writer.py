@@ -1,4 +1,4 @@
-"""Encoding pictures into a video file."""
+"""Encoding images into a video file."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -32,13 +32,13 @@ _BT601_MATRIX = 6
 
 _TABLE_START, _TABLE_ROW = 4096, 48
 """Bytes that are kept free for the tables of an mp4 file, at least what they need: the boxes themselves take less than
-1 kB, and each picture 8 in stts, 8 in ctts, 4 in stss, 4 in stsz, 12 in stsc and 8 in co64.
+1 kB, and each image 8 in stts, 8 in ctts, 4 in stss, 4 in stsz, 12 in stsc and 8 in co64.
 
 Source: ISO/IEC 14496-12, 8.6 and 8.7.
 """
 
 _KEY_FRAME_DISTANCE = 30
-"""Pictures from key frame to key frame at most: what a jump to any picture has to decode."""
+"""Images from key frame to key frame at most: what a jump to any image has to decode."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class _Encoder:
         pixel_format: what it is fed with.
         options: its settings; `crf` and `threads` are added where it knows them.
         halves: whether chroma has half the resolution, so that sizes must be even.
-        sixteen_bits: whether pictures are one plane of 16-bit numbers, not colours.
+        sixteen_bits: whether images are one plane of 16-bit numbers, not colours.
     """
 
     library: str
@@ -62,7 +62,7 @@ class _Encoder:
 
 _X264 = "chromaloc=1:mbtree=0"
 """Chroma is averaged over each square of four pixels; H.264 supposes it at the left edge where a stream is silent.
-Without macroblock trees, since with them the same pictures now and then gave other bytes."""
+Without macroblock trees, since with them the same images now and then gave other bytes."""
 
 _LOSSLESS = MappingProxyType({"level": "3", "slices": "4", "slicecrc": "1", "g": "1", "threads": "2"})
 
@@ -80,7 +80,7 @@ _ENCODERS = MappingProxyType(
 
 @contextmanager
 def writing_faults(name: str) -> Iterator[None]:
-    """Turn what the video library raises while writing into an OutputError."""
+    """Rotate what the video library raises while writing into an OutputError."""
     try:
         yield
     except (av.FFmpegError, OSError, ValueError) as error:
@@ -94,14 +94,14 @@ def target_name(target: VideoTarget) -> str:
 
 
 def open_container(
-    target: VideoTarget, container: str, *, pictures: int | None = None, header_bytes: int = 0
+    target: VideoTarget, container: str, *, images: int | None = None, header_bytes: int = 0
 ) -> OutputContainer:
     """Start a file; the same content gives the same bytes.
 
     Args:
         target: the file.
         container: its kind.
-        pictures: how many there will be at most. Then the tables of an mp4 file stand before its pictures: a file
+        images: how many there will be at most. Then the tables of an mp4 file stand before its images: a file
             that is cut off keeps them, and one at the other end of a line is read with one request less.
         header_bytes: how long the codec's own header is, as far as it is known.
 
@@ -110,8 +110,8 @@ def open_container(
     """
     file: Any = f"file:{target}" if isinstance(target, Path) else target
     options = {"fflags": "+bitexact"}
-    if container == "mp4" and pictures is not None:
-        options["moov_size"] = str(_TABLE_START + header_bytes + _TABLE_ROW * pictures)
+    if container == "mp4" and images is not None:
+        options["moov_size"] = str(_TABLE_START + header_bytes + _TABLE_ROW * images)
     with writing_faults(target_name(target)):
         return av.open(file, "w", format=container, container_options=options)
 
@@ -131,10 +131,10 @@ def container_of(target: VideoTarget, container: str | None) -> str:
 
 
 class VideoWriter:
-    """Encodes pictures one by one; a context manager.
+    """Encodes images one by one; a context manager.
 
     Attributes:
-        count: pictures added so far.
+        count: images added so far.
 
     Raises:
         OptionError: an odd size for a codec that halves it, or an unknown codec or container.
@@ -151,28 +151,28 @@ class VideoWriter:
         codec: str = "h264",
         crf: int = 18,
         container: str | None = None,
-        pictures: int | None = None,
+        images: int | None = None,
     ) -> None:
         """Start the file.
 
         Args:
             target: a path, or a seekable binary file.
-            width, height: size of every picture [px].
-            fps: nominal pictures a second; times of pictures that come without one.
+            width, height: size of every image [px].
+            fps: nominal images a second; times of images that come without one.
             codec: "h264", or "ffv1", which loses nothing, or "ffv1-gray16", the same for 16-bit numbers.
             crf: quality of h264: 0 loses nothing, 18 nothing that the eye sees, 51 is the worst.
             container: "matroska" or "mp4"; None for what the path's suffix says.
-            pictures: how many will be added at most, if that is known; see `open_container`.
+            images: how many will be added at most, if that is known; see `open_container`.
         """
         self._name = target_name(target)
         self._encoder = _encoder_for(codec, width, height)
         if not 0 < fps < float("inf"):
-            raise OptionError(f"{fps} pictures a second; expected a positive number")
+            raise OptionError(f"{fps} images a second; expected a positive number")
         self.width, self.height, self.fps, self.count = width, height, fps, 0
         kind = container_of(target, container)
         self._tick = _TICKS[kind]
-        self._most = pictures
-        self._output: OutputContainer | None = open_container(target, kind, pictures=pictures)
+        self._most = images
+        self._output: OutputContainer | None = open_container(target, kind, images=images)
         with writing_faults(self._name):
             self._stream = self._add_stream(self._output, crf)
         self._reformatter = VideoReformatter()
@@ -181,26 +181,26 @@ class VideoWriter:
         self._last_ticks = -1
 
     def add(self, image: UInt8Array | UInt16Array, timestamp_seconds: float | None = None) -> None:
-        """Encode the next picture.
+        """Encode the next image.
 
         Args:
             image: (height, width, 3) uint8, red green blue; of "ffv1-gray16" (height, width) uint16.
-            timestamp_seconds: when it is shown, not before the picture added last; the first picture's time becomes
-                0. Pictures of one time keep their order. None for the next at `fps`.
+            timestamp_seconds: when it is shown, not before the image added last; the first image's time becomes
+                0. Images of one time keep their order. None for the next at `fps`.
 
         Raises:
-            ArrayError: the picture has another shape or type, its time is before the last one's, or it is one more
-                than was said before.
+            ArrayError: the image has another shape or type, its time is before the last one's, or it is one more
+                than was stated before.
             OutputError: the target cannot be written, or the writer is closed.
         """
         if self._encoder.sixteen_bits:
-            check_array(f"picture {self.count}", image, (self.height, self.width), np.uint16)
+            check_array(f"image {self.count}", image, (self.height, self.width), np.uint16)
         else:
-            check_array(f"picture {self.count}", image, (self.height, self.width, 3), np.uint8)
+            check_array(f"image {self.count}", image, (self.height, self.width, 3), np.uint8)
         if self._output is None:
             raise OutputError(f"{self._name}: cannot be written: the video is closed")
         if self._most is not None and self.count >= self._most:
-            raise ArrayError(f"picture {self.count}: expected no more than {self._most}, as was said before")
+            raise ArrayError(f"image {self.count}: expected no more than {self._most}, as was stated before")
         ticks = self._ticks_at(timestamp_seconds)
         with writing_faults(self._name):
             frame = self._to_encoder(image)
@@ -213,14 +213,14 @@ class VideoWriter:
         """Finish the file.
 
         Raises:
-            OutputError: no picture was added, or the target cannot be written.
+            OutputError: no image was added, or the target cannot be written.
         """
         output, self._output = self._output, None
         if output is None:
             return
         if self.count == 0:
             abandon(output)
-            raise OutputError(f"{self._name}: cannot be written: a video needs at least one picture")
+            raise OutputError(f"{self._name}: cannot be written: a video needs at least one image")
         with writing_faults(self._name):
             output.mux(self._stream.encode(None))
             output.close()
@@ -268,10 +268,10 @@ class VideoWriter:
         if self._origin_seconds is None:
             self._origin_seconds = self._last_seconds = seconds
         elif not seconds >= self._last_seconds:
-            problem = f"its time {seconds} s is before {self._last_seconds} s, that of the picture before"
-            raise ArrayError(f"picture {self.count}: {problem}")
+            problem = f"its time {seconds} s is before {self._last_seconds} s, that of the image before"
+            raise ArrayError(f"image {self.count}: {problem}")
         self._last_seconds = seconds
-        # pictures of one time, or closer than one tick, keep their order
+        # images of one time, or closer than one tick, keep their order
         ticks = max(round(Fraction(seconds - self._origin_seconds) / self._tick), self._last_ticks + 1)
         self._last_ticks = ticks
         return ticks
@@ -282,12 +282,12 @@ def _encoder_for(codec: str, width: int, height: int) -> _Encoder:
     if encoder is None:
         raise OptionError(f"no video codec {codec!r}; there are {', '.join(_ENCODERS)}")
     if width <= 0 or height <= 0:
-        raise OptionError(f"picture size {width}x{height}; expected positive numbers of pixels")
+        raise OptionError(f"image size {width}x{height}; expected positive numbers of pixels")
     if encoder.halves and (width % 2 or height % 2):
         even = f"{width - width % 2}x{height - height % 2}"
         raise OptionError(
-            f"{codec} cannot hold pictures of {width}x{height}, it needs even sizes; cut them to {even}, "
-            "or keep them as PNG pictures"
+            f"{codec} cannot hold images of {width}x{height}, it needs even sizes; cut them to {even}, "
+            "or keep them as PNG images"
         )
     return encoder
 

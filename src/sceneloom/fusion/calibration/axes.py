@@ -1,6 +1,6 @@
 """Which way the axes of a declared sensor frame point: triples of table 2 and plain words.
 
-A *declared* frame is the one in which a session's sensors give their data; it may be turned or left-handed. Inside,
+A *declared* frame is the one in which a session's sensors give their data; it may be rotated or left-handed. Inside,
 lidars have x forward, y left, z up, and cameras x right, y down, z forward (optical).
 """
 
@@ -65,8 +65,8 @@ class DeclaredAxes:
                 f"axes {tuple(triple)}; expected 0, 1 and 2 in any order, 1 and 2 with a sign"
             )
         columns = np.zeros((3, 3))
-        for place, axis in enumerate(triple):
-            columns[abs(axis), place] = -1.0 if axis < 0 else 1.0
+        for location, axis in enumerate(triple):
+            columns[abs(axis), location] = -1.0 if axis < 0 else 1.0
         wanted = 1.0 if left_handed else -1.0
         if np.linalg.det(columns) * wanted < 0:
             columns[:, list(map(abs, triple)).index(0)] *= -1.0
@@ -83,9 +83,9 @@ class DeclaredAxes:
         if len(found) != 3 or any(match is None for match in found):
             raise CalibrationError(f"axes {words!r}; expected three of x, y, z with a sign, as in '+z,+x,-y'")
         columns = np.zeros((3, 3))
-        for place, match in enumerate(found):
+        for location, match in enumerate(found):
             if match is not None:
-                columns["xyz".index(match[2].lower()), place] = -1.0 if match[1] == "-" else 1.0
+                columns["xyz".index(match[2].lower()), location] = -1.0 if match[1] == "-" else 1.0
         return cls(columns)
 
     @property

@@ -1,4 +1,4 @@
-"""From a record of table 3 and the declared axes to a lens and a mounting, and back."""
+"""From a record of table 3 and the declared axes to a camera model and a mounting, and back."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,14 +31,14 @@ class CalibratedPair:
     """A camera and a lidar in the frames used inside.
 
     Attributes:
-        camera: the lens.
+        camera: the camera model.
         camera_from_lidar: takes points of the lidar (x forward, y left, z up) into the optical frame.
-        remarks: what looks wrong, for people.
+        notes: what looks wrong, for people.
     """
 
     camera: Camera
     camera_from_lidar: RigidTransform
-    remarks: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @cached_property
     def lidar_from_camera(self) -> RigidTransform:
@@ -47,7 +47,7 @@ class CalibratedPair:
 
 
 def camera_of(data: CalibrationData) -> Camera:
-    """Give the lens of a record: a pinhole, or with coefficients that of Brown and Conrady.
+    """Give the camera model of a record: a pinhole, or with coefficients that of Brown and Conrady.
 
     Raises:
         CalibrationError: the matrix is none of a pinhole without skew, or a focal length is not positive.
@@ -73,7 +73,7 @@ def check_calibration(data: CalibrationData) -> None:
     """Refuse what no axes could make a calibration: properties are set one by one, so axes may still change.
 
     Raises:
-        CalibrationError: the numbers are no lens, or no rotation with a translation in any layout.
+        CalibrationError: the numbers are no camera model, or no rotation with a translation in any layout.
     """
     camera_of(data)
     for layout in possible_layouts(data.extrinsic_matrix):
@@ -87,7 +87,11 @@ def check_calibration(data: CalibrationData) -> None:
 
 
 def calibrated_pair(
-    data: CalibrationData, camera_axes: DeclaredAxes, lidar_axes: DeclaredAxes, *, lens: Camera | None = None
+    data: CalibrationData,
+    camera_axes: DeclaredAxes,
+    lidar_axes: DeclaredAxes,
+    *,
+    camera_model: Camera | None = None,
 ) -> CalibratedPair:
     """Bring a record into the frames used inside.
 
@@ -95,7 +99,7 @@ def calibrated_pair(
     more nearly forward.
 
     Args:
-        lens: counts in place of the record's own.
+        camera_model: counts instead of the record's own.
 
     Raises:
         CalibrationError: the matrix mirrors where the axes do not, or they do and it does not.
@@ -114,16 +118,18 @@ def calibrated_pair(
             f"extrinsic_matrix {problem} with axes {camera_axes.words} of the camera and {lidar_axes.words} of the "
             "lidar; expected a rotation, of determinant +1, between frames that are both right- or both left-handed"
         )
-    return CalibratedPair(lens or camera_of(data), transform, _remarks(_off_forward_deg(transform.rotation)))
+    return CalibratedPair(
+        camera_model or camera_of(data), transform, _notes(_off_forward_deg(transform.rotation))
+    )
 
 
 def calibration_data(
     camera: Camera, camera_from_lidar: RigidTransform, camera_axes: DeclaredAxes, lidar_axes: DeclaredAxes
 ) -> CalibrationData:
-    """Write a lens and a mounting as a record of table 3, in the standard's own layout.
+    """Write a camera model and a mounting as a record of table 3, in the standard's own layout.
 
     Raises:
-        CalibrationError: table 3 cannot hold the lens.
+        CalibrationError: table 3 cannot hold the camera model.
     """
     optical = camera_axes.standard_from_declared(SensorKind.CAMERA)
     standard = lidar_axes.standard_from_declared(SensorKind.LIDAR)
@@ -139,14 +145,14 @@ def calibration_data(
     )
 
 
-def _remarks(off_deg: float) -> tuple[str, ...]:
+def _notes(off_deg: float) -> tuple[str, ...]:
     if off_deg <= _SUSPECT_DEG:
         return ()
-    remark = (
+    note = (
         f"by its calibration the camera looks {off_deg:.0f}° off forward; mirrored or transposed? "
         "check extrinsic_matrix, reference_frame and the declared axes, unless it is mounted so"
     )
-    return (remark,)
+    return (note,)
 
 
 def _five_coefficients(camera: Camera) -> tuple[float, float, float, float, float]:
@@ -155,8 +161,9 @@ def _five_coefficients(camera: Camera) -> tuple[float, float, float, float, floa
     held, more = camera.coefficients[:5], camera.coefficients[5:]
     if camera.model != "brown_conrady" or any(more):
         raise CalibrationError(
-            f"a {camera.model} lens with {len(camera.coefficients)} coefficients; table 3 holds k1 k2 p1 p2 k3 of a "
-            "brown_conrady lens: fit one to it, or send the lens by the property `lenses`"
+            f"a {camera.model} camera model with {len(camera.coefficients)} coefficients; table 3 holds k1 k2 p1 p2 "
+            f"k3 of a "
+            "brown_conrady camera model: fit one to it, or send the camera model by the property `camera_models`"
         )
     k1, k2, p1, p2, k3 = (*held, *[0.0] * (5 - len(held)))
     return (k1, k2, p1, p2, k3)
@@ -181,5 +188,5 @@ def _off_forward_deg(rotation: Float64Array) -> float:
 
 
 def axes_of(words: str, triple: Sequence[int], *, left_handed: bool) -> DeclaredAxes:
-    """Give the declared axes: those in plain words where they are said, else those of the triple."""
+    """Give the declared axes: those in plain words where they are stated, else those of the triple."""
     return DeclaredAxes.of_words(words) if words else DeclaredAxes.of_triple(triple, left_handed=left_handed)

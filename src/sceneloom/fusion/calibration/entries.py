@@ -38,7 +38,7 @@ def parse_calibrations(text: str) -> tuple[CalibrationEntry, ...]:
 
     Raises:
         DataError: it is no JSON list of records of table 3 with `camera_id` and `lidar_id`, or two are of one pair.
-        CalibrationError: the numbers of one are no lens or no transform.
+        CalibrationError: the numbers of one are no camera model or no transform.
     """
     found = read_json(text, _OWNER)
     if found is None:
@@ -59,27 +59,27 @@ def parse_calibrations(text: str) -> tuple[CalibrationEntry, ...]:
     return entries
 
 
-def entry_of(item: Any, place: str) -> CalibrationEntry:
+def entry_of(item: Any, location: str) -> CalibrationEntry:
     """Read one record of table 3 with its `camera_id` and `lidar_id`, 0 where they are left out.
 
     Raises:
         DataError: it is no such record.
-        CalibrationError: its numbers are no lens or no transform.
+        CalibrationError: its numbers are no camera model or no transform.
     """
     if not isinstance(item, dict):
-        raise DataError(_OWNER, place, f"{item!r}; expected an object")
+        raise DataError(_OWNER, location, f"{item!r}; expected an object")
     unknown = sorted(set(item) - set(_FIELDS) - set(_IDS))
     if unknown:
         known = ", ".join((*_IDS, *_FIELDS))
-        raise DataError(_OWNER, f"{place}.{unknown[0]}", f"not a field of table 3; there are {known}")
-    camera_id, lidar_id = (sensor_id_of(item.get(name, 0), _OWNER, f"{place}.{name}") for name in _IDS)
+        raise DataError(_OWNER, f"{location}.{unknown[0]}", f"not a field of table 3; there are {known}")
+    camera_id, lidar_id = (sensor_id_of(item.get(name, 0), _OWNER, f"{location}.{name}") for name in _IDS)
     missing = [row.name for row in CALIBRATION.rows if row.required and row.name not in item]
     if missing:
-        raise DataError(_OWNER, f"{place}.{missing[0]}", "missing; expected as table 3 has it")
+        raise DataError(_OWNER, f"{location}.{missing[0]}", "missing; expected as table 3 has it")
     try:
         data = CalibrationData(**{_FIELDS[name]: value for name, value in item.items() if name not in _IDS})
     except DataError as error:
-        raise DataError(_OWNER, f"{place}.{error.place}", error.problem) from error
+        raise DataError(_OWNER, f"{location}.{error.location}", error.problem) from error
     check_calibration(data)
     return CalibrationEntry(camera_id, lidar_id, data)
 

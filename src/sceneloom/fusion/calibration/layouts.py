@@ -20,7 +20,7 @@ class MatrixLayout(StrEnum):
 
 
 def possible_layouts(numbers: Sequence[float]) -> tuple[MatrixLayout, ...]:
-    """Tell in which layouts 16 numbers are a transform; both where its translation is zero.
+    """Report in which layouts 16 numbers are a transform; both where its translation is zero.
 
     A transform ends with the row 0 0 0 1, which stands last in row-major order and is every fourth number in
     column-major order.
@@ -51,6 +51,6 @@ def matrix_of(numbers: Sequence[float], layout: MatrixLayout) -> Float64Array:
 
 
 def numbers_of(matrix: Float64Array, layout: MatrixLayout = MatrixLayout.COLUMN_MAJOR) -> tuple[float, ...]:
-    """Give the 16 numbers of a (4, 4) transform, in the standard's own layout unless told otherwise."""
+    """Give the 16 numbers of a (4, 4) transform, in the standard's own layout unless stated otherwise."""
     ordered = matrix if layout is MatrixLayout.ROW_MAJOR else matrix.T
     return tuple(ordered.reshape(-1).tolist())

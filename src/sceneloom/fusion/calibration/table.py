@@ -54,9 +54,9 @@ def resolve_pair(
     camera_id: int,
     lidar_id: int,
     frames: DeclaredFrames,
-    lenses: Mapping[int, Camera],
+    camera_models: Mapping[int, Camera],
 ) -> CalibratedPair:
-    """Give the lens and mounting of a camera and a lidar.
+    """Give the camera model and mounting of a camera and a lidar.
 
     Raises:
         CalibrationError: none is known, or it contradicts the declared axes.
@@ -67,4 +67,4 @@ def resolve_pair(
         raise CalibrationError(
             f"no calibration of camera {camera_id} and lidar {lidar_id}; known pairs (camera, lidar): {known}"
         )
-    return calibrated_pair(entry.data, frames.camera, frames.lidar, lens=lenses.get(camera_id))
+    return calibrated_pair(entry.data, frames.camera, frames.lidar, camera_model=camera_models.get(camera_id))

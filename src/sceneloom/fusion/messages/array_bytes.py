@@ -25,31 +25,31 @@ def bytes_view(array: AnyArray) -> memoryview:
     return plain.reshape(-1).view(np.uint8).data
 
 
-def array_of(content: bytes, dtype: np.dtype[Any], owner: str, place: str) -> AnyArray:
+def array_of(content: bytes, dtype: np.dtype[Any], owner: str, location: str) -> AnyArray:
     """Give the flat array that bytes hold, a read-only view of them.
 
     Args:
         owner: what they belong to, for the message.
-        place: the field, for the message.
+        location: the field, for the message.
 
     Raises:
         DataError: they are no whole number of values.
     """
     if len(content) % dtype.itemsize:
         problem = f"{len(content)} bytes; expected a multiple of {dtype.itemsize}"
-        raise DataError(owner, place, problem)
+        raise DataError(owner, location, problem)
     return np.frombuffer(content, dtype.newbyteorder("<")).astype(dtype, copy=False)
 
 
 def array_within(
-    content: bytes, span: tuple[int, int], dtype: np.dtype[Any], owner: str, place: str
+    content: bytes, span: tuple[int, int], dtype: np.dtype[Any], owner: str, location: str
 ) -> AnyArray:
     """Give the flat array that a part of bytes holds: a read-only view of it, a copy where numbers are not aligned.
 
     Args:
         span: where the part begins and ends.
         owner: what it belongs to, for the message.
-        place: the field, for the message.
+        location: the field, for the message.
 
     Raises:
         DataError: it is no whole number of values.
@@ -57,8 +57,8 @@ def array_within(
     start, stop = span
     length = stop - start
     if length % dtype.itemsize or not length:
-        return array_of(content[start:stop], dtype, owner, place)
+        return array_of(content[start:stop], dtype, owner, location)
     flat = np.frombuffer(content, dtype.newbyteorder("<"), length // dtype.itemsize, start)
     if not flat.flags.aligned:
-        return array_of(content[start:stop], dtype, owner, place)
+        return array_of(content[start:stop], dtype, owner, location)
     return flat.astype(dtype, copy=False)

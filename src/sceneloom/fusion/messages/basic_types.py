@@ -63,14 +63,14 @@ def is_number(value: object) -> bool:
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 
 
-def check_basic(kind: BasicType, value: Any, *, owner: str = "value", place: str = "") -> Any:
+def check_basic(kind: BasicType, value: Any, *, owner: str = "value", location: str = "") -> Any:
     """Check one value exactly: nothing wraps, nothing is cut, nothing is infinite.
 
     Args:
         kind: what it has to be.
         value: what it is; whole numbers of NumPy are whole numbers.
         owner: what it belongs to, for the message.
-        place: the field, for the message.
+        location: the field, for the message.
 
     Returns:
         0 or 1 for a `bool`; an int; a float, for `float` the nearest number of 32 bits; a str; of an `enum` its number
@@ -80,34 +80,34 @@ def check_basic(kind: BasicType, value: Any, *, owner: str = "value", place: str
         DataError: it is of another type or out of range.
     """
     if kind in (BasicType.FLOAT, BasicType.DOUBLE):
-        return _broken_number(kind, value, owner, place)
+        return _broken_number(kind, value, owner, location)
     if kind is BasicType.STRING or (kind is BasicType.ENUM and isinstance(value, str)):
-        return _text(value, owner, place)
-    return _whole_number(kind, value, owner, place)
+        return _text(value, owner, location)
+    return _whole_number(kind, value, owner, location)
 
 
-def _whole_number(kind: BasicType, value: Any, owner: str, place: str) -> int:
+def _whole_number(kind: BasicType, value: Any, owner: str, location: str) -> int:
     low, high = INTEGER_RANGES[kind]
     truth = isinstance(value, bool | np.bool_)
     if (isinstance(value, int | np.integer) or truth) and truth <= (kind is BasicType.BOOL):
         number = int(value)
         if low <= number <= high:
             return number
-    raise DataError(owner, place, f"{shown(value)}; expected a {kind}, {low} to {high}")
+    raise DataError(owner, location, f"{shown(value)}; expected a {kind}, {low} to {high}")
 
 
-def _broken_number(kind: BasicType, value: Any, owner: str, place: str) -> float:
+def _broken_number(kind: BasicType, value: Any, owner: str, location: str) -> float:
     bound = FLOAT_BOUND if kind is BasicType.FLOAT else math.inf
     if is_number(value) and -bound < value < bound and abs(value) <= sys.float_info.max:
         return float(np.float32(value)) if kind is BasicType.FLOAT else float(value)
-    raise DataError(owner, place, f"{shown(value)}; expected a finite {kind}")
+    raise DataError(owner, location, f"{shown(value)}; expected a finite {kind}")
 
 
-def _text(value: Any, owner: str, place: str) -> str:
+def _text(value: Any, owner: str, location: str) -> str:
     if not isinstance(value, str):
-        raise DataError(owner, place, f"{shown(value)}; expected a string")
+        raise DataError(owner, location, f"{shown(value)}; expected a string")
     try:
         value.encode("utf-8")
     except UnicodeEncodeError as error:
-        raise DataError(owner, place, f"{shown(value)}; expected text that UTF-8 can hold") from error
+        raise DataError(owner, location, f"{shown(value)}; expected text that UTF-8 can hold") from error
     return value

@@ -1,4 +1,4 @@
-"""What detectors send, as records: boxes in space and boxes in a picture, one by one and as lists."""
+"""What detectors send, as records: boxes in space and boxes in an image, one by one and as lists."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -133,8 +133,8 @@ class Boxes3d:
         settle_classes(self, BOX_3D, count, group="boxes")
         heads = self.directions.any(axis=1)
         if not heads.all():
-            place = f"boxes[{int(np.argmin(heads))}].direction"
-            raise BOX_3D.fault(place, "(0.0, 0.0, 0.0); expected a vector other than 0")
+            location = f"boxes[{int(np.argmin(heads))}].direction"
+            raise BOX_3D.fault(location, "(0.0, 0.0, 0.0); expected a vector other than 0")
 
     @classmethod
     def empty(cls, sensor_id: int, seq: int, timestamp: Timestamp) -> "Boxes3d":
@@ -176,12 +176,12 @@ class Boxes3d:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Box2d:
-    """One box in a picture, whose own corner is (0, 0); the right and the lower edge are exclusive.
+    """One box in an image, whose own corner is (0, 0); the right and the lower edge are exclusive.
 
     Attributes:
         id: number of the box, an int32.
         class_name: class of the object; `class` in the standard.
-        image_seq: seq of its picture.
+        image_seq: seq of its image.
         confidence: probability that the object exists, 0 to 1.
         timestamp: time of the box.
         x1, y1, x2, y2: left, upper, right and lower edge [px], uint32; the box has an area.
@@ -221,12 +221,12 @@ class Box2d:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Boxes2d:
-    """The boxes of one picture; without boxes: a picture in which nothing was found.
+    """The boxes of one image; without boxes: an image in which nothing was found.
 
     Attributes:
         sensor_id: of the camera, 0 to 255.
-        seq: of the picture.
-        timestamp: of the picture.
+        seq: of the image.
+        timestamp: of the image.
         id: (N,) int32.
         class_names: N classes.
         confidence: (N,) float32, 0 to 1.
@@ -254,7 +254,7 @@ class Boxes2d:
 
     @classmethod
     def empty(cls, sensor_id: int, seq: int, timestamp: Timestamp) -> "Boxes2d":
-        """A picture in which nothing was found."""
+        """An image in which nothing was found."""
         none = {column.attribute: np.zeros((0, *column.shape), column.dtype) for column in COLUMNS_2D}
         return cls(sensor_id=sensor_id, seq=seq, timestamp=timestamp, class_names=(), **none)
 
@@ -300,7 +300,7 @@ def check_area(corners_xyxy: UInt32Array, *, group: str) -> None:
 
 
 def check_corners(table: Table, corners_xyxy: UInt32Array, *, group: str) -> None:
-    """Check that no box is turned inside out.
+    """Check that no box is rotated inside out.
 
     Args:
         group: how messages call the list; "" for a single box.
@@ -312,7 +312,8 @@ def check_corners(table: Table, corners_xyxy: UInt32Array, *, group: str) -> Non
         wrong = corners_xyxy[:, second] < corners_xyxy[:, first]
         if wrong.any():
             k = int(np.argmax(wrong))
-            place = f"{group}[{k}].{name}" if group else name
+            location = f"{group}[{k}].{name}" if group else name
             raise table.fault(
-                place, f"{corners_xyxy[k, second]}; expected {corners_xyxy[k, first]} or more, as {name[0]}1"
+                location,
+                f"{corners_xyxy[k, second]}; expected {corners_xyxy[k, first]} or more, as {name[0]}1",
             )

@@ -7,9 +7,9 @@ from sceneloom.fusion.messages.tables import CALIBRATION
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationData:
-    """The lens of a camera, and where it is seen from a lidar or a lidar from it.
+    """The camera model of a camera, and where it is seen from a lidar or a lidar from it.
 
-    What the numbers mean as a lens and as frames is judged by those who use them.
+    What the numbers mean as a camera model and as frames is judged by those who use them.
 
     Attributes:
         image_size: width and height [px], each at least 1.

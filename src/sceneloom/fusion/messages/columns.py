@@ -45,7 +45,7 @@ class ColumnChecks:
 
         Args:
             table: of one record of the list.
-            columns: of the list; the first tells how many records there are.
+            columns: of the list; the first reports how many records there are.
             group: how messages call the list.
         """
         self._table = table
@@ -148,5 +148,5 @@ def _check_values(values: AnyArray, column: Column, rows: tuple[Row, ...], table
         row = rows[j if len(rows) > 1 else 0]
         if not row.admits(flat[:, j]):
             k = row.first_refused(flat[:, j])
-            place = f"{group}[{k}].{row.name}" + (f"[{j}]" if len(rows) == 1 and column.shape else "")
-            raise DataError(table.owner, place, f"{flat[k, j]}; {row.wanted}")
+            location = f"{group}[{k}].{row.name}" + (f"[{j}]" if len(rows) == 1 and column.shape else "")
+            raise DataError(table.owner, location, f"{flat[k, j]}; {row.wanted}")

@@ -1,4 +1,4 @@
-"""How the pixels of a picture can be written in a record."""
+"""How the pixels of an image can be written in a record."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ def check_pixels(
     channel_name: str,
     data_name: str,
 ) -> None:
-    """Check that encoding, size and number of values of a picture belong together.
+    """Check that encoding, size and number of values of an image belong together.
 
     Args:
         table: of the record.

@@ -37,13 +37,13 @@ _ASYMMETRY = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SensorFusionData:
-    """A point cloud and a picture after fusion.
+    """A point cloud and an image after fusion.
 
     Attributes:
         timestamp: of the point cloud.
-        image_seq, points_seq: numbers of the picture and of the cloud.
+        image_seq, points_seq: numbers of the image and of the cloud.
         camera_id, lidar_id: 0 to 255.
-        height, width: of the picture [px].
+        height, width: of the image [px].
         encoding: a name out of `ENCODINGS`.
         image_channel: values per pixel.
         image_data: uint8, height * width * image_channel values; kept flat and read-only.
@@ -53,10 +53,10 @@ class SensorFusionData:
         fields_number: how many fields.
         point_data: float32, point_num * fields_number values; kept flat and read-only.
         class_name: empty; `class` in the standard.
-        depth_kind: one of `DEPTH_KINDS`; None where it was not said.
-        point_frame: one of `POINT_FRAMES`; None where it was not said.
-        motion_compensated: 1 where the way of the vehicle was taken into account.
-        image_timestamp: of the picture; None where it was not said.
+        depth_kind: one of `DEPTH_KINDS`; None where it was not stated.
+        point_frame: one of `POINT_FRAMES`; None where it was not stated.
+        motion_compensated: 1 where the ego trajectory was taken into account.
+        image_timestamp: of the image; None where it was not stated.
 
     Raises:
         DataError: a field is missing, of another type or out of range, or they do not belong together.
@@ -113,7 +113,7 @@ class SensorFusionData:
 
     @property
     def pixels(self) -> UInt8Array | None:
-        """The picture, (height, width, image_channel) uint8, a view; None of a file, which wants decoding."""
+        """The image, (height, width, image_channel) uint8, a view; None of a file, which wants decoding."""
         if ENCODINGS[self.encoding].is_file:
             return None
         return self.image_data.reshape(self.height, self.width, self.image_channel)
@@ -131,7 +131,7 @@ class SensorFusionData:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FusedDetection:
-    """One object, found in space, in a picture, or in both.
+    """One object, found in space, in an image, or in both.
 
     Attributes:
         id: number of the detection, an int32.
@@ -144,7 +144,7 @@ class FusedDetection:
         size_cov: 9 numbers [m²], 3x3 row-major: length, width, height.
         direction: where it heads, lidar frame; not 0 where there is a 3D box.
         velocity: speed along the direction [m/s], negative for reversing.
-        x1, y1, x2, y2: left, upper, right and lower edge in the picture [px], uint32; all 0 of a detection that the
+        x1, y1, x2, y2: left, upper, right and lower edge in the image [px], uint32; all 0 of a detection that the
             image does not show: one behind the camera or beside its view.
         velocity_vector: velocity [m/s] along x, y, z, or None.
         box_3d_id, box_2d_id: the boxes it was made of; None for a sensor that did not see it.
@@ -189,11 +189,11 @@ class FusedDetection:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FusedDetections:
-    """The fused detections of one point cloud and one picture.
+    """The fused detections of one point cloud and one image.
 
     Attributes:
         timestamp: of the point cloud.
-        image_seq, points_seq: numbers of the picture and of the cloud.
+        image_seq, points_seq: numbers of the image and of the cloud.
         camera_id, lidar_id: 0 to 255.
         id: (N,) int32.
         class_names: N classes.
@@ -208,8 +208,8 @@ class FusedDetections:
         velocity_vectors: (N, 3) float32 [m/s], or None.
         box_3d_ids, box_2d_ids: the boxes that each was made of, None in them for a sensor that did not see it; None
             for N of None.
-        motion_compensated: 1 where the way of the vehicle was taken into account.
-        image_timestamp: of the picture; None where it was not said.
+        motion_compensated: 1 where the ego trajectory was taken into account.
+        image_timestamp: of the image; None where it was not stated.
 
     Raises:
         DataError: a field is missing, of another type or out of range; arrays have another shape or dtype.
@@ -313,7 +313,7 @@ class FusedDetections:
         )
 
 
-def _place(group: str, k: int, name: str) -> str:
+def _location(group: str, k: int, name: str) -> str:
     return f"{group}[{k}].{name}" if group else name
 
 
@@ -331,7 +331,7 @@ def _check_covariances(name: str, covariances: Float32Array, *, group: str) -> N
         k = int(np.argmax(wrong))
         numbers = covariances[k].reshape(-1).tolist()
         expected = "expected a symmetric 3x3 matrix without negative variances"
-        raise FUSED_DETECTION.fault(_place(group, k, name), f"{numbers}; {expected}")
+        raise FUSED_DETECTION.fault(_location(group, k, name), f"{numbers}; {expected}")
 
 
 def _check_seen_in_space(
@@ -343,9 +343,9 @@ def _check_seen_in_space(
         flat = seen & (sizes_lwh[:, j] <= 0)
         if flat.any():
             raise FUSED_DETECTION.fault(
-                _place(group, int(np.argmax(flat)), name), "0.0; expected more than 0"
+                _location(group, int(np.argmax(flat)), name), "0.0; expected more than 0"
             )
     headless = seen & ~directions.any(axis=1)
     if headless.any():
-        place = _place(group, int(np.argmax(headless)), "direction")
-        raise FUSED_DETECTION.fault(place, "(0.0, 0.0, 0.0); expected a vector other than 0")
+        location = _location(group, int(np.argmax(headless)), "direction")
+        raise FUSED_DETECTION.fault(location, "(0.0, 0.0, 0.0); expected a vector other than 0")

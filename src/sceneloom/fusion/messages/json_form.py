@@ -1,6 +1,6 @@
 """Records as JSON objects with the standard's names.
 
-Time stamps are texts as "1595682678.715705367", since a JSON number cannot hold one; arrays are Base64 of their
+Timestamps are texts as "1595682678.715705367", since a JSON number cannot hold one; arrays are Base64 of their
 little-endian bytes, or lists of numbers, in which null stands for a number that is not finite.
 """
 
@@ -161,8 +161,8 @@ def _timestamp(value: Any, row: Row, owner: str) -> Timestamp:
             return Timestamp(value["s"], value["ns"])
         return Timestamp.parse(value)
     except DataError as error:
-        place = f"{row.name}.{error.place}" if error.place else row.name
-        raise DataError(owner, place, error.problem) from error
+        location = f"{row.name}.{error.location}" if error.location else row.name
+        raise DataError(owner, location, error.problem) from error
 
 
 def _array(values: list[Any], dtype: np.dtype[Any], row: Row, owner: str) -> AnyArray:
@@ -194,8 +194,8 @@ def _read_members(
         numbers = [[row[attribute] for attribute in attributes] for row in rows]
         missing = next((k for k, found in enumerate(numbers) if None in found), None)
         if missing is not None:
-            place = f"{layout.group}[{missing}].{column.names[0]}"
-            raise layout.table.fault(place, "missing; expected as in the others")
+            location = f"{layout.group}[{missing}].{column.names[0]}"
+            raise layout.table.fault(location, "missing; expected as in the others")
         values[column.attribute] = np.array(numbers, column.dtype).reshape(len(rows), *column.shape)
     for name, attribute in layout.ids.items():
         values[attribute] = tuple(row[name] for row in rows)
@@ -203,13 +203,13 @@ def _read_members(
 
 
 def _read_member(member: Any, k: int, layout: ListLayout, common: Mapping[str, Any]) -> dict[str, Any]:
-    table, place = layout.table, f"{layout.group}[{k}]"
+    table, location = layout.table, f"{layout.group}[{k}]"
     try:
         values = _read(member, table)
         checked = {row.attribute: row.check(values[row.attribute], table.owner) for row in table.rows}
         _check_shared(checked, layout.shared, common, table)
     except DataError as error:
-        within = f"{place}.{error.place}" if error.place else place
+        within = f"{location}.{error.location}" if error.location else location
         raise DataError(table.owner, within, error.problem) from error
     return checked
 

@@ -11,12 +11,12 @@ from sceneloom.fusion.messages.wire import fusion_pb2
 
 
 def timestamp_to_protobuf(timestamp: Timestamp) -> fusion_pb2.Timestamp:
-    """Give the message of a time stamp."""
+    """Give the message of a timestamp."""
     return fusion_pb2.Timestamp(s=timestamp.s, ns=timestamp.ns)
 
 
-def timestamp_from_protobuf(message: fusion_pb2.Timestamp, owner: str, place: str) -> Timestamp:
-    """Give the time stamp of a message.
+def timestamp_from_protobuf(message: fusion_pb2.Timestamp, owner: str, location: str) -> Timestamp:
+    """Give the timestamp of a message.
 
     Raises:
         DataError: its nanoseconds make a second or more.
@@ -24,7 +24,7 @@ def timestamp_from_protobuf(message: fusion_pb2.Timestamp, owner: str, place: st
     try:
         return Timestamp(message.s, message.ns)
     except DataError as error:
-        raise DataError(owner, f"{place}.{error.place}", error.problem) from error
+        raise DataError(owner, f"{location}.{error.location}", error.problem) from error
 
 
 def write_field(message: Any, row: Row, value: Any) -> None:
@@ -56,10 +56,10 @@ def read_field(message: Any, row: Row, owner: str) -> Any:
         return tuple(value) if row.required or value else None
     if row.required:
         return value
-    return _if_said(message, row, value)
+    return _if_stated(message, row, value)
 
 
-def _if_said(message: Any, row: Row, value: Any) -> Any:
+def _if_stated(message: Any, row: Row, value: Any) -> Any:
     """An optional field's value, None where it was left out."""
     if message.DESCRIPTOR.fields_by_name[row.name].has_presence:
         return value if message.HasField(row.name) else None

@@ -52,10 +52,10 @@ def _check_shared(messages: Sequence[Any], layout: ListLayout, common: Mapping[s
         return
     seqs = [(name, common[shared]) for name, shared in layout.shared.items() if name != "timestamp"]
     expected = (timestamp.s, timestamp.ns, *(seq for _, seq in seqs))
-    told = attrgetter("timestamp.s", "timestamp.ns", *(name for name, _ in seqs))
-    if not set(map(told, messages)) - {expected}:
+    reported = attrgetter("timestamp.s", "timestamp.ns", *(name for name, _ in seqs))
+    if not set(map(reported, messages)) - {expected}:
         return
-    k, found = next((k, found) for k, found in enumerate(map(told, messages)) if found != expected)
+    k, found = next((k, found) for k, found in enumerate(map(reported, messages)) if found != expected)
     wrong = found[:2] != expected[:2]
     name = "timestamp" if wrong else seqs[0][0]
     value = f"{found[0]}.{found[1]:09d}" if wrong else found[2]

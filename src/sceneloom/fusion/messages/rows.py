@@ -14,7 +14,7 @@ from sceneloom.fusion.messages.timestamps import Timestamp
 from sceneloom.fusion.messages.value_types import ValueForm, ValueType
 
 TIME = "uint32. uint32"
-"""How the standard writes the type of a time stamp."""
+"""How the standard writes the type of a timestamp."""
 
 CLASS = "enum"
 """The type of classes, which are names here."""
@@ -48,7 +48,7 @@ class Row:
         example: the standard's.
         attribute: of the record in Python; "" for `name`.
         aliases: names that are read, too: those of the same field in other tables.
-        value_type: what `type` means; None for a time stamp.
+        value_type: what `type` means; None for a timestamp.
         whole: smallest and largest value of a whole number, else None.
         bounds: `low`, `high` and `above`.
     """
@@ -131,7 +131,7 @@ class Row:
         check = _CHECKS.get(self.type)
         return self._plain_value(value, owner) if check is None else check(self, value, owner)
 
-    def check_class(self, value: Any, owner: str, place: str = "") -> str:
+    def check_class(self, value: Any, owner: str, location: str = "") -> str:
         """Check the name of a class.
 
         Raises:
@@ -139,9 +139,9 @@ class Row:
         """
         if type(value) is str and value.isascii() and value:
             return value
-        name = check_basic(BasicType.STRING, value, owner=owner, place=place or self.name)
+        name = check_basic(BasicType.STRING, value, owner=owner, location=location or self.name)
         if self.required and not name:
-            raise DataError(owner, place or self.name, "''; expected the name of a class")
+            raise DataError(owner, location or self.name, "''; expected the name of a class")
         return str(name)
 
     def refuse_any(self, flat: AnyArray, owner: str) -> None:
@@ -177,7 +177,7 @@ class Row:
     def _plain_value(self, value: Any, owner: str) -> Any:
         value_type = cast("ValueType", self.value_type)
         try:
-            checked = value_type.check(value, owner=owner, place=self.name)
+            checked = value_type.check(value, owner=owner, location=self.name)
         except DataError as error:
             if self.range and value_type.form is ValueForm.SCALAR:
                 raise DataError(owner, self.name, f"{shown(value)}; {self.wanted}") from error

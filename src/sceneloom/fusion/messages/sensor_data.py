@@ -1,4 +1,4 @@
-"""What sensors send, as records: raw bytes, pictures and point clouds."""
+"""What sensors send, as records: raw bytes, images and point clouds."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -43,13 +43,13 @@ class RawData:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ImageData:
-    """One picture.
+    """One image.
 
     Attributes:
         sensor_id: of the camera, 0 to 255.
         timestamp: when it was made.
         seq: number in the sequence, a uint32.
-        height, width: of the picture [px], at least 1.
+        height, width: of the image [px], at least 1.
         encoding: a name out of `ENCODINGS`.
         channel: values per pixel.
         data: uint8, height * width * channel values row by row; a whole file where the encoding is jpeg or png. Given
@@ -159,7 +159,7 @@ def check_fields(table: Table, name: str, fields: tuple[str, ...], fields_number
     """Check the names of the fields that points have.
 
     Raises:
-        DataError: x, y or z is missing, a name is empty or stands twice, or there are more or fewer than said.
+        DataError: x, y or z is missing, a name is empty or stands twice, or there are more or fewer than stated.
     """
     if not {"x", "y", "z"} <= set(fields):
         raise table.fault(name, f"{shown(fields)}; expected x, y and z among them")

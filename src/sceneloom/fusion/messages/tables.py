@@ -47,7 +47,7 @@ class Table:
         return self._by_name[name]
 
     def settle(self, record: Any) -> None:
-        """Check all fields of a record that is being made, and put what they come to in their places.
+        """Check all fields of a record that is being made, and put what they come to in their locations.
 
         Raises:
             DataError: a field is missing, of another type or out of range.
@@ -75,7 +75,7 @@ CALIBRATION = Table(
     "6.1",
     "calibration data",
     (
-        Row(1, "image_size", "uint32[2]", "width and height of the picture", "px", low=1, example=(640, 480)),
+        Row(1, "image_size", "uint32[2]", "width and height of the image", "px", low=1, example=(640, 480)),
         Row(
             2,
             "distortion_coeffs",
@@ -89,7 +89,7 @@ CALIBRATION = Table(
             3,
             "intrinsic_matrix",
             "double[9]",
-            "3x3, row-major: takes the camera frame to the picture",
+            "3x3, row-major: takes the camera frame to the image",
             "px",
             example=(468.3708, 0.0, 339.7596, 0.0, 470.2517, 235.6143, 0.0, 0.0, 1.0),
         ),
@@ -127,7 +127,7 @@ IMAGE = Table(
     "image data",
     (
         Row(1, "sensor_id", _UINT8, "the camera", example=1, aliases=("camera_id",)),
-        Row(2, "timestamp", TIME, "when the picture was made", "s. ns", example=_TIMESTAMP),
+        Row(2, "timestamp", TIME, "when the image was made", "s. ns", example=_TIMESTAMP),
         Row(3, "seq", _UINT32, "number in the sequence", example=1, aliases=("image_seq",)),
         Row(4, "height", _UINT32, "rows of pixels", "px", low=1, example=480),
         Row(5, "width", _UINT32, "columns of pixels", "px", low=1, example=360),
@@ -205,7 +205,7 @@ BOX_2D = Table(
     (
         Row(1, "id", _INT32, "number of the box", example=1),
         Row(2, "class", "enum", "class of the object", example="Car", attribute="class_name"),
-        Row(3, "image_seq", _UINT32, "seq of its picture", example=1, aliases=("seq",)),
+        Row(3, "image_seq", _UINT32, "seq of its image", example=1, aliases=("seq",)),
         Row(4, "confidence", "float", "probability that the object exists", low=0, high=1, example=0.8),
         Row(5, "timestamp", TIME, "time of the box", "s. ns", example=_TIMESTAMP),
         Row(6, "x1", _UINT32, "left edge", "px", example=103),
@@ -231,7 +231,7 @@ SENSOR_FUSION = Table(
             example="Car",
             attribute="class_name",
         ),
-        Row(3, "image_seq", _UINT32, "seq of the picture", example=1),
+        Row(3, "image_seq", _UINT32, "seq of the image", example=1),
         Row(4, "points_seq", _UINT32, "seq of the point cloud", example=1),
         Row(5, "camera_id", _UINT8, "the camera", example=1),
         Row(6, "lidar_id", _UINT8, "the lidar", example=1),
@@ -272,11 +272,11 @@ SENSOR_FUSION = Table(
             102,
             "motion_compensated",
             "bool",
-            "whether the way of the vehicle was taken into account",
+            "whether the ego trajectory was taken into account",
             required=False,
             default=0,
         ),
-        Row(103, "image_timestamp", TIME, "when the picture was made", "s. ns", required=False),
+        Row(103, "image_timestamp", TIME, "when the image was made", "s. ns", required=False),
     ),
 )
 
@@ -341,18 +341,18 @@ BOXES_2D = Table(
     "2D boxes",
     (
         Row(1, "sensor_id", _UINT8, "the camera", aliases=("camera_id",)),
-        Row(2, "seq", _UINT32, "seq of the picture", aliases=("image_seq",)),
-        Row(3, "timestamp", TIME, "time of the picture", "s. ns"),
+        Row(2, "seq", _UINT32, "seq of the image", aliases=("image_seq",)),
+        Row(3, "timestamp", TIME, "time of the image", "s. ns"),
     ),
 )
-"""What the boxes of one picture have in common."""
+"""What the boxes of one image have in common."""
 
 FUSED_DETECTIONS = Table(
     10,
     "6.8",
     "fused detections",
     (
-        Row(2, "image_seq", _UINT32, "seq of the picture"),
+        Row(2, "image_seq", _UINT32, "seq of the image"),
         Row(3, "points_seq", _UINT32, "seq of the point cloud"),
         Row(4, "camera_id", _UINT8, "the camera"),
         Row(5, "lidar_id", _UINT8, "the lidar"),

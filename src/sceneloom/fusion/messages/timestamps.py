@@ -1,4 +1,4 @@
-"""The time stamps of the standard: seconds and nanoseconds, two whole numbers."""
+"""The timestamps of the standard: seconds and nanoseconds, two whole numbers."""
 
 import re
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ NANOSECONDS = 1_000_000_000
 """In a second."""
 
 LATEST_NS = 2**32 * NANOSECONDS - 1
-"""The latest time that a time stamp can say [ns]."""
+"""The latest time that a time timestamp can state [ns]."""
 
 _TEXT = re.compile(r"([0-9]{1,10})\.([0-9]{9})")
 
@@ -44,14 +44,14 @@ class Timestamp:
         ):
             return
         for name in ("s", "ns"):
-            value = check_basic(BasicType.UINT32, getattr(self, name), owner="timestamp", place=name)
+            value = check_basic(BasicType.UINT32, getattr(self, name), owner="timestamp", location=name)
             object.__setattr__(self, name, value)
         if self.ns >= NANOSECONDS:
             raise DataError("timestamp", "ns", f"{self.ns}; expected 0 to {NANOSECONDS - 1}")
 
     @classmethod
     def of(cls, timestamp_ns: int) -> "Timestamp":
-        """The time stamp of a time in nanoseconds.
+        """The timestamp of a time in nanoseconds.
 
         Raises:
             DataError: it is before 0 or beyond 2^32 seconds.

@@ -67,13 +67,13 @@ class ValueType:
             return f"{self.elements[0]}[{'' if self.length is None else self.length}]"
         return str(self.elements[0])
 
-    def check(self, value: Any, *, owner: str = "value", place: str = "") -> Any:
+    def check(self, value: Any, *, owner: str = "value", location: str = "") -> Any:
         """Check a value exactly, as `check_basic` does for one.
 
         Args:
             value: one value, or a list, tuple or array of one dimension.
             owner: what it belongs to, for the message.
-            place: the field, for the message.
+            location: the field, for the message.
 
         Returns:
             The value, of a tuple or an array a tuple.
@@ -82,20 +82,20 @@ class ValueType:
             DataError: it is of another type, out of range, or there are more or fewer values.
         """
         if self.form is ValueForm.SCALAR:
-            return check_basic(self.elements[0], value, owner=owner, place=place)
-        values = self._listed(value, owner, place)
+            return check_basic(self.elements[0], value, owner=owner, location=location)
+        values = self._listed(value, owner, location)
         elements = self.elements if self.form is ValueForm.TUPLE else self.elements * len(values)
         return tuple(
-            check_basic(element, item, owner=owner, place=f"{place}[{k}]")
+            check_basic(element, item, owner=owner, location=f"{location}[{k}]")
             for k, (element, item) in enumerate(zip(elements, values, strict=True))
         )
 
-    def _listed(self, value: Any, owner: str, place: str) -> Sequence[Any]:
+    def _listed(self, value: Any, owner: str, location: str) -> Sequence[Any]:
         if isinstance(value, np.ndarray) and value.ndim == 1:
             value = value.tolist()
         count = len(self.elements) if self.form is ValueForm.TUPLE else self.length
         if not isinstance(value, list | tuple) or count not in (None, len(value)):
-            raise DataError(owner, place, f"{shown(value)}; expected {self}")
+            raise DataError(owner, location, f"{shown(value)}; expected {self}")
         return value
 
 

@@ -120,14 +120,14 @@ def list_bytes(record: Any, kind: RecordKind) -> bytes:
 
 def _texts(names: tuple[str, ...]) -> tuple[Int64Array, UInt8Array]:
     """Where the letters of each name begin and end, (N, 2), and the letters of all."""
-    places: dict[str, tuple[int, int]] = {}
+    locations: dict[str, tuple[int, int]] = {}
     letters = bytearray()
     for name in dict.fromkeys(names):
         first = len(letters)
         letters += name.encode()
-        places[name] = (first, len(letters))
+        locations[name] = (first, len(letters))
     return (
-        np.array([places[name] for name in names], np.int64).reshape(len(names), 2),
+        np.array([locations[name] for name in names], np.int64).reshape(len(names), 2),
         np.frombuffer(bytes(letters), np.uint8),
     )
 

@@ -115,7 +115,7 @@ PREDEFINED: Mapping[str, PredefinedProperty] = MappingProxyType(
             ),
             PredefinedProperty(
                 "camera_frequency",
-                "pictures a second",
+                "images a second",
                 "uint32",
                 10,
                 unit="Hz",
@@ -152,8 +152,8 @@ PREDEFINED: Mapping[str, PredefinedProperty] = MappingProxyType(
                 "sensors",
                 'what each sensor_id is and what its raw data (table 4) hold, as JSON: {"0": {"kind": "lidar", '
                 '"raw": "records"}, "1": {"kind": "camera", "raw": "jpeg"}}; of a lidar also body_from_lidar, its '
-                "mounting on the body whose way SendMotion tells; of a camera shutter_roll_s and "
-                "shutter_left_to_right, its rolling shutter; empty: told by what is sent",
+                "mounting on the body whose trajectory SendMotion reports; of a camera shutter_roll_s and "
+                "shutter_left_to_right, its rolling shutter; empty: reported by what is sent",
                 "string",
                 "",
                 check=parse_sensors,
@@ -187,7 +187,7 @@ PREDEFINED: Mapping[str, PredefinedProperty] = MappingProxyType(
             ),
             PredefinedProperty(
                 "pairing_tolerance_ms",
-                "how far a picture may be from a sweep; 0: half a period of lidar_frequency and half a period of "
+                "how far an image may be from a sweep; 0: half a period of lidar_frequency and half a period of "
                 "camera_frequency",
                 "double",
                 0.0,
@@ -196,7 +196,7 @@ PREDEFINED: Mapping[str, PredefinedProperty] = MappingProxyType(
             ),
             PredefinedProperty(
                 "pairing_timeout_ms",
-                "how late a picture may come and still be waited for, on the clock of the data, and how long a box "
+                "how late an image may come and still be waited for, on the clock of the data, and how long a box "
                 "that came alone waits for others of its frame",
                 "uint32",
                 100,

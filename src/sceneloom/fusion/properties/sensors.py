@@ -12,10 +12,10 @@ from sceneloom.fusion.mounting import parse_mounting
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.shutter import GLOBAL, LONGEST_ROLL_S, Shutter
 
-_PLACE, _MOUNTING = "sensors", "body_from_lidar"
+_LOCATION, _MOUNTING = "sensors", "body_from_lidar"
 _ROLL, _ROLLS_OVER_COLUMNS = "shutter_roll_s", "shutter_left_to_right"
 _OF_KIND = {SensorKind.LIDAR: (_MOUNTING,), SensorKind.CAMERA: (_ROLL, _ROLLS_OVER_COLUMNS)}
-"""What is said of sensors of one kind alone."""
+"""What is stated for sensors of one kind alone."""
 
 
 class RawForm(StrEnum):
@@ -46,8 +46,9 @@ class DeclaredSensor:
         sensor_id: 0 to 255.
         kind: camera or lidar.
         raw: what its raw data hold, or None where it sends none.
-        body_from_lidar: of a lidar, how it is mounted on the body whose way is told; None: the way is its own.
-        shutter: of a camera, when the lines of its pictures are taken.
+        body_from_lidar: of a lidar, how it is mounted on the body whose trajectory is reported; None: the trajectory is
+            its own.
+        shutter: of a camera, when the lines of its images are taken.
     """
 
     sensor_id: int
@@ -63,37 +64,39 @@ def parse_sensors(text: str) -> Mapping[int, DeclaredSensor]:
     Raises:
         DataError: it is no JSON object of sensors.
     """
-    found = read_by_sensor(text, _PLACE, '{"0": {"kind": "lidar"}}')
+    found = read_by_sensor(text, _LOCATION, '{"0": {"kind": "lidar"}}')
     return {sensor_id: _declared(sensor_id, entry) for sensor_id, entry in found.items()}
 
 
 def _declared(sensor_id: int, entry: Any) -> DeclaredSensor:
     name = str(sensor_id)
     if not isinstance(entry, dict) or "kind" not in entry:
-        raise DataError(_PLACE, name, f"{entry!r}; expected an object with kind")
+        raise DataError(_LOCATION, name, f"{entry!r}; expected an object with kind")
     if entry["kind"] not in list(SensorKind):
-        raise DataError(_PLACE, f"{name}.kind", f"{entry['kind']!r}; expected {' or '.join(SensorKind)}")
+        raise DataError(_LOCATION, f"{name}.kind", f"{entry['kind']!r}; expected {' or '.join(SensorKind)}")
     kind = SensorKind(entry["kind"])
     for word in entry:
         _check_word(word, kind, f"{name}.{word}")
     raw = entry.get("raw")
     if raw is not None and raw not in RAW_FORMS[kind]:
-        raise DataError(_PLACE, f"{name}.raw", f"{raw!r}; expected one of {', '.join(RAW_FORMS[kind])}")
-    mounting = parse_mounting(entry[_MOUNTING], _PLACE, f"{name}.{_MOUNTING}") if _MOUNTING in entry else None
+        raise DataError(_LOCATION, f"{name}.raw", f"{raw!r}; expected one of {', '.join(RAW_FORMS[kind])}")
+    mounting = (
+        parse_mounting(entry[_MOUNTING], _LOCATION, f"{name}.{_MOUNTING}") if _MOUNTING in entry else None
+    )
     return DeclaredSensor(
         sensor_id, kind, None if raw is None else RawForm(raw), mounting, _shutter(entry, name)
     )
 
 
-def _check_word(word: str, kind: SensorKind, place: str) -> None:
-    """Refuse what is said of no sensor of this kind."""
+def _check_word(word: str, kind: SensorKind, location: str) -> None:
+    """Refuse what is stated for no sensor of this kind."""
     if word in ("kind", "raw", *_OF_KIND[kind]):
         return
     others = {other.value for other, words in _OF_KIND.items() if word in words}
     if others:
-        raise DataError(_PLACE, place, f"of a {kind}; expected of {' and '.join(others)}s")
+        raise DataError(_LOCATION, location, f"of a {kind}; expected of {' and '.join(others)}s")
     expected = ", ".join(("raw", *_OF_KIND[kind]))
-    raise DataError(_PLACE, place, f"no word of a {kind}; expected kind and perhaps {expected}")
+    raise DataError(_LOCATION, location, f"no word of a {kind}; expected kind and perhaps {expected}")
 
 
 def _shutter(entry: Mapping[str, Any], name: str) -> Shutter:
@@ -105,7 +108,9 @@ def _shutter(entry: Mapping[str, Any], name: str) -> Shutter:
         or not 0 <= seconds <= LONGEST_ROLL_S
     ):
         problem = f"{seconds!r}; expected seconds, 0 to {LONGEST_ROLL_S:g}"
-        raise DataError(_PLACE, f"{name}.{_ROLL}", problem)
+        raise DataError(_LOCATION, f"{name}.{_ROLL}", problem)
     if not isinstance(over_columns, bool):
-        raise DataError(_PLACE, f"{name}.{_ROLLS_OVER_COLUMNS}", f"{over_columns!r}; expected true or false")
+        raise DataError(
+            _LOCATION, f"{name}.{_ROLLS_OVER_COLUMNS}", f"{over_columns!r}; expected true or false"
+        )
     return Shutter(float(seconds), over_columns)

@@ -81,7 +81,8 @@ class PropertyStore:
     """Holds the properties; each call is whole before the next one is, whoever calls.
 
     Attributes:
-        check_algorithm: told a fusion type and a name before it is set; raises OptionError for one that is not there.
+        check_algorithm: reported a fusion type and a name before it is set; raises OptionError for one that is not
+            there.
 
     Source: DB34/T 4101-2022, clauses 5.2 to 5.5.
     """
@@ -186,7 +187,7 @@ class PropertyStore:
         self._snapshot = None
 
     def _show_algorithm(self) -> None:
-        """Let `fusion_algorithm` say the algorithm of the fusion that `fusion_type` names."""
+        """Let `fusion_algorithm` state the algorithm of the fusion that `fusion_type` names."""
         shown_now = self._properties["fusion_algorithm"]
         current = self._algorithms[self._properties["fusion_type"].value]
         if shown_now.value != current:

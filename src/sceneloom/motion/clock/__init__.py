@@ -1,1 +1,1 @@
-"""Clocks against each other: the time offset and the skew between two streams that tell of the same motion."""
+"""Clocks against each other: the time offset and the skew between two streams that report the same motion."""

@@ -1,4 +1,4 @@
-"""Corners from one picture to the next."""
+"""Corners from one image to the next."""
 
 from dataclasses import dataclass
 
@@ -7,22 +7,22 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 
 LARGEST_WIDTH = 720
-"""Wider pictures are shrunk by a whole number: a tenth of a small pixel is enough, and they are quicker."""
+"""Wider images are shrunk by a whole number: a tenth of a small pixel is enough, and they are quicker."""
 
 _CELLS = 500
-"""About so many corners, one in each cell of a grid, so that they are spread over the picture."""
+"""About so many corners, one in each cell of a grid, so that they are spread over the image."""
 
 _HALF_WINDOW = 7
 _ROUNDS = 20
 _LEAST_STRENGTH = 4.0
-"""Mean squared gradient along the weaker direction [grey levels²]: well above the noise of a picture."""
+"""Mean squared gradient along the weaker direction [grey levels²]: well above the noise of an image."""
 
 _FARTHEST_BACK = 0.25
 """A corner that is followed back comes at most so far from where it was [px]. Source: Kalal, Mikolajczyk and Matas
 2010, "Forward-Backward Error"."""
 
 _SMALLEST = 48
-"""No picture of the pyramid is narrower or lower [px]."""
+"""No image of the pyramid is narrower or lower [px]."""
 
 _BLUR = np.array([1.0, 4.0, 6.0, 4.0, 1.0], np.float32) / 16.0
 """Source: Burt and Adelson 1983, a = 0.375."""
@@ -30,11 +30,11 @@ _BLUR = np.array([1.0, 4.0, 6.0, 4.0, 1.0], np.float32) / 16.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pyramid:
-    """A picture in grey, and smaller and smaller.
+    """An image in grey, and smaller and smaller.
 
     Attributes:
         levels: (h, w) float32 each, halved from one to the next.
-        shrunk: by how much the first is smaller than the picture.
+        shrunk: by how much the first is smaller than the image.
     """
 
     levels: tuple[Float32Array, ...]
@@ -42,7 +42,7 @@ class Pyramid:
 
     @classmethod
     def of(cls, rgb: UInt8Array) -> "Pyramid":
-        """Make it of a picture (H, W, 3)."""
+        """Make it of an image (H, W, 3)."""
         shrunk = -(-rgb.shape[1] // LARGEST_WIDTH)
         height, width = rgb.shape[0] // shrunk, rgb.shape[1] // shrunk
         small = rgb[: height * shrunk, : width * shrunk].astype(np.float32) @ _GREY
@@ -54,7 +54,7 @@ class Pyramid:
         return cls(tuple(levels), shrunk)
 
     def outer(self, pixels: Float64Array) -> Float64Array:
-        """Take places (N, 2) of the first level into the picture [px]."""
+        """Take locations (N, 2) of the first level into the image [px]."""
         return (pixels + 0.5) * self.shrunk - 0.5
 
 
@@ -83,7 +83,7 @@ def _halved(grey: Float32Array) -> Float32Array:
 
 
 def find_corners(pyramid: Pyramid) -> Float32Array:
-    """Find corners spread over a picture: (N, 2) float32 [px] of the first level."""
+    """Find corners spread over an image: (N, 2) float32 [px] of the first level."""
     from sceneloom.kernels.feature_tracking import corner_strengths
 
     grey = pyramid.levels[0]
@@ -108,7 +108,7 @@ def find_corners(pyramid: Pyramid) -> Float32Array:
 
 
 def followed(first: Pyramid, second: Pyramid, corners: Float32Array) -> tuple[Float32Array, BoolArray]:
-    """Find corners (N, 2) of one picture in the next one, there and back again.
+    """Find corners (N, 2) of one image in the next one, there and back again.
 
     Returns:
         (N, 2) float32 [px] of the first level, and (N,) bool whether each was found.
@@ -120,7 +120,7 @@ def followed(first: Pyramid, second: Pyramid, corners: Float32Array) -> tuple[Fl
 
 
 def _through_levels(first: Pyramid, second: Pyramid, corners: Float32Array) -> tuple[Float32Array, BoolArray]:
-    """From the smallest picture to the largest. Source: Bouguet 2000."""
+    """From the smallest image to the largest. Source: Bouguet 2000."""
     from sceneloom.kernels.feature_tracking import follow_corners
 
     count = min(len(first.levels), len(second.levels))
@@ -134,7 +134,7 @@ def _through_levels(first: Pyramid, second: Pyramid, corners: Float32Array) -> t
             first.levels[level], second.levels[level], pixels, _HALF_WINDOW, _ROUNDS, guesses, found
         )
         if level:
-            # what is lost in a small picture may be found in a larger one
+            # what is lost in a small image may be found in a larger one
             lost = ~found
             guesses[lost] = before[lost]
             guesses = guesses * 2

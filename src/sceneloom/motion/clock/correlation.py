@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array
-from sceneloom.motion.clock.turning import finite_rows
+from sceneloom.motion.clock.rotating import finite_rows
 
 LEAST_OVERLAP = 0.3
 """Lags count where this share of the most samples that any lag compares lie over each other."""
@@ -47,13 +47,13 @@ def correlation_peaks(
     """Find the lags at which second[k + lag] is most like first[k], up to one unknown rotation and constant vectors.
 
     The sum of the singular values of the 3x3 correlation at a lag is the largest correlation that a rotation between
-    the streams can give, so axes need not be known; a car's turns, which are all about one axis, keep their signs.
+    the streams can give, so axes need not be known; a car's rotations, which are all about one axis, keep their signs.
 
     Args:
         first, second: (N, 3) and (M, 3), on grids of one step; rows with NaN are not known.
         reach: the farthest lag from `centre`, in steps.
         centre: the lag in the middle of those that are tried, in steps.
-        expected: (3, 3) rotation to take where the motion does not tell one.
+        expected: (3, 3) rotation to take where the motion does not report one.
         most: how many peaks at most.
 
     Returns:
@@ -98,7 +98,7 @@ class _Chance:
 
 
 def _chance(first: Float64Array, second: Float64Array) -> _Chance:
-    """Tell from how alike each stream is to itself a while later.
+    """Report from how alike each stream is to itself a while later.
 
     Source: Bartlett 1946, "On the Theoretical Specification and Sampling Properties of Autocorrelated Time-Series":
     the variance of a correlation is the sum of the products of both autocorrelations, by the number; the inverse
@@ -136,7 +136,7 @@ def _margin(scores: Float64Array, k: int, chance: _Chance) -> float:
 
 
 def _tamed(values: Float64Array) -> Float64Array:
-    """Vectors with those shortened that are far longer than most: single wild samples tell of no motion."""
+    """Vectors with those shortened that are far longer than most: single wild samples report no motion."""
     known = values[finite_rows(values)]
     if len(known) == 0:
         return values

@@ -9,10 +9,10 @@ SIGMAS = 4.0
 """An offset of so many standard deviations is one: by chance such a one comes once in 16,000."""
 
 TOLERANCE_NS = 1_000_000.0
-"""Offsets below it are in step whatever their uncertainty: no sensor's stamps are that exact [ns]."""
+"""Offsets below it are in step whatever their uncertainty: no sensor's timestamps are that exact [ns]."""
 
 WORST_SIGMA_NS = 50_000_000.0
-"""Where the offset is not known better than this, nothing is said of it [ns]."""
+"""Where the offset is not known better than this, nothing is stated of it [ns]."""
 
 WORST_SKEW_SIGMA_PPM = 300.0
 """The same of the skew: quartz clocks differ by less than 200 ppm."""
@@ -46,8 +46,8 @@ class ClockEstimate(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         verdict: what came out.
-        reason: why nothing can be said, or what else is to be said; "" for nothing.
-        offset_ns: what the stream's stamps say more than the reference's, at `at_ns` [ns]; None where not known.
+        reason: why nothing can be stated, or what else is to be stated; "" for nothing.
+        offset_ns: what the stream's timestamps state more than the reference's, at `at_ns` [ns]; None where not known.
         offset_sigma_ns: its standard deviation [ns].
         skew_ppm: how much faster the stream's clock runs [parts in a million]; None where not known.
         skew_sigma_ppm: its standard deviation.
@@ -55,9 +55,9 @@ class ClockEstimate(msgspec.Struct, frozen=True, kw_only=True):
         span_ns: how long the common time is [ns].
         samples: how many measurements were compared.
         correlation: of both motions at the offset, 0 to 1; None where none was computed.
-        rotation_vector: turn [rad] that takes directions of the stream's body into the reference's, three numbers;
-            where the motion tells it.
-        pieces: the offset in parts of a long drive.
+        rotation_vector: rotate [rad] that takes directions of the stream's body into the reference's, three numbers;
+            where the motion reports it.
+        chunks: the offset in parts of a long drive.
     """
 
     verdict: ClockVerdict
@@ -71,11 +71,11 @@ class ClockEstimate(msgspec.Struct, frozen=True, kw_only=True):
     samples: int = 0
     correlation: float | None = None
     rotation_vector: tuple[float, float, float] | None = None
-    pieces: tuple[OffsetPiece, ...] = ()
+    chunks: tuple[OffsetPiece, ...] = ()
 
     @classmethod
     def unknown(cls, reason: str, **known: object) -> "ClockEstimate":
-        """Say why nothing can be said."""
+        """Report why nothing can be stated."""
         return cls(verdict=ClockVerdict.NOT_OBSERVABLE, reason=reason, **known)  # type: ignore[arg-type]
 
     @property
@@ -95,9 +95,9 @@ def judged(
     samples: int,
     correlation: float | None,
     rotation_vector: tuple[float, float, float] | None = None,
-    pieces: tuple[OffsetPiece, ...] = (),
+    chunks: tuple[OffsetPiece, ...] = (),
 ) -> ClockEstimate:
-    """Tell from the numbers whether two clocks are in step."""
+    """Report from the numbers whether two clocks are in step."""
     knows_skew = skew_sigma_ppm <= WORST_SKEW_SIGMA_PPM
     drift_ns = abs(skew_ppm) * 1e-6 * span_ns / 2 if knows_skew else 0.0
     drifts = drift_ns > TOLERANCE_NS and abs(skew_ppm) > SIGMAS * skew_sigma_ppm
@@ -125,5 +125,5 @@ def judged(
         samples=samples,
         correlation=correlation,
         rotation_vector=rotation_vector,
-        pieces=pieces,
+        chunks=chunks,
     )

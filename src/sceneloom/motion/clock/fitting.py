@@ -178,10 +178,10 @@ def misfit_of(
 def bare_slopes(model: Model, found: Fit, windows: Int64Array) -> Float64Array:
     """What a fit's parameters change of the rows that were used, (R, K, P), beyond what the nuisances may do."""
     at = model(found.parameters, found.amounts)
-    told = at.residuals, at.jacobian, at.nuisances
+    reported = at.residuals, at.jacobian, at.nuisances
     used = found.used.astype(np.float64)
     scales = _scales(at.residuals - _explained(at.nuisances, found.amounts, windows), found.used)
-    slopes = _without_nuisances(*told, used, scales, windows, at.precision)[1]
+    slopes = _without_nuisances(*reported, used, scales, windows, at.precision)[1]
     return slopes[found.used]
 
 
@@ -215,7 +215,7 @@ class _Held:
 
     @property
     def information(self) -> Float64Array:
-        """What they tell of the parameters, (P, P)."""
+        """What they report the parameters, (P, P)."""
         return np.asarray(self.jacobian.T @ self.jacobian, np.float64)
 
 
@@ -249,9 +249,9 @@ def _solve(
     r = clean_r / scales * root
     j = clean_j / scales[None, :, None] * root[:, :, None]
     slopes = j.reshape(r.size, size)
-    told = _inner(slopes, np.concatenate([slopes, r.reshape(-1, 1)], axis=1))
-    information = told[:, :size] + held.information
-    gradient = told[:, size] + held.jacobian.T @ held.residuals - precision * moved
+    reported = _inner(slopes, np.concatenate([slopes, r.reshape(-1, 1)], axis=1))
+    information = reported[:, :size] + held.information
+    gradient = reported[:, size] + held.jacobian.T @ held.residuals - precision * moved
     step = np.linalg.lstsq(information + np.diag(precision), gradient, rcond=None)[0].astype(np.float64)
     raw = at.residuals - _explained(at.nuisances, amounts, windows)
     return step, amounts, _State(information, r, j, used & (weights > 0), scales, raw, held)
@@ -280,8 +280,8 @@ def _without_nuisances(
         rows = slice(edges[window], edges[window + 1])
         root = np.sqrt(weights[rows])[:, None] / scales
         basis = (nuisances[rows] * root[:, :, None]).reshape(-1, columns)
-        told = np.concatenate([residuals[rows, :, None], jacobian[rows]], axis=2)
-        targets = (told * root[:, :, None]).reshape(-1, 1 + size)
+        reported = np.concatenate([residuals[rows, :, None], jacobian[rows]], axis=2)
+        targets = (reported * root[:, :, None]).reshape(-1, 1 + size)
         products = _inner(basis, np.concatenate([basis, targets], axis=1))
         lengths = np.sqrt(np.maximum(np.diag(products) + precision, 1e-300))
         normal = (products[:, :columns] + np.diag(precision)) / np.outer(lengths, lengths)
@@ -289,7 +289,7 @@ def _without_nuisances(
         solved = np.linalg.solve(normal + 1e-10 * np.eye(columns), asked) / lengths[:, None]
         solution = solved[:, : 1 + size]
         amounts[window] = solution[:, 0]
-        left = told - _times(nuisances[rows].reshape(-1, columns), solution).reshape(told.shape)
+        left = reported - _times(nuisances[rows].reshape(-1, columns), solution).reshape(reported.shape)
         clean_r[rows], clean_j[rows] = left[:, :, 0], left[:, :, 1:]
         held.append(np.sqrt(precision[known_before])[:, None] * solution[known_before])
         kept = np.diag(solved[:, 1 + size :])[known_before] / lengths[known_before]
@@ -299,7 +299,7 @@ def _without_nuisances(
 
 
 def _inner(left: Float64Array, right: Float64Array) -> Float64Array:
-    """The product of (R, A) turned over with (R, B), where R is large."""
+    """The product of (R, A) rotated over with (R, B), where R is large."""
     a, b = left.shape[1], right.shape[1]
     rows = max(1, _SERIAL // max(a * b, 1))
     parts = len(left) // rows
@@ -326,7 +326,7 @@ def _explained(nuisances: Float64Array, amounts: Float64Array, windows: Int64Arr
 def _filtered(
     values: Float64Array, known: BoolArray, windows: Int64Array, colour: Float64Array
 ) -> tuple[Float64Array, BoolArray]:
-    """Whiten rows, (N, K, …), by what the rows before them tell; rows without all of those before are not used."""
+    """Whiten rows, (N, K, …), by what the rows before them report; rows without all of those before are not used."""
     whitened = np.where(known.reshape(-1, *[1] * (values.ndim - 1)), values, 0.0)
     used = known.copy()
     plain = whitened.copy()

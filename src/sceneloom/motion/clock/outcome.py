@@ -23,10 +23,10 @@ _BLOCKS = 8
 """Into so many parts a drive is cut, to see whether their offsets scatter as they should."""
 
 _PIECE = 60.0
-"""Seconds of a piece whose offset is told apart."""
+"""Seconds of a piece whose offset is distinguished."""
 
 _FINEST = 1e-6
-"""No stamps are better than a microsecond [s]."""
+"""No timestamps are better than a microsecond [s]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,14 +34,14 @@ class Candidate:
     """One offset that fits.
 
     Attributes:
-        fit: of offset [s], skew and whatever else; the offset is the finer stream's stamp minus the other's.
+        fit: of offset [s], skew and whatever else; the offset is the finer stream's timestamp minus the other's.
         times: (N,) [s], of the rows.
         middle: the time at which the offset holds [s].
         span: of the common time [s].
         without_motion: misfit of the same rows where the motion is left out, in the same units; None: not known.
         score: correlation at the lag.
         margin: how far that is above the correlation at other lags, in standard deviations of chance; None where the
-            fits themselves have to tell.
+            fits themselves have to report.
         rotation: (3, 3), from the finer stream's body into the other's, or None.
         model_sigma: standard deviation of the offset by what the model leaves out [s].
     """
@@ -78,7 +78,7 @@ class Candidate:
     def scatter(self) -> float:
         """By how much the offsets of parts of the drive scatter more than the noise would make them, 1 at least.
 
-        What no noise explains, as a bent way between fixes, tells itself so.
+        What no noise explains, as a bent trajectory between fixes, reports itself so.
 
         Source: Birge 1932, "The Calculation of Errors by the Method of Least Squares".
         """
@@ -89,19 +89,19 @@ class Candidate:
         return float(np.sqrt(max(1.0, sum((step / sigma) ** 2 for _, step, sigma in blocks) / freedom)))
 
 
-def misfit_without_motion(found: Fit, windows: Int64Array, told: Callable[[], Linearised]) -> float:
+def misfit_without_motion(found: Fit, windows: Int64Array, reported: Callable[[], Linearised]) -> float:
     """The misfit of the rows of a fit where the motion is left out, in the fit's units.
 
     Args:
         found: the fit.
         windows: (N,), number of the window of each of its rows.
-        told: gives the rows, and the nuisances that tell them alone.
+        reported: gives the rows, and the nuisances that report them alone.
     """
 
     def still(parameters: Float64Array, amounts: Float64Array) -> Linearised:
         # a parameter that does nothing stands for the motion
         del parameters, amounts
-        at = told()
+        at = reported()
         return replace(at, jacobian=np.zeros((*at.residuals.shape, 1)))
 
     model: Model = still
@@ -110,42 +110,42 @@ def misfit_without_motion(found: Fit, windows: Int64Array, told: Callable[[], Li
 
 @dataclass(frozen=True, slots=True)
 class Clocks:
-    """Which of two streams' stamps the offset adds to, and where the seconds count from."""
+    """Which of two streams' timestamps the offset adds to, and where the seconds count from."""
 
     origin_ns: int
     finer_is_stream: bool
 
     @property
     def sign(self) -> float:
-        """What turns the finer stream's offset into that of the stream against the reference."""
+        """What rotates the finer stream's offset into that of the stream against the reference."""
         return 1.0 if self.finer_is_stream else -1.0
 
 
 def concluded(candidates: Sequence[Candidate], clocks: Clocks) -> ClockEstimate:
-    """Choose the offset that fits best, and tell how well it is known, or why it is not.
+    """Choose the offset that fits best, and report how well it is known, or why it is not.
 
     Evidence is the logarithm of the likelihood ratio, half the number of values times that of the misfits' ratio,
-    since the whitened residuals of a row tell nothing of the next one's.
+    since the whitened residuals of a row state nothing of the next one's.
     """
     ranked = sorted(candidates, key=lambda candidate: candidate.fit.level)
     if not ranked:
         return ClockEstimate.unknown("too few samples in common to fit an offset")
     best = ranked[0]
-    told = {"samples": best.fit.rows, "span_ns": round(best.span * 1e9)}
+    reported = {"samples": best.fit.rows, "span_ns": round(best.span * 1e9)}
     values = best.fit.residuals.shape[1] * best.fit.rows
     if best.without_motion is not None:
         evidence = 0.5 * values * np.log(max(best.without_motion, 1e-300) / max(best.fit.misfit, 1e-300))
         if evidence < LEAST_EVIDENCE:
-            return ClockEstimate.unknown("the streams show no motion in common", **told)
+            return ClockEstimate.unknown("the streams show no motion in common", **reported)
     rivals = [other for other in ranked[1:] if abs(other.offset - best.offset) > max(6 * best.sigma, 0.01)]
     if best.margin is None and any(best.fit.evidence_against(other.fit) < LEAST_EVIDENCE for other in rivals):
         offsets = [clocks.sign * candidate.offset for candidate in (best, *rivals)]
-        return ClockEstimate.unknown(ambiguous(offsets), **told)
+        return ClockEstimate.unknown(ambiguous(offsets), **reported)
     return _judged(best, clocks)
 
 
 def ambiguous(offsets: Sequence[float]) -> str:
-    """Say that some offsets [s] fit alike, or a single one no better than chance."""
+    """State that some offsets [s] fit alike, or a single one no better than chance."""
     if len(offsets) < 2:
         return "no offset makes the motions more alike than chance would"
     return "several offsets fit alike: " + ", ".join(
@@ -156,7 +156,7 @@ def ambiguous(offsets: Sequence[float]) -> str:
 def _judged(best: Candidate, clocks: Clocks) -> ClockEstimate:
     sign = clocks.sign
     middle_ns = clocks.origin_ns + round(best.middle * 1e9)
-    # the middle was told on the slower stream's clock
+    # the middle was reported on the slower stream's clock
     at_ns = middle_ns if clocks.finer_is_stream else middle_ns + round(best.offset * 1e9)
     return judged(
         offset_ns=sign * best.offset * 1e9,
@@ -168,7 +168,7 @@ def _judged(best: Candidate, clocks: Clocks) -> ClockEstimate:
         samples=best.fit.rows,
         correlation=best.score,
         rotation_vector=_vector(best.rotation, transposed=not clocks.finer_is_stream),
-        pieces=_pieces(best, clocks),
+        chunks=_chunks(best, clocks),
     )
 
 
@@ -179,7 +179,7 @@ def _vector(rotation: Float64Array | None, *, transposed: bool) -> tuple[float, 
     return float(x), float(y), float(z)
 
 
-def _pieces(best: Candidate, clocks: Clocks) -> tuple[OffsetPiece, ...]:
+def _chunks(best: Candidate, clocks: Clocks) -> tuple[OffsetPiece, ...]:
     """The offset in each minute of a drive of three and more."""
     count = int(best.span // _PIECE)
     if count < 3:
@@ -199,7 +199,7 @@ def _pieces(best: Candidate, clocks: Clocks) -> tuple[OffsetPiece, ...]:
 def _block_offsets(best: Candidate, count: int) -> list[tuple[float, float, float]]:
     """For each of some parts of the drive the middle [s], what its offset is off the line, and its sigma [s].
 
-    It is one step of the fit from the line to what the part alone tells, all else being as it is.
+    It is one step of the fit from the line to what the part alone reports, all else being as it is.
     """
     first = float(best.times.min())
     lengths = max(float(np.ptp(best.times)), 1e-9)

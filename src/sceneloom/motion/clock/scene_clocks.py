@@ -1,4 +1,4 @@
-"""Two streams of a drive against each other, by whatever both tell of the motion."""
+"""Two streams of a drive against each other, by whatever both report the motion."""
 
 from enum import StrEnum
 
@@ -6,10 +6,10 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.motion.clock.estimate import ClockEstimate, ClockVerdict
-from sceneloom.motion.clock.streams import MotionTold, Stream
-from sceneloom.motion.clock.turning import Turning
-from sceneloom.motion.clock.turning_clock import REACH_NS, compare_turnings
-from sceneloom.motion.clock.way_clock import LEVER_SIGMA, compare_ways
+from sceneloom.motion.clock.rotating import Rotating
+from sceneloom.motion.clock.rotating_clock import REACH_NS, compare_turnings
+from sceneloom.motion.clock.streams import ReportedMotion, Stream
+from sceneloom.motion.clock.trajectory_clock import LEVER_SIGMA, compare_trajectories
 from sceneloom.scene.motion import VectorSamples
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.types import Progress
@@ -21,8 +21,8 @@ _KNOWN_LEVER_SIGMA = 0.05
 class Method(StrEnum):
     """By what two streams were compared."""
 
-    TURNING = "turning"
-    WAY = "way"
+    ROTATING = "rotating"
+    TRAJECTORY = "estimated_trajectory"
     NONE = "none"
 
 
@@ -36,59 +36,68 @@ def compare_streams(
 ) -> tuple[Method, ClockEstimate]:
     """Find how the clock of one stream goes against that of another.
 
-    By how the ego turned, where both tell it; else by where it was.
+    By how the ego rotated, where both report it; else by where it was.
 
     Args:
         reach_ns: offsets up to this are looked for [ns].
         lever_sigma: how far from the ego's origin a receiver's antenna may be on each axis, where no mounting is
             stated [m].
-        progress: told while pictures or sweeps are looked at.
+        progress: reported while images or sweeps are looked at.
     """
     if not stream.meets(reference, reach_ns):
-        return Method.NONE, ClockEstimate.unknown("their stamps have no time in common")
-    first, second = reference.told(progress), stream.told(progress)
-    for name, told in ((reference.name, first), (stream.name, second)):
-        if told.why_not:
-            return Method.NONE, ClockEstimate.unknown(f"{name}: {told.why_not}")
-    by_turning: ClockEstimate | None = None
-    if first.turning is not None and second.turning is not None:
-        by_turning = compare_turnings(
-            first.turning, second.turning, reach_ns=reach_ns, reference_from_stream=_between(first, second)
+        return Method.NONE, ClockEstimate.unknown("their timestamps have no time in common")
+    first, second = reference.reported(progress), stream.reported(progress)
+    for name, reported in ((reference.name, first), (stream.name, second)):
+        if reported.why_not:
+            return Method.NONE, ClockEstimate.unknown(f"{name}: {reported.why_not}")
+    by_rotation: ClockEstimate | None = None
+    if first.rotating is not None and second.rotating is not None:
+        by_rotation = compare_turnings(
+            first.rotating, second.rotating, reach_ns=reach_ns, reference_from_stream=_between(first, second)
         )
-        if by_turning.verdict is not ClockVerdict.NOT_OBSERVABLE:
-            return Method.TURNING, by_turning
-    by_way = _by_way(first, second, reach_ns=reach_ns, lever_sigma=lever_sigma)
-    if by_way is not None and (by_turning is None or by_way.verdict is not ClockVerdict.NOT_OBSERVABLE):
-        return Method.WAY, by_way
-    if by_turning is not None:
-        return Method.TURNING, by_turning
-    return Method.NONE, ClockEstimate.unknown("the one tells only where it was, the other only how it turned")
+        if by_rotation.verdict is not ClockVerdict.NOT_OBSERVABLE:
+            return Method.ROTATING, by_rotation
+    by_trajectory = _by_trajectory(first, second, reach_ns=reach_ns, lever_sigma=lever_sigma)
+    if by_trajectory is not None and (
+        by_rotation is None or by_trajectory.verdict is not ClockVerdict.NOT_OBSERVABLE
+    ):
+        return Method.TRAJECTORY, by_trajectory
+    if by_rotation is not None:
+        return Method.ROTATING, by_rotation
+    return Method.NONE, ClockEstimate.unknown(
+        "the one reports only where it was, the other only how it rotated"
+    )
 
 
-def _between(reference: MotionTold, stream: MotionTold) -> Float64Array:
-    """The rotation from the stream's body into the reference's, as far as their mountings say it."""
+def _between(reference: ReportedMotion, stream: ReportedMotion) -> Float64Array:
+    """The rotation from the stream's body into the reference's, as far as their mountings state it."""
     identity = np.eye(3)
     into_ego = identity if stream.ego_from_body is None else stream.ego_from_body
     from_ego = identity if reference.ego_from_body is None else reference.ego_from_body.T
     return np.asarray(from_ego @ into_ego, np.float64)
 
 
-def _by_way(
-    reference: MotionTold, stream: MotionTold, *, reach_ns: int, lever_sigma: float
+def _by_trajectory(
+    reference: ReportedMotion, stream: ReportedMotion, *, reach_ns: int, lever_sigma: float
 ) -> ClockEstimate | None:
-    """Compare fixes with a way, where one has the one and the other the other."""
-    for told, way, fixes_are_reference in ((stream, reference.way, False), (reference, stream.way, True)):
-        fixes = told.fixes
-        if fixes is not None and way is not None and len(fixes):
+    """Compare fixes with a trajectory, where one has the one and the other the other."""
+    for reported, estimated_trajectory, fixes_are_reference in (
+        (stream, reference.trajectory, False),
+        (reference, stream.trajectory, True),
+    ):
+        fixes = reported.fixes
+        if fixes is not None and estimated_trajectory is not None and len(fixes):
             origin_ns = int(fixes.timestamps_ns[0])
-            return compare_ways(
+            return compare_trajectories(
                 fixes,
-                way(origin_ns),
+                estimated_trajectory(origin_ns),
                 origin_ns=origin_ns,
                 fixes_are_reference=fixes_are_reference,
                 reach_ns=reach_ns,
-                lever=told.place,
-                lever_sigma=lever_sigma if told.place is None else min(lever_sigma, _KNOWN_LEVER_SIGMA),
+                lever=reported.location,
+                lever_sigma=lever_sigma
+                if reported.location is None
+                else min(lever_sigma, _KNOWN_LEVER_SIGMA),
             )
     return None
 
@@ -96,10 +105,10 @@ def _by_way(
 def gyroscope_against_trajectory(
     gyroscope: VectorSamples, trajectory: Trajectory, *, reach_ns: int = REACH_NS
 ) -> ClockEstimate:
-    """Find how the stamps of a trajectory lie against those of the gyroscope that rides along.
+    """Find how the timestamps of a trajectory lie against those of the gyroscope that rides along.
 
     Args:
-        gyroscope: turn rates (N, 3) [rad/s] in the ego's frame; rows that are no numbers are left out.
+        gyroscope: yaw rates (N, 3) [rad/s] in the ego's frame; rows that are no numbers are left out.
         trajectory: `world_from_ego`.
         reach_ns: offsets up to this are looked for [ns].
 
@@ -108,6 +117,6 @@ def gyroscope_against_trajectory(
     """
     if trajectory.quaternions_xyzw is None:
         return ClockEstimate.unknown(f"trajectory {trajectory.name!r} has no orientations")
-    rates = Turning.of_rates(gyroscope.timestamps_ns, gyroscope.values[:, :3])
-    way = Turning.of_poses(trajectory.timestamps_ns, trajectory.quaternions_xyzw)
-    return compare_turnings(rates, way, reach_ns=reach_ns)
+    rates = Rotating.of_rates(gyroscope.timestamps_ns, gyroscope.values[:, :3])
+    estimated_trajectory = Rotating.of_poses(trajectory.timestamps_ns, trajectory.quaternions_xyzw)
+    return compare_turnings(rates, estimated_trajectory, reach_ns=reach_ns)

@@ -5,26 +5,26 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
-from sceneloom.kernels.motion_chain import POSITION, SIZE, TURN, VELOCITY
-from sceneloom.kernels.preintegration import TURN as BY_TURN
-from sceneloom.kernels.preintegration import WAY, preintegrate_until
+from sceneloom.kernels.motion_chain import POSITION, ROTATION, SIZE, VELOCITY
+from sceneloom.kernels.preintegration import ROTATION as BY_ROTATION
+from sceneloom.kernels.preintegration import TRAJECTORY, preintegrate_until
 from sceneloom.motion.gnss_imu.fixes import GnssFixes
 from sceneloom.motion.gnss_imu.samples import InertialSamples
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fixes:
-    """Positions of antennas, told by F fixes.
+    """Positions of antennas, reported by F fixes.
 
     A fix expects the antenna at p + t v - fall up + R (lever + slope (b - bias)) for a state R, p, v, b, t before it.
 
     Attributes:
         timestamps_ns: (F,) int64 [ns], ascending.
-        places: (F,) int64, ascending: the state before each fix, or where no IMU measured the nearest.
+        locations: (F,) int64, ascending: the state before each fix, or where no IMU measured the nearest.
         seconds: (F,) from the state to the fix.
         positions: (F, 3) [m], world.
-        levers: (F, 3) [m], axes of the body at the state: the antenna at the time of the fix, with the way that the IMU
-            felt until then.
+        levers: (F, 3) [m], axes of the body at the state: the antenna at the time of the fix, with the trajectory that
+            the IMU felt until then.
         falls: (F,) [m] through which gravity draws meanwhile; 0 where no IMU measured.
         slopes: (F, 3, 6) change of `levers` with the biases of gyroscope and accelerometer.
         biases: (F, 6) that `levers` has taken off.
@@ -33,7 +33,7 @@ class Fixes:
     """
 
     timestamps_ns: Int64Array
-    places: Int64Array
+    locations: Int64Array
     seconds: Float64Array
     positions: Float64Array
     levers: Float64Array
@@ -44,7 +44,7 @@ class Fixes:
     receivers: Int64Array
 
     def __len__(self) -> int:
-        return len(self.places)
+        return len(self.locations)
 
     def chosen(self, rows: Int64Array | BoolArray) -> "Fixes":
         """Some of the fixes."""
@@ -52,8 +52,8 @@ class Fixes:
 
     def within(self, first: int, last: int) -> "Fixes":
         """Those of states `first` to `last`, without the latter."""
-        inside = self.chosen((self.places >= first) & (self.places < last))
-        return replace(inside, places=inside.places - first)
+        inside = self.chosen((self.locations >= first) & (self.locations < last))
+        return replace(inside, locations=inside.locations - first)
 
 
 def carried_fixes(
@@ -78,22 +78,25 @@ def carried_fixes(
     times, count = fixes.timestamps_ns, len(fixes)
     before = np.clip(np.searchsorted(knots_ns, times, side="right") - 1, 0, len(knots_ns) - 1)
     led = np.append(measured, False)[before] & (times >= knots_ns[0])
-    places = np.where(led, before, nearest_states(knots_ns, times))
-    seconds = np.asarray((times - knots_ns[places]) * 1e-9, np.float64)
+    locations = np.where(led, before, nearest_states(knots_ns, times))
+    seconds = np.asarray((times - knots_ns[locations]) * 1e-9, np.float64)
     levers, slopes, taken = fixes.levers.copy(), np.zeros((count, 3, 6)), np.zeros((count, 6))
     rows = np.flatnonzero(led & (seconds > 0))
     if samples is not None and len(rows):
-        turns, ways = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3))
+        rotations, trajectories = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3))
         by_biases = np.empty((len(rows), 9, 6))
         preintegrate_until(
-            samples.timestamps_ns, samples.values, knots_ns, np.ascontiguousarray(biases), times[rows], places[rows],
-            turns, np.empty((len(rows), 3)), ways, by_biases,
+            samples.timestamps_ns, samples.values, knots_ns, np.ascontiguousarray(biases), times[rows], locations[rows],
+            rotations, np.empty((len(rows), 3)), trajectories, by_biases,
         )  # fmt: skip
-        levers[rows] = np.einsum("nij,nj->ni", turns, fixes.levers[rows]) + ways
-        slopes[rows] = by_biases[:, WAY] + turns @ crossed_with(fixes.levers[rows]) @ by_biases[:, BY_TURN]
-        taken[rows] = biases[places[rows]]
+        levers[rows] = np.einsum("nij,nj->ni", rotations, fixes.levers[rows]) + trajectories
+        slopes[rows] = (
+            by_biases[:, TRAJECTORY]
+            + rotations @ crossed_with(fixes.levers[rows]) @ by_biases[:, BY_ROTATION]
+        )
+        taken[rows] = biases[locations[rows]]
     return Fixes(
-        times, places, seconds, fixes.positions, levers, np.where(led, 0.5 * gravity * seconds**2, 0.0), slopes,
+        times, locations, seconds, fixes.positions, levers, np.where(led, 0.5 * gravity * seconds**2, 0.0), slopes,
         taken, fixes.sigmas if sigmas is None else sigmas, fixes.receivers,
     )  # fmt: skip
 
@@ -107,14 +110,14 @@ def nearest_states(knots_ns: Int64Array, times_ns: Int64Array) -> Int64Array:
 
 
 def fix_variances(fixes: Fixes, rotations: Float64Array, own: Float64Array) -> Float64Array:
-    """(F, 3) variances of where the antennas are, as states with orientations and covariances (K, 15, 15) tell."""
-    turned = rotations[fixes.places]
+    """(F, 3) variances of where the antennas are, as states with orientations and covariances (K, 15, 15) report."""
+    rotated = rotations[fixes.locations]
     slopes = np.zeros((len(fixes), 3, SIZE))
-    slopes[:, :, TURN] = turned @ crossed_with(fixes.levers)
+    slopes[:, :, ROTATION] = rotated @ crossed_with(fixes.levers)
     slopes[:, :, POSITION] = np.eye(3)
     slopes[:, :, VELOCITY] = fixes.seconds[:, None, None] * np.eye(3)
-    slopes[:, :, VELOCITY.stop :] = turned @ fixes.slopes
-    variances: Float64Array = ((slopes @ own[fixes.places]) * slopes).sum(axis=2)
+    slopes[:, :, VELOCITY.stop :] = rotated @ fixes.slopes
+    variances: Float64Array = ((slopes @ own[fixes.locations]) * slopes).sum(axis=2)
     return variances
 
 

@@ -14,7 +14,7 @@ from sceneloom.geometry.rotations import (
 )
 from sceneloom.kernels import motion_chain as kernels
 from sceneloom.kernels.block_chain import chain_covariances, solve_chain
-from sceneloom.kernels.motion_chain import ACCELEROMETER, GYROSCOPE, POSITION, SIZE, TURN, VELOCITY
+from sceneloom.kernels.motion_chain import ACCELEROMETER, GYROSCOPE, POSITION, ROTATION, SIZE, VELOCITY
 from sceneloom.motion.gnss_imu.carried_fixes import Fixes, crossed_with
 from sceneloom.motion.gnss_imu.preintegration import Preintegrated
 from sceneloom.motion.gnss_imu.settings import SmootherSettings
@@ -22,7 +22,7 @@ from sceneloom.motion.gnss_imu.settings import SmootherSettings
 _MAX_DAMPINGS = 12
 _LARGEST_DAMPING = 1e3
 """Where this many times the diagonal does not make equations solvable, they hold no numbers."""
-_UNKNOWN_SPEED, _UNKNOWN_TURN, _TILT = 100.0, np.pi, 0.05
+_UNKNOWN_SPEED, _UNKNOWN_ROTATION, _TILT = 100.0, np.pi, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,9 +46,9 @@ class States:
 
     def stepped(self, step: Float64Array) -> "States":
         """Go a step, (K, 15) in the order of `kernels.motion_chain`."""
-        turns = matrix_from_quaternion(quaternion_from_rotation_vector(step[:, TURN]))
+        rotations = matrix_from_quaternion(quaternion_from_rotation_vector(step[:, ROTATION]))
         return States(
-            self.rotations @ turns,
+            self.rotations @ rotations,
             self.positions + step[:, POSITION],
             self.velocities + step[:, VELOCITY],
             self.biases + step[:, 9:],
@@ -79,14 +79,14 @@ class RelativePoses:
     """Measured poses of states as seen from those before, `earlier_from_later`.
 
     Attributes:
-        places: (F,) int64, the earlier states.
-        turns: (F, 3, 3); ways: (F, 3) [m].
-        information: (F, 6, 6) of turn [rad] and way.
+        locations: (F,) int64, the earlier states.
+        rotations: (F, 3, 3); ways: (F, 3) [m].
+        information: (F, 6, 6) of rotation [rad] and trajectory.
     """
 
-    places: Int64Array
-    turns: Float64Array
-    ways: Float64Array
+    locations: Int64Array
+    rotations: Float64Array
+    trajectories: Float64Array
     information: Float64Array
 
 
@@ -95,11 +95,11 @@ class BodySpeeds:
     """Known speeds along axes of the body.
 
     Attributes:
-        places: (F,) int64, the states.
+        locations: (F,) int64, the states.
         axes: (F, 3) unit vectors in the body; speeds: (F,) [m/s]; sigmas: (F,) [m/s].
     """
 
-    places: Int64Array
+    locations: Int64Array
     axes: Float64Array
     speeds: Float64Array
     sigmas: Float64Array
@@ -156,15 +156,18 @@ class Chain:
 
 
 def _relative_within(one: RelativePoses, first: int, last: int) -> RelativePoses:
-    inside = (one.places >= first) & (one.places < last - 1)
+    inside = (one.locations >= first) & (one.locations < last - 1)
     return RelativePoses(
-        one.places[inside] - first, one.turns[inside], one.ways[inside], one.information[inside]
+        one.locations[inside] - first,
+        one.rotations[inside],
+        one.trajectories[inside],
+        one.information[inside],
     )
 
 
 def _speeds_within(one: BodySpeeds, first: int, last: int) -> BodySpeeds:
-    inside = (one.places >= first) & (one.places < last)
-    return BodySpeeds(one.places[inside] - first, one.axes[inside], one.speeds[inside], one.sigmas[inside])
+    inside = (one.locations >= first) & (one.locations < last)
+    return BodySpeeds(one.locations[inside] - first, one.axes[inside], one.speeds[inside], one.sigmas[inside])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,21 +200,21 @@ def equations(chain: Chain, states: States, weights: Float64Array) -> Equations:
     cost = _add_priors(chain, states, blocks, right)
     cost += _add_motion(chain, states, normal)
     for relative in chain.relative:
-        residuals = np.empty((len(relative.places), 6))
+        residuals = np.empty((len(relative.locations), 6))
         cost += kernels.add_relative_poses(
-            states.rotations, states.positions, relative.places, relative.turns, relative.ways,
+            states.rotations, states.positions, relative.locations, relative.rotations, relative.trajectories,
             relative.information, *normal, residuals,
         )  # fmt: skip
     for speeds in chain.speeds:
-        speed_residuals = np.empty(len(speeds.places))
+        speed_residuals = np.empty(len(speeds.locations))
         cost += kernels.add_body_speeds(
-            states.rotations, states.velocities, speeds.places, speeds.axes, speeds.speeds,
+            states.rotations, states.velocities, speeds.locations, speeds.axes, speeds.speeds,
             speeds.sigmas**-2.0, blocks, right, speed_residuals,
         )  # fmt: skip
     fixes = chain.fixes
     fix_residuals = np.empty((len(fixes), 3))
     cost += kernels.add_fixes(
-        states.rotations, states.positions, states.velocities, states.biases, fixes.places, fixes.seconds,
+        states.rotations, states.positions, states.velocities, states.biases, fixes.locations, fixes.seconds,
         fixes.positions, fixes.levers, fixes.falls, fixes.slopes, fixes.biases,
         weights[:, None] * fixes.sigmas**-2.0, blocks, right, fix_residuals,
     )  # fmt: skip
@@ -230,13 +233,13 @@ def _add_priors(chain: Chain, states: States, blocks: Float64Array, right: Float
         blocks[0, rows, rows] += np.eye(3) * sigma**-2
         right[0, rows] -= value * sigma**-2
         cost += float(value @ value) * sigma**-2
-    blocks[0, TURN, TURN] += np.eye(3) * _UNKNOWN_TURN**-2
+    blocks[0, ROTATION, ROTATION] += np.eye(3) * _UNKNOWN_ROTATION**-2
     if not chain.measured.any():
-        k = next((int(one.places[0]) for one in chain.relative if len(one.places)), 0)
+        k = next((int(one.locations[0]) for one in chain.relative if len(one.locations)), 0)
         slope = np.cross(states.rotations[k], [0.0, 0.0, -1.0])[:2]
         tilt = states.rotations[k][:2, 2]
-        blocks[k, TURN, TURN] += slope.T @ slope * _TILT**-2
-        right[k, TURN] -= slope.T @ tilt * _TILT**-2
+        blocks[k, ROTATION, ROTATION] += slope.T @ slope * _TILT**-2
+        right[k, ROTATION] -= slope.T @ tilt * _TILT**-2
         cost += float(tilt @ tilt) * _TILT**-2
     return cost
 
@@ -250,7 +253,7 @@ def _add_motion(
     cost = kernels.add_walk(states.biases, walk, *normal)
     cost += kernels.add_inertial(
         states.rotations, states.positions, states.velocities, states.biases, seconds, chain.gravity,
-        np.flatnonzero(chain.measured), inertial.turns, inertial.gains, inertial.ways, inertial.slopes,
+        np.flatnonzero(chain.measured), inertial.rotations, inertial.gains, inertial.trajectories, inertial.slopes,
         chain.information, inertial.biases, *normal,
     )  # fmt: skip
     coasting = np.flatnonzero(~chain.measured)
@@ -259,11 +262,11 @@ def _add_motion(
     cost += kernels.add_coasting(
         states.positions, states.velocities, seconds, coasting, settings.acceleration**2, *normal
     )
-    turns = np.tile(np.eye(3), (len(coasting), 1, 1))
+    rotations = np.tile(np.eye(3), (len(coasting), 1, 1))
     information = np.zeros((len(coasting), 6, 6))
-    information[:, :3, :3] = np.eye(3) / (settings.turning**2 * seconds[coasting, None, None])
+    information[:, :3, :3] = np.eye(3) / (settings.rotating**2 * seconds[coasting, None, None])
     cost += kernels.add_relative_poses(
-        states.rotations, states.positions, coasting, turns, np.zeros((len(coasting), 3)), information, *normal,
+        states.rotations, states.positions, coasting, rotations, np.zeros((len(coasting), 3)), information, *normal,
         np.empty((len(coasting), 6)),
     )  # fmt: skip
     return float(cost)
@@ -319,7 +322,7 @@ def covariances(chain: Chain, states: States, weights: Float64Array) -> tuple[Fl
     damping, solution = 0.0, np.empty_like(here.right)
     while solve_chain(here.blocks, here.couplings, here.right, damping, factors, gains, solution) >= 0:
         if damping > _LARGEST_DAMPING:
-            raise PoseError("the measurements leave the way open: their equations have no solution")
+            raise PoseError("the measurements leave the trajectory open: their equations have no solution")
         damping = max(10.0 * damping, 1e-14)
     own, between = np.empty_like(here.blocks), np.empty_like(here.couplings)
     chain_covariances(factors, gains, own, between)
@@ -329,24 +332,26 @@ def covariances(chain: Chain, states: States, weights: Float64Array) -> tuple[Fl
 def inertial_residuals(chain: Chain, states: States) -> tuple[Float64Array, Float64Array, Float64Array]:
     """How far the states are from what the IMU measured: (K - 1, 9), and slopes by both states, (K - 1, 9, 15).
 
-    The slopes of the turn leave out what is second order in its residual.
+    The slopes of the rotation leave out what is second order in its residual.
     """
     seconds, inertial = chain.seconds[:, None], chain.inertial
     changes = np.einsum("nij,nj->ni", inertial.slopes, states.biases[:-1] - inertial.biases)
     before, inverse = states.rotations[:-1], np.swapaxes(states.rotations[:-1], 1, 2)
     relative = inverse @ states.rotations[1:]
-    expected = inertial.turns @ matrix_from_quaternion(quaternion_from_rotation_vector(changes[:, :3]))
+    expected = inertial.rotations @ matrix_from_quaternion(quaternion_from_rotation_vector(changes[:, :3]))
     apart = np.swapaxes(expected, 1, 2) @ relative
     down = np.array([0.0, 0.0, -chain.gravity])
     gain = np.diff(states.velocities, axis=0) - seconds * down
-    way = np.diff(states.positions, axis=0) - seconds * states.velocities[:-1] - 0.5 * seconds**2 * down
-    felt, gone = (np.einsum("nji,nj->ni", before, vector) for vector in (gain, way))
-    turn = rotation_vector_from_quaternion(quaternion_from_matrix(apart))
-    residuals = np.hstack([turn, felt - inertial.gains, gone - inertial.ways])
+    trajectory = (
+        np.diff(states.positions, axis=0) - seconds * states.velocities[:-1] - 0.5 * seconds**2 * down
+    )
+    felt, gone = (np.einsum("nji,nj->ni", before, vector) for vector in (gain, trajectory))
+    rotation = rotation_vector_from_quaternion(quaternion_from_matrix(apart))
+    residuals = np.hstack([rotation, felt - inertial.gains, gone - inertial.trajectories])
     residuals[:, 3:] -= changes[:, 3:]
     first, second = np.zeros((len(seconds), 9, SIZE)), np.zeros((len(seconds), 9, SIZE))
-    first[:, :3, TURN], second[:, :3, TURN] = -np.swapaxes(relative, 1, 2), np.eye(3)
-    first[:, 3:6, TURN], first[:, 6:9, TURN] = -crossed_with(felt), -crossed_with(gone)
+    first[:, :3, ROTATION], second[:, :3, ROTATION] = -np.swapaxes(relative, 1, 2), np.eye(3)
+    first[:, 3:6, ROTATION], first[:, 6:9, ROTATION] = -crossed_with(felt), -crossed_with(gone)
     first[:, 3:6, VELOCITY], second[:, 3:6, VELOCITY] = -inverse, inverse
     first[:, 6:9, POSITION], second[:, 6:9, POSITION] = -inverse, inverse
     first[:, 6:9, VELOCITY] = -seconds[:, :, None] * inverse

@@ -9,13 +9,13 @@ from sceneloom.geometry.geodesy import ecef_from_geodetic, enu_from_geodetic
 from sceneloom.motion.gnss_imu.settings import SmootherSettings
 from sceneloom.motion.gnss_receivers import gnss_receivers, usable_fixes
 from sceneloom.scene.motion import GnssSensor
-from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.scene import Scene
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 _FARTHEST = 100_000.0
-"""Fixes farther than this from the one in the middle of all [m] are no places of one drive."""
+"""Fixes farther than this from the one in the middle of all [m] are no locations of one drive."""
 _VERTICAL = 1.7
-"""Heights are worse by so much where the receiver does not tell. Source: usual ratio of VDOP to HDOP."""
+"""Heights are worse by so much where the receiver does not report. Source: usual ratio of VDOP to HDOP."""
 _UNKNOWN_HEIGHT = 1e5
 _LEAST_SIGMA, _LARGEST_SIGMA = 1e-3, 1e4
 
@@ -27,22 +27,22 @@ class GnssFixes:
     Attributes:
         timestamps_ns: (F,) int64 [ns], ascending.
         positions: (F, 3) [m] east, north, up of the origin.
-        sigmas: (F, 3) [m], as told or assumed.
-        told: (F,) bool, whether the receiver told its accuracy.
+        sigmas: (F, 3) [m], as reported or assumed.
+        reported: (F,) bool, whether the receiver reported its accuracy.
         levers: (F, 3) [m], the antenna in the ego.
         receivers: (F,) int64, number of the receiver.
         origin_lla: (3,) latitude, longitude [deg], height [m].
-        notices: what was left out.
+        warnings: what was left out.
     """
 
     timestamps_ns: Int64Array
     positions: Float64Array
     sigmas: Float64Array
-    told: BoolArray
+    reported: BoolArray
     levers: Float64Array
     receivers: Int64Array
     origin_lla: Float64Array
-    notices: tuple[Notice, ...]
+    warnings: tuple[DataWarning, ...]
 
     def __len__(self) -> int:
         return len(self.timestamps_ns)
@@ -53,30 +53,30 @@ def gnss_fixes(scene: Scene, settings: SmootherSettings) -> GnssFixes:
     receivers = gnss_receivers(scene)
     rows = [_chosen(receiver) for receiver in receivers]
     times = np.concatenate([r.timestamps_ns[k] for r, k in zip(receivers, rows, strict=True)])
-    places = np.vstack([r.positions_lla[k] for r, k in zip(receivers, rows, strict=True)])
+    locations = np.vstack([r.positions_lla[k] for r, k in zip(receivers, rows, strict=True)])
     sigmas = np.vstack([_sigmas(r, k, settings) for r, k in zip(receivers, rows, strict=True)])
-    told = np.concatenate([_is_told(r.accuracies[k]) for r, k in zip(receivers, rows, strict=True)])
+    reported = np.concatenate([_is_reported(r.accuracies[k]) for r, k in zip(receivers, rows, strict=True)])
     levers = np.vstack([np.tile(_lever(r), (len(k), 1)) for r, k in zip(receivers, rows, strict=True)])
     number = np.repeat(np.arange(len(receivers)), [len(k) for k in rows])
-    flat = np.where(np.isfinite(places[:, 2]), places[:, 2], 0.0)
-    places = np.column_stack([places[:, :2], flat])
-    ecef = ecef_from_geodetic(places)
-    # the median itself may lie where there is no fix, between two places that have as many each
+    flat = np.where(np.isfinite(locations[:, 2]), locations[:, 2], 0.0)
+    locations = np.column_stack([locations[:, :2], flat])
+    ecef = ecef_from_geodetic(locations)
+    # the median itself may lie where there is no fix, between two locations that have as many each
     middle = ecef[np.linalg.norm(ecef - np.median(ecef, axis=0), axis=1).argmin()]
     near = np.linalg.norm(ecef - middle, axis=1) <= _FARTHEST
     order = np.flatnonzero(near)[np.argsort(times[near], kind="stable")]
-    origin = places[order[0]]
-    notices = [
-        notice
+    origin = locations[order[0]]
+    warnings = [
+        warning
         for receiver, kept in zip(receivers, rows, strict=True)
-        for notice in _left_out(scene, receiver, len(kept))
+        for warning in _left_out(scene, receiver, len(kept))
     ]
     if not near.all():
         message = f"fixes more than {_FARTHEST / 1000:.0f} km from the others were left out"
-        notices.append(_skipped("gnss-fixes-elsewhere", scene.source, message, int((~near).sum())))
+        warnings.append(_skipped("gnss-fixes-elsewhere", scene.source, message, int((~near).sum())))
     return GnssFixes(
-        times[order], enu_from_geodetic(places[order], origin), sigmas[order], told[order], levers[order],
-        number[order], origin, tuple(notices),
+        times[order], enu_from_geodetic(locations[order], origin), sigmas[order], reported[order], levers[order],
+        number[order], origin, tuple(warnings),
     )  # fmt: skip
 
 
@@ -90,27 +90,29 @@ def _chosen(receiver: GnssSensor) -> Int64Array:
     return chosen
 
 
-def _left_out(scene: Scene, receiver: GnssSensor, kept: int) -> list[Notice]:
+def _left_out(scene: Scene, receiver: GnssSensor, kept: int) -> list[DataWarning]:
     lost = len(receiver.timestamps_ns) - kept
     if lost == 0:
         return []
-    message = "fixes that are no place, of a time that was there before, or the same as before were left out"
+    message = (
+        "fixes that are no location, of a time that was there before, or the same as before were left out"
+    )
     return [_skipped("gnss-fixes-left-out", f"{scene.source}: sensors[{receiver.id}]", message, lost)]
 
 
-def _skipped(code: str, place: str, message: str, count: int) -> Notice:
-    return Notice(kind=NoticeKind.SKIPPED, code=code, place=place, message=message, count=count)
+def _skipped(code: str, location: str, message: str, count: int) -> DataWarning:
+    return DataWarning(kind=WarningKind.SKIPPED, code=code, location=location, message=message, count=count)
 
 
-def _is_told(accuracies: Float64Array) -> BoolArray:
-    told: BoolArray = np.isfinite(accuracies) & (accuracies > 0)
-    return told
+def _is_reported(accuracies: Float64Array) -> BoolArray:
+    reported: BoolArray = np.isfinite(accuracies) & (accuracies > 0)
+    return reported
 
 
 def _sigmas(receiver: GnssSensor, rows: Int64Array, settings: SmootherSettings) -> Float64Array:
     across, along_up = receiver.accuracies[rows], receiver.vertical_accuracies[rows]
-    flat = np.where(_is_told(across), across, settings.fix_noise)
-    up = np.where(_is_told(along_up), along_up, _VERTICAL * flat)
+    flat = np.where(_is_reported(across), across, settings.fix_noise)
+    up = np.where(_is_reported(along_up), along_up, _VERTICAL * flat)
     sigmas: Float64Array = np.clip(np.stack([flat, flat, up], axis=1), _LEAST_SIGMA, _LARGEST_SIGMA)
     sigmas[~np.isfinite(receiver.positions_lla[rows, 2]), 2] = _UNKNOWN_HEIGHT
     return sigmas

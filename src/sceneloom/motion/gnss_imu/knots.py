@@ -8,7 +8,7 @@ from sceneloom.motion.gnss_imu.samples import InertialSamples, noise_densities
 from sceneloom.motion.gnss_imu.settings import SmootherSettings
 
 CLOSEST_NS = 20_000_000
-"""States lie no closer [ns]: what a fix tells is carried over so short a time without loss."""
+"""States lie no closer [ns]: what a fix reports is carried over so short a time without loss."""
 
 _LONGEST_NS = 86_400 * 1_000_000_000
 """No drive lasts longer [ns]: a wrong time is not to be bridged by millions of states."""
@@ -18,7 +18,7 @@ _CARRIED = 0.3
 _LONGEST_CARRIED = 0.5
 """So long at most [s], since not all that is wrong with an IMU shows in its noise: scales, axes, biases at first."""
 _WEIGHT = 9.81
-"""Acceleration [m/s²] that a wrong orientation turns aside."""
+"""Acceleration [m/s²] that a wrong orientation rotates aside."""
 
 
 def knot_times(
@@ -54,12 +54,12 @@ def knot_times(
     thin = _spaced(marks, np.empty(0, np.int64), np.full(len(marks), CLOSEST_NS))
     thin = _spaced(np.unique(fix_times_ns), thin, _apart_ns(np.unique(fix_times_ns), samples, settings))
     thin = _spaced(further_ns, thin, np.full(len(further_ns), CLOSEST_NS))
-    pieces = [thin[:1]]
+    chunks = [thin[:1]]
     for start, stop in zip(thin[:-1].tolist(), thin[1:].tolist(), strict=True):
         count = max(1, int(np.ceil((stop - start) * 1e-9 / settings.longest_interval - 1e-6)))
         shares = np.arange(1, count + 1) * ((stop - start) / count)
-        pieces.append(start + np.rint(shares).astype(np.int64))
-    knots: Int64Array = np.concatenate(pieces)
+        chunks.append(start + np.rint(shares).astype(np.int64))
+    knots: Int64Array = np.concatenate(chunks)
     return knots if len(knots) > 1 else np.array([knots[0], knots[0] + CLOSEST_NS])
 
 
@@ -68,7 +68,7 @@ def _apart_ns(
 ) -> Int64Array:
     """How far a fix at each time may be from the state before it, (F,) [ns]: the IMU's noise has to stay small.
 
-    Source: position by white noise of the acceleration, n² t³ / 3, and by that of the turn rate under gravity,
+    Source: position by white noise of the acceleration, n² t³ / 3, and by that of the yaw rate under gravity,
     (g n)² t⁵ / 20 (Farrell 2008, "Aided Navigation", 11.4).
     """
     if samples is None:
@@ -94,11 +94,11 @@ def _spaced(times_ns: Int64Array, known_ns: Int64Array, apart_ns: Int64Array) ->
     """Known times and those of others that lie far enough after the one before and not close before the next known."""
     ends = np.append(known_ns, np.iinfo(np.int64).max)
     kept: list[int] = []
-    for time, apart, place in zip(
+    for time, apart, location in zip(
         times_ns.tolist(), apart_ns.tolist(), np.searchsorted(known_ns, times_ns).tolist(), strict=True
     ):
         before = [kept[-1]] if kept else []
-        before += [int(known_ns[place - 1])] if place else []
-        if int(ends[place]) - time >= CLOSEST_NS and (not before or time - max(before) >= apart):
+        before += [int(known_ns[location - 1])] if location else []
+        if int(ends[location]) - time >= CLOSEST_NS and (not before or time - max(before) >= apart):
             kept.append(time)
     return np.union1d(known_ns, np.array(kept, np.int64))

@@ -13,21 +13,21 @@ class Preintegrated:
     """What an IMU measured in F intervals, summed up in the axes that the body had at the beginning of each.
 
     Attributes:
-        turns: (F, 3, 3) float64, `first_from_second`.
+        rotations: (F, 3, 3) float64, `first_from_second`.
         gains: (F, 3) gain of velocity [m/s] without gravity.
-        ways: (F, 3) way [m] without gravity and without the velocity at the beginning.
-        slopes: (F, 9, 6) change of turn (on the right side [rad]), gain and way with the biases of gyroscope and
-            accelerometer.
-        covariances: (F, 9, 9) of turn, gain and way.
+        trajectories: (F, 3) trajectory [m] without gravity and without the velocity at the beginning.
+        slopes: (F, 9, 6) change of rotation (on the right side [rad]), gain and trajectory with the biases of gyroscope
+            and accelerometer.
+        covariances: (F, 9, 9) of rotation, gain and trajectory.
         biases: (F, 6) that were taken off.
 
     Source: Forster, Carlone, Dellaert and Scaramuzza 2017, "On-Manifold Preintegration for Real-Time Visual-Inertial
     Odometry".
     """
 
-    turns: Float64Array
+    rotations: Float64Array
     gains: Float64Array
-    ways: Float64Array
+    trajectories: Float64Array
     slopes: Float64Array
     covariances: Float64Array
     biases: Float64Array
@@ -35,9 +35,9 @@ class Preintegrated:
     def part(self, rows: slice) -> "Preintegrated":
         """Some of the intervals."""
         return Preintegrated(
-            self.turns[rows],
+            self.rotations[rows],
             self.gains[rows],
-            self.ways[rows],
+            self.trajectories[rows],
             self.slopes[rows],
             self.covariances[rows],
             self.biases[rows],
@@ -55,11 +55,11 @@ def preintegrated(
     """Sum up what an IMU measured from each knot to the next.
 
     Between samples rate and force change evenly; the rotation is exact to the fourth order in the time between samples
-    for such a rate, velocity and way are integrated by Simpson's rule over it.
+    for such a rate, velocity and trajectory are integrated by Simpson's rule over it.
 
     Args:
         timestamps_ns: (N,) int64 [ns], strictly increasing, N >= 2.
-        values: (N, 6) turn rate [rad/s] and specific force [m/s²], body frame.
+        values: (N, 6) yaw rate [rad/s] and specific force [m/s²], body frame.
         knots_ns: (K,) int64 [ns], strictly increasing; they need not lie on samples.
         biases: (K - 1, 6) to take off.
         densities: (K - 1, 2) of the white noise, (rad/s)²/Hz and (m/s²)²/Hz.
@@ -74,7 +74,7 @@ def preintegrated(
         np.ascontiguousarray(biases),
     )
     preintegrate(
-        timestamps_ns, values, knots_ns, found.biases, np.ascontiguousarray(densities), found.turns, found.gains,
-        found.ways, found.slopes, found.covariances,
+        timestamps_ns, values, knots_ns, found.biases, np.ascontiguousarray(densities), found.rotations, found.gains,
+        found.trajectories, found.slopes, found.covariances,
     )  # fmt: skip
     return found

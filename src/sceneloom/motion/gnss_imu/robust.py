@@ -1,4 +1,4 @@
-"""States that fit most fixes: those that jump lose their say, and how good the others are the data tell."""
+"""States that fit most fixes: those that jump lose their state, and how good the others are the data report."""
 
 import math
 from dataclasses import dataclass, replace
@@ -29,9 +29,9 @@ _READMITTED, _AROUND = 0.7, 2
 _MEDIAN_FLAT, _MEDIAN_UP, _MEDIAN_ROOT = 1.3863, 0.4549, 0.888
 """Medians of chi-square with two degrees of freedom, with one, and of the root of a third of it with three."""
 _DECLARED_WORTH = 1.0
-"""The accuracy that a receiver tells counts as this many measurements of it."""
+"""The accuracy that a receiver reports counts as this many measurements of it."""
 _INERTIAL_WORTH = 6.0
-"""What the samples tell of their noise counts as this many measurements of it."""
+"""What the samples report their noise counts as this many measurements of it."""
 _LEAST_SCALE, _LARGEST_SCALE = 1e-3, 1e3
 
 
@@ -64,11 +64,11 @@ def fit_gently(chain: Chain, states: States, *, steps: int = _MOST_STEPS) -> Fit
 
 
 def fit_sternly(fit: Fit, *, scaled: bool) -> Fit:
-    """Fit with fixes that have a say or none: those that jump lose it, worst first, and may get it back.
+    """Fit with fixes that have a state or none: those that jump lose it, worst first, and may get it back.
 
-    Each fix is held against where the others say that it should be, in standard deviations, so that one at an end or in
-    a gap, which bends the way towards itself, is found as well. Until the noise is scaled, the median of these
-    distances tells it, which half of the fixes cannot spoil.
+    Each fix is held against where the others state that it should be, in standard deviations, so that one at an end or
+    in a gap, which bends the trajectory towards itself, is found as well. Until the noise is scaled, the median of
+    these distances reports it, which half of the fixes cannot spoil.
 
     Args:
         fit: to begin with.
@@ -189,7 +189,7 @@ def rescaled(fit: Fit) -> tuple[Fit, Float64Array]:
         The fit, with the new noise in its chain, and (F, 2) the factors, horizontal and vertical.
 
     Source: Förstner 1979, "Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten": the sum of squares over
-    the redundancy, which the states' own covariance tells.
+    the redundancy, which the states' own covariance reports.
     """
     chain, fixes = fit.chain, fit.chain.fixes
     own, _ = covariances(chain, fit.states, fit.weights)
@@ -210,9 +210,9 @@ def rescaled(fit: Fit) -> tuple[Fit, Float64Array]:
 
 
 def inertial_factors(fit: Fit) -> Float64Array:
-    """(2,) factors by which the IMU's noise, of turn rate and force, shows to be larger than taken; at least 1.
+    """(2,) factors by which the IMU's noise, of yaw rate and force, shows to be larger than taken; at least 1.
 
-    Source: Förstner 1979, as in `rescaled`; the turn's share of velocity and way is taken out first.
+    Source: Förstner 1979, as in `rescaled`; the rotation's share of velocity and trajectory is taken out first.
     """
     chain = fit.chain
     rows = np.flatnonzero(chain.measured)

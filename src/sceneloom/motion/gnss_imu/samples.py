@@ -1,4 +1,4 @@
-"""The IMU's samples as the smoother wants them: turn rate and force at the same times, and how noisy they are."""
+"""The IMU's samples as the smoother wants them: yaw rate and force at the same times, and how noisy they are."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ class InertialSamples:
 
     Attributes:
         timestamps_ns: (N,) int64 [ns], strictly increasing, N >= 2.
-        values: (N, 6) float64: turn rate [rad/s], specific force [m/s²].
+        values: (N, 6) float64: yaw rate [rad/s], specific force [m/s²].
         gaps_ns: (G, 2) int64 [ns], between which samples are missing.
         left_out: samples that were no numbers or not later than others.
     """

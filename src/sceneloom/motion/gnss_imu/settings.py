@@ -11,18 +11,18 @@ class SmootherSettings:
 
     Attributes:
         gyroscope_noise, accelerometer_noise: least densities of the white noise [rad/s/√Hz] and [m/s²/√Hz]; the
-            samples themselves tell of more.
+            samples themselves report more.
         gyroscope_walk, accelerometer_walk: densities of what makes the biases wander [rad/s²/√Hz] and [m/s³/√Hz].
         gyroscope_bias, accelerometer_bias: how large the biases may be, one standard deviation [rad/s] and [m/s²].
         acceleration: density of the acceleration of an ego without IMU [m/s²/√Hz].
-        turning: density of the turn rate of an ego without IMU [rad/s/√Hz].
-        fix_noise: standard deviation of a fix that does not tell its accuracy, to begin with [m].
+        rotating: density of the yaw rate of an ego without IMU [rad/s/√Hz].
+        fix_noise: standard deviation of a fix that does not report its accuracy, to begin with [m].
         least_fix_noise: no fix is believed to be better [m].
         gate: a fix this many standard deviations off is left out, as long as it is.
         longest_interval: states lie no farther apart in time [s].
         vehicle: whether the ego moves along one axis of its own only, as cars do: True, False, or None to let the
-            data tell.
-        gravity: [m/s²]; None for that of the place.
+            data report.
+        gravity: [m/s²]; None for that of the location.
 
     Raises:
         OptionError: a number is not positive.
@@ -35,7 +35,7 @@ class SmootherSettings:
     gyroscope_bias: float = 0.003
     accelerometer_bias: float = 0.05
     acceleration: float = 2.0
-    turning: float = 0.5
+    rotating: float = 0.5
     fix_noise: float = 2.0
     least_fix_noise: float = 0.01
     gate: float = 3.5

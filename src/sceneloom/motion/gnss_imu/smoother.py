@@ -14,13 +14,13 @@ from sceneloom.motion.gnss_imu.preintegration import Preintegrated, preintegrate
 from sceneloom.motion.gnss_imu.robust import Fit, fit_gently, fit_sternly, inertial_factors, rescaled
 from sceneloom.motion.gnss_imu.samples import InertialSamples, noise_densities
 from sceneloom.motion.gnss_imu.settings import SmootherSettings
-from sceneloom.motion.gnss_imu.start import coasted, oriented, standing_states
+from sceneloom.motion.gnss_imu.start import coasted, oriented, stationary_states
 from sceneloom.motion.gnss_imu.stops import stops
 from sceneloom.motion.gnss_imu.vehicle import misfit, vehicle_speeds
 from sceneloom.scene.poses import Trajectory
 
 _ROUNDS = 4
-"""So often the noise is told anew from the residuals."""
+"""So often the noise is reported anew from the residuals."""
 _CONTRADICTED = 3.0
 """Mean square misfit of what is known of wheels, in units of what it may be, from which on it does not hold."""
 
@@ -47,7 +47,7 @@ class Measurements:
     Attributes:
         fixes: at least two.
         samples: of the IMU, or None.
-        lidar: the way by lidar odometry, or None.
+        lidar: the trajectory by lidar odometry, or None.
         gravity: [m/s²].
         gyroscope_bias: (3,) [rad/s] to begin with, or None.
     """
@@ -82,7 +82,7 @@ def _begun(drive: Measurements, chain: Chain) -> tuple[Fit, Chain]:
     )
     near = np.abs(fixes.seconds) <= CLOSEST_NS * 1e-9
     alone = replace(chain, measured=unmeasured, relative=(), fixes=fixes.chosen(near))
-    coasting = coasted(alone, standing_states(alone, drive.gyroscope_bias))
+    coasting = coasted(alone, stationary_states(alone, drive.gyroscope_bias))
     sigmas = chain.fixes.sigmas.copy()
     for receiver in np.unique(fixes.receivers[near]):
         rows = fixes.receivers == receiver
@@ -114,7 +114,7 @@ def _refined(
         chain = _felt_anew(chain, drive.fixes, samples, fit.states.biases[:-1], densities)
         fit = replace(fit, chain=chain)
         if chain.speeds and not begun:
-            # what bent the way towards itself is seen against stiffer ways
+            # what bent the trajectory towards itself is seen against stiffer ways
             fit = fit_sternly(fit_gently(fit.chain, fit.states), scaled=False)
         else:
             fit = fit_sternly(fit, scaled=True)
@@ -170,7 +170,7 @@ def _chain(drive: Measurements, settings: SmootherSettings) -> tuple[Chain, Floa
 
 def _nothing_felt(biases: Float64Array) -> Preintegrated:
     count = len(biases)
-    turns = np.tile(np.eye(3), (count, 1, 1))
+    rotations = np.tile(np.eye(3), (count, 1, 1))
     covariance = np.tile(np.eye(9), (count, 1, 1))
     nothing = np.zeros((count, 3))
-    return Preintegrated(turns, nothing, nothing.copy(), np.zeros((count, 9, 6)), covariance, biases)
+    return Preintegrated(rotations, nothing, nothing.copy(), np.zeros((count, 9, 6)), covariance, biases)

@@ -9,7 +9,7 @@ from sceneloom.geometry.rotations import matrix_from_quaternion, quaternion_from
 from sceneloom.motion.gnss_imu.chain import Chain, States
 from sceneloom.motion.gnss_imu.robust import Fit, fit_gently, rescaled
 
-_FIRST_WAY, _FIRST_SECONDS, _FIRST_KNOTS = 30.0, 10.0, 12
+_FIRST_TRAJECTORY, _FIRST_SECONDS, _FIRST_KNOTS = 30.0, 10.0, 12
 """The first piece that is fitted lasts so long and reaches so far [m], as far as there is as much."""
 _SPAN = 1.0
 """Gains of velocity are compared over this time [s], so that the noise of velocities counts less."""
@@ -27,13 +27,13 @@ def coasted(chain: Chain, states: States) -> Fit:
     return fit
 
 
-def standing_states(chain: Chain, gyroscope_bias: Float64Array | None = None) -> States:
+def stationary_states(chain: Chain, gyroscope_bias: Float64Array | None = None) -> States:
     """States at the fixes, level, looking east, without speed."""
     count = len(chain.knots_ns)
     fixes = chain.fixes
     start_ns = chain.knots_ns[0]
-    seconds, told = (chain.knots_ns - start_ns) * 1e-9, (fixes.timestamps_ns - start_ns) * 1e-9
-    positions = np.stack([np.interp(seconds, told, column) for column in fixes.positions.T], axis=1)
+    seconds, reported = (chain.knots_ns - start_ns) * 1e-9, (fixes.timestamps_ns - start_ns) * 1e-9
+    positions = np.stack([np.interp(seconds, reported, column) for column in fixes.positions.T], axis=1)
     biases = np.zeros((count, 6))
     if gyroscope_bias is not None:
         biases[:, :3] = gyroscope_bias
@@ -57,19 +57,19 @@ def oriented(chain: Chain, coasting: States) -> Fit:
 def _first_piece(chain: Chain, states: States) -> tuple[int, int]:
     """The first knots over which the IMU measured without a gap and the ego moved far enough, else the longest."""
     seconds = np.concatenate([[0.0], np.cumsum(chain.seconds)])
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(states.positions, axis=0), axis=1))])
+    trajectory = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(states.positions, axis=0), axis=1))])
     longest = (0, min(2, len(seconds)))
     for first, last in _measured_runs(chain):
-        enough = (way[first:last] - way[first] >= _FIRST_WAY) & (
+        enough = (trajectory[first:last] - trajectory[first] >= _FIRST_TRAJECTORY) & (
             seconds[first:last] - seconds[first] >= _FIRST_SECONDS
         )
         enough &= np.arange(last - first) >= _FIRST_KNOTS
         if enough.any():
             stop = first + int(np.argmax(enough)) + 1
-            start = int(np.searchsorted(way, way[stop - 1] - 1.5 * _FIRST_WAY))
+            start = int(np.searchsorted(trajectory, trajectory[stop - 1] - 1.5 * _FIRST_TRAJECTORY))
             start = min(start, int(np.searchsorted(seconds, seconds[stop - 1] - _FIRST_SECONDS)))
             return max(first, start), stop
-        if way[last - 1] - way[first] > way[longest[1] - 1] - way[longest[0]]:
+        if trajectory[last - 1] - trajectory[first] > trajectory[longest[1] - 1] - trajectory[longest[0]]:
             longest = (first, last)
     return longest
 
@@ -81,36 +81,36 @@ def _measured_runs(chain: Chain) -> list[tuple[int, int]]:
 
 def _best_of_headings(chain: Chain, states: States) -> Fit:
     """Try where the ego may have looked; where several fit alike, it looked where it went."""
-    turned = _turned_by_gyroscope(chain)
-    level = _wahba(chain, states, turned)
-    headings = [_along_motion(states, level @ turned)]
+    rotated = _rotated_by_gyroscope(chain)
+    level = _wahba(chain, states, rotated)
+    headings = [_along_motion(states, level @ rotated)]
     headings += [_about_up(angle) @ level for angle in _QUARTERS]
     fits = []
     for first in headings:
-        begun = replace(states, rotations=np.ascontiguousarray(first @ turned))
+        begun = replace(states, rotations=np.ascontiguousarray(first @ rotated))
         fits.append(fit_gently(chain, begun))
     best = min(fits, key=lambda fit: fit.cost)
     return fits[0] if fits[0].cost <= best.cost + _SURELY_BETTER else best
 
 
-def _turned_by_gyroscope(chain: Chain) -> Float64Array:
+def _rotated_by_gyroscope(chain: Chain) -> Float64Array:
     """(K, 3, 3) `first_from_body` by the gyroscope alone, as preintegrated."""
     inertial = chain.inertial
-    turned = np.empty((len(chain.knots_ns), 3, 3))
-    turned[0] = np.eye(3)
+    rotated = np.empty((len(chain.knots_ns), 3, 3))
+    rotated[0] = np.eye(3)
     for k in range(len(chain.measured)):
-        turned[k + 1] = turned[k] @ inertial.turns[k] if chain.measured[k] else turned[k]
-    return turned
+        rotated[k + 1] = rotated[k] @ inertial.rotations[k] if chain.measured[k] else rotated[k]
+    return rotated
 
 
-def _wahba(chain: Chain, states: States, turned: Float64Array) -> Float64Array:
+def _wahba(chain: Chain, states: States, rotated: Float64Array) -> Float64Array:
     """The orientation at the first knot by which the felt gains of velocity become those of the fixes, and gravity.
 
     Source: Wahba 1965, solved as by Markley 1988, "Attitude Determination using Vector Observations and the Singular
     Value Decomposition".
     """
     seconds = chain.seconds
-    felt = np.einsum("kij,kj->ki", turned[:-1], chain.inertial.gains)
+    felt = np.einsum("kij,kj->ki", rotated[:-1], chain.inertial.gains)
     seen = np.diff(states.velocities, axis=0) + seconds[:, None] * [0.0, 0.0, chain.gravity]
     felt, seen = felt[chain.measured], seen[chain.measured]
     span = np.floor(np.cumsum(seconds[chain.measured]) / _SPAN).astype(np.int64)
@@ -125,13 +125,13 @@ def _sums(groups: Int64Array, values: Float64Array) -> Float64Array:
 
 
 def _along_motion(states: States, rotations: Float64Array) -> Float64Array:
-    """The first orientation turned about up so that on the whole the body looks where it goes."""
+    """The first orientation rotated about up so that on the whole the body looks where it goes."""
     ahead = rotations[:, :2, 0]
     speed = states.velocities[:, :2]
     cosine = (ahead * speed).sum()
     sine = (ahead[:, 0] * speed[:, 1] - ahead[:, 1] * speed[:, 0]).sum()
-    turned: Float64Array = _about_up(float(np.arctan2(sine, cosine))) @ rotations[0]
-    return turned
+    rotated: Float64Array = _about_up(float(np.arctan2(sine, cosine))) @ rotations[0]
+    return rotated
 
 
 def _about_up(angle: float) -> Float64Array:
@@ -149,18 +149,20 @@ def _extended(
     biases[: first - earlier], biases[last - earlier :] = known.biases[0], known.biases[-1]
     biases[first - earlier : last - earlier] = known.biases
     for k in range(last - 1, later - 1):
-        rotations[k + 1 - earlier] = rotations[k - earlier] @ _turn(chain, k, known.biases[-1])
+        rotations[k + 1 - earlier] = rotations[k - earlier] @ _rotation(chain, k, known.biases[-1])
     for k in range(first - 1, earlier - 1, -1):
-        rotations[k - earlier] = rotations[k + 1 - earlier] @ _turn(chain, k, known.biases[0]).T
+        rotations[k - earlier] = rotations[k + 1 - earlier] @ _rotation(chain, k, known.biases[0]).T
     before, after = coasting.part(earlier, first), coasting.part(last, later)
     joined = before.joined(known).joined(after)
     return States(rotations, joined.positions, joined.velocities, biases)
 
 
-def _turn(chain: Chain, k: int, bias: Float64Array) -> Float64Array:
+def _rotation(chain: Chain, k: int, bias: Float64Array) -> Float64Array:
     if not chain.measured[k]:
         return np.eye(3)
     inertial = chain.inertial
     vector = inertial.slopes[k, :3] @ (bias - inertial.biases[k])
-    turned: Float64Array = inertial.turns[k] @ matrix_from_quaternion(quaternion_from_rotation_vector(vector))
-    return turned
+    rotated: Float64Array = inertial.rotations[k] @ matrix_from_quaternion(
+        quaternion_from_rotation_vector(vector)
+    )
+    return rotated

@@ -1,4 +1,4 @@
-"""When the ego stands, as fixes and IMU tell together, and what is known then: that it neither moves nor turns."""
+"""When the ego stands, as fixes and IMU report together, and what is known then: that it neither moves nor rotates."""
 
 import numpy as np
 
@@ -7,15 +7,15 @@ from sceneloom.kernels.motion_chain import VELOCITY
 from sceneloom.motion.gnss_imu.chain import BodySpeeds, RelativePoses
 from sceneloom.motion.gnss_imu.robust import Fit
 from sceneloom.motion.gnss_imu.samples import InertialSamples
-from sceneloom.motion.standing import QUIET_FORCE, QUIET_RATE, WHITE
+from sceneloom.motion.stationary import QUIET_FORCE, QUIET_RATE, WHITE
 
 _SECONDS, _LEAST_SAMPLES = 1.0, 15
 """The IMU is judged over so long, and so many samples at least."""
-_TURN_RATE = 0.02
-"""Mean turn rate of a stand, the bias taken off, at most [rad/s]."""
+_YAW_RATE = 0.02
+"""Mean yaw rate of a stand, the bias taken off, at most [rad/s]."""
 _SPEED, _DEVIATIONS = 0.2, 3.0
 """Speed that fixes may leave to a stand: at most this [m/s] and so many standard deviations more."""
-_STILL_SPEED, _STILL_TURN, _STILL_WAY = 0.02, 2e-4, 2e-3
+_STILL_SPEED, _STILL_ROTATION, _STILL_TRAJECTORY = 0.02, 2e-4, 2e-3
 """How far a stand is none [m/s], and from one state to the next [rad] and [m]."""
 _WIDE = 1.5
 """Excess of the variance over that of white noise that a low number of samples leaves to chance."""
@@ -33,7 +33,7 @@ def stops(
         own: (K, 15, 15) covariances of the states.
 
     Source: Skog, Händel, Nilsson and Rantakokko 2010, "Zero-Velocity Detection - An Algorithm Evaluation"; as in
-    `motion.standing`.
+    `motion.stationary`.
     """
     still = _stands(fit, own, samples)
     rows = np.flatnonzero(still)
@@ -42,13 +42,13 @@ def stops(
     axes = np.tile(np.eye(3), (len(rows), 1))
     count = len(axes)
     speeds = BodySpeeds(np.repeat(rows, 3), axes, np.zeros(count), np.full(count, _STILL_SPEED))
-    places = np.flatnonzero(still[:-1] & still[1:])
-    information = np.diag(np.repeat([_STILL_TURN**-2, _STILL_WAY**-2], 3))
+    locations = np.flatnonzero(still[:-1] & still[1:])
+    information = np.diag(np.repeat([_STILL_ROTATION**-2, _STILL_TRAJECTORY**-2], 3))
     relative = RelativePoses(
-        places,
-        np.tile(np.eye(3), (len(places), 1, 1)),
-        np.zeros((len(places), 3)),
-        np.tile(information, (len(places), 1, 1)),
+        locations,
+        np.tile(np.eye(3), (len(locations), 1, 1)),
+        np.zeros((len(locations), 3)),
+        np.tile(information, (len(locations), 1, 1)),
     )
     return (speeds,), (relative,)
 
@@ -83,7 +83,7 @@ def _quiet(samples: InertialSamples, knots_ns: Int64Array, biases: Float64Array)
     calm = (variance < np.repeat([QUIET_RATE**2, QUIET_FORCE**2], 3)).all(axis=1)
     white = (variance <= _WIDE * WHITE * successive / 2 + 1e-20).all(axis=1)
     rate = mean[:, :3] + samples.values.mean(axis=0)[:3] - biases[:, :3]
-    quiet: BoolArray = calm & white & (np.abs(rate) < _TURN_RATE).all(axis=1)
+    quiet: BoolArray = calm & white & (np.abs(rate) < _YAW_RATE).all(axis=1)
     return quiet
 
 

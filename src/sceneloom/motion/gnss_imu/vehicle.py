@@ -3,7 +3,7 @@
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.kernels.motion_chain import TURN, VELOCITY
+from sceneloom.kernels.motion_chain import ROTATION, VELOCITY
 from sceneloom.motion.gnss_imu.chain import BodySpeeds, Chain, States
 from sceneloom.motion.gnss_imu.robust import Fit
 from sceneloom.motion.gnss_imu.samples import InertialSamples
@@ -11,12 +11,12 @@ from sceneloom.motion.gnss_imu.samples import InertialSamples
 _EVERY = 1.0
 """The knowledge is used this often [s]: what is wrong with it stays wrong for about so long."""
 _SLIP, _AXIS, _LEVER = 0.1, 0.02, 0.5
-"""It is wrong by a slip [m/s], a share of the speed since the axis is not exactly the body's, and the turn rate times a
+"""It is wrong by a slip [m/s], a share of the speed since the axis is not exactly the body's, and the yaw rate times a
 lever [m], since the axle that does not slip is elsewhere."""
 _MOVING = 2.0
 """Speed from which on a direction of motion counts [m/s]."""
-_LEAST_TURN, _LEAST_KNOTS = np.radians(40.0), 8
-"""To show that it holds, the ego has to turn so far while it moves, over so many states."""
+_LEAST_ROTATION, _LEAST_KNOTS = np.radians(40.0), 8
+"""To show that it holds, the ego has to rotate so far while it moves, over so many states."""
 _FAST = 5.0
 """Or it moves so fast on the whole [m/s], along its x axis."""
 _LARGEST_SHARE = 0.3
@@ -30,7 +30,8 @@ def vehicle_speeds(
 ) -> BodySpeeds | None:
     """Give the knowledge as measurements, if the states show that it holds, or if it is asked for.
 
-    It has to be seen in turns, or at speed along the x axis: on a straight way every body moves along one of its axes.
+    It has to be seen in rotations, or at speed along the x axis: on a straight trajectory every body moves along one of
+        its axes.
 
     Args:
         own: (K, 15, 15) covariances of the states.
@@ -56,7 +57,7 @@ def vehicle_speeds(
 
 def misfit(speeds: BodySpeeds, states: States) -> float:
     """Mean square of how far states are from it, in units of what they may be."""
-    inside = np.einsum("nji,nj->ni", states.rotations[speeds.places], states.velocities[speeds.places])
+    inside = np.einsum("nji,nj->ni", states.rotations[speeds.locations], states.velocities[speeds.locations])
     apart = (speeds.axes * inside).sum(axis=1) - speeds.speeds
     return float(((apart / speeds.sigmas) ** 2).mean())
 
@@ -75,12 +76,12 @@ def _spread_out(chain: Chain) -> Int64Array:
 
 
 def _rates(chain: Chain, states: States, samples: InertialSamples) -> Float64Array:
-    """(K, 3) turn rates at the states [rad/s]."""
+    """(K, 3) yaw rates at the states [rad/s]."""
     start = samples.timestamps_ns[0]
     times, knots = (samples.timestamps_ns - start) * 1e-9, (chain.knots_ns - start) * 1e-9
     rates = np.stack([np.interp(knots, times, samples.values[:, k]) for k in range(3)], axis=1)
-    turning: Float64Array = rates - states.biases[:, :3]
-    return turning
+    rotating: Float64Array = rates - states.biases[:, :3]
+    return rotating
 
 
 def _speeds(rows: Int64Array, axis: Float64Array, inside: Float64Array, rates: Float64Array) -> BodySpeeds:
@@ -91,25 +92,27 @@ def _speeds(rows: Int64Array, axis: Float64Array, inside: Float64Array, rates: F
         + (_AXIS * np.linalg.norm(inside[rows], axis=1)) ** 2
         + (_LEVER * np.linalg.norm(rates[rows], axis=1)) ** 2
     )
-    places = np.repeat(rows, 2)
-    return BodySpeeds(places, np.tile(across, (len(rows), 1)), np.zeros(len(places)), np.repeat(sigma, 2))
+    locations = np.repeat(rows, 2)
+    return BodySpeeds(
+        locations, np.tile(across, (len(rows), 1)), np.zeros(len(locations)), np.repeat(sigma, 2)
+    )
 
 
 def _shows(speeds: BodySpeeds, states: States, own: Float64Array, inside: Float64Array) -> bool:
-    places, axes = speeds.places, speeds.axes
-    speed = np.linalg.norm(inside[places], axis=1)
+    locations, axes = speeds.locations, speeds.axes
+    speed = np.linalg.norm(inside[locations], axis=1)
     moving = speed > _MOVING
     if moving.sum() < 2 * _LEAST_KNOTS:
         return False
-    turning = _turned(states, np.unique(places[moving])) >= _LEAST_TURN
+    rotating = _rotated(states, np.unique(locations[moving])) >= _LEAST_ROTATION
     fast = speed[moving].mean() >= _FAST and abs(axes[:, 0]).max() < 1e-6
-    if not (turning or fast):
+    if not (rotating or fast):
         return False
-    u = inside[places]
-    slopes = np.zeros((len(places), 15))
-    slopes[:, TURN] = np.cross(axes, u)
-    slopes[:, VELOCITY] = np.einsum("nij,nj->ni", states.rotations[places], axes)
-    variance = np.einsum("ni,nij,nj->n", slopes, own[places], slopes)
+    u = inside[locations]
+    slopes = np.zeros((len(locations), 15))
+    slopes[:, ROTATION] = np.cross(axes, u)
+    slopes[:, VELOCITY] = np.einsum("nij,nj->ni", states.rotations[locations], axes)
+    variance = np.einsum("ni,nij,nj->n", slopes, own[locations], slopes)
     sideways = (axes * u).sum(axis=1)
     known = np.sqrt((sideways**2 + variance)[moving].mean()) < _LARGEST_SHARE * np.sqrt(
         (speed[moving] ** 2).mean()
@@ -118,7 +121,7 @@ def _shows(speeds: BodySpeeds, states: States, own: Float64Array, inside: Float6
     return bool(known and agrees)
 
 
-def _turned(states: States, rows: Int64Array) -> float:
+def _rotated(states: States, rows: Int64Array) -> float:
     """By how much the directions of motion at some states span [rad]."""
     direction = np.unwrap(np.arctan2(states.velocities[rows, 1], states.velocities[rows, 0]))
     return float(np.ptp(direction))

@@ -16,7 +16,7 @@ class OdometryConfiguration:
         map_reach: what lies farther from the ego is dropped from the map [m].
         range_noise: standard deviation of a point across a flat surface [m].
         acceleration: how fast the velocity usually changes [m/s²].
-        turn_acceleration: how fast the turn rate usually changes [rad/s²].
+        yaw_acceleration: how fast the yaw rate usually changes [rad/s²].
         least_points: a sweep with fewer usable points is not registered.
 
     Raises:
@@ -30,7 +30,7 @@ class OdometryConfiguration:
     map_reach: float = 120.0
     range_noise: float = 0.02
     acceleration: float = 3.0
-    turn_acceleration: float = 1.0
+    yaw_acceleration: float = 1.0
     least_points: int = 200
 
     def __post_init__(self) -> None:

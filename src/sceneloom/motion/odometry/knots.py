@@ -43,11 +43,16 @@ def _between(
     longest_ns = 2 * max(before.last_ns - before.first_ns, after.last_ns - after.first_ns)
     if 0 < longest_ns < middles_ns[1] - middles_ns[0]:
         return [_own(before, before.last_ns, k - 1), _own(after, after.first_ns, k)]
-    half_way_ns = sum(middles_ns) // 2
-    _, first_position, first_turn, _ = _own(before, half_way_ns, k - 1)
-    _, second_position, second_turn, _ = _own(after, half_way_ns, k)
+    halfway_ns = sum(middles_ns) // 2
+    _, first_position, first_rotation, _ = _own(before, halfway_ns, k - 1)
+    _, second_position, second_rotation, _ = _own(after, halfway_ns, k)
     return [
-        (half_way_ns, 0.5 * (first_position + second_position), slerp(first_turn, second_turn, 0.5), k - 1)
+        (
+            halfway_ns,
+            0.5 * (first_position + second_position),
+            slerp(first_rotation, second_rotation, 0.5),
+            k - 1,
+        )
     ]
 
 

@@ -10,14 +10,21 @@ from sceneloom.errors import ArrayError
 from sceneloom.motion.odometry.configuration import OdometryConfiguration
 from sceneloom.motion.odometry.first_guess import SPEEDS, guess_motion
 from sceneloom.motion.odometry.local_map import LocalMap
-from sceneloom.motion.odometry.motion_state import SHIFT, TURN, TURN_RATE, VELOCITY, MotionState, turn_vector
+from sceneloom.motion.odometry.motion_state import (
+    ROTATION,
+    SHIFT,
+    VELOCITY,
+    YAW_RATE,
+    MotionState,
+    rotation_vector,
+)
 from sceneloom.motion.odometry.registration import Fit, fit_sweep
 from sceneloom.motion.odometry.sweep import Sweep, usable_sweep
 
-_UNKNOWN_TURN_RATE, _UNKNOWN_SPEED = 0.5, 20.0
-_GUESSED_TURN_RATE, _GUESSED_SPEED = 0.1, 1.0
+_UNKNOWN_ROTATION_RATE, _UNKNOWN_SPEED = 0.5, 20.0
+_GUESSED_ROTATION_RATE, _GUESSED_SPEED = 0.1, 1.0
 """Standard deviations [rad/s], [m/s] before and after a first guess."""
-_STANDSTILL_TURN, _STANDSTILL_SHIFT = 1e-4, 1e-3
+_STANDSTILL_ROTATION, _STANDSTILL_SHIFT = 1e-4, 1e-3
 """How well a pose is known that is so by definition [rad], [m]."""
 _STARTING_ROUNDS = 3
 _LEAST_MATCHED, _LEAST_AGREEING = 0.3, 0.5
@@ -25,7 +32,7 @@ _GAP_PERIODS, _LEAST_GAP = 5.0, 0.5
 _LONGEST_PREDICTION = 2.0
 _MOST_FAILURES = 5
 _DROP_EVERY = 10.0
-_RENEWAL_WAY = 15.0
+_RENEWAL_TRAJECTORY = 15.0
 
 
 class Outcome(StrEnum):
@@ -45,14 +52,14 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseEstimate:
-    """What one sweep told.
+    """What one sweep reported.
 
     Attributes:
         state: pose and motion in the middle of the sweep, in a world that is the ego's pose at the first sweep.
-        covariance: (6, 6) of a small turn, then a small shift along the world's axes, relative to the first pose.
+        covariance: (6, 6) of a small rotation, then a small shift along the world's axes, relative to the first pose.
         outcome: how it came about.
         first_ns, last_ns: the span of the sweep's points [ns].
-        first_state: pose and motion of the sweep that the map began with, where this sweep told it; else None.
+        first_state: pose and motion of the sweep that the map began with, where this sweep reported it; else None.
     """
 
     state: MotionState
@@ -72,7 +79,7 @@ class LidarOdometry:
         self._map = self._new_map()
         self._state: MotionState | None = None
         self._anchor: Sweep | None = None
-        """The sweep that the map began with, until a second one tells how the ego moved during it."""
+        """The sweep that the map began with, until a second one reports how the ego moved during it."""
         self._last_good: tuple[Sweep, MotionState] | None = None
         self._drift = np.zeros((6, 6))
         self._periods: list[float] = []
@@ -131,9 +138,9 @@ class LidarOdometry:
         settings = self.configuration
         reach_ns = state.timestamp_ns + int(_LONGEST_PREDICTION * 1e9)
         if timestamp_ns <= reach_ns:
-            return state.predicted(timestamp_ns, settings.acceleration, settings.turn_acceleration)
-        stopped = state.predicted(reach_ns, settings.acceleration, settings.turn_acceleration)
-        grown = state.predicted(timestamp_ns, settings.acceleration, settings.turn_acceleration).covariance
+            return state.predicted(timestamp_ns, settings.acceleration, settings.yaw_acceleration)
+        stopped = state.predicted(reach_ns, settings.acceleration, settings.yaw_acceleration)
+        grown = state.predicted(timestamp_ns, settings.acceleration, settings.yaw_acceleration).covariance
         return replace(stopped, timestamp_ns=timestamp_ns, covariance=grown)
 
     def _begin(self, sweep: Sweep) -> PoseEstimate:
@@ -247,9 +254,9 @@ class LidarOdometry:
         """Go on from a good fit, and add the sweep to the map."""
         state = fit.state
         before = self._state or state
-        way = float(np.linalg.norm(state.position - before.position))
+        trajectory = float(np.linalg.norm(state.position - before.position))
         self._drift = self._carried_drift(state)
-        self._drift += fit.state.covariance[:6, :6] * min(1.0, way / _RENEWAL_WAY)
+        self._drift += fit.state.covariance[:6, :6] * min(1.0, trajectory / _RENEWAL_TRAJECTORY)
         self._state, self._last_good, self._failures = state, (sweep, state), 0
         self._map.insert(_to_world(sweep, state))
         if np.linalg.norm(state.position - self._cleaned_at) > _DROP_EVERY:
@@ -264,11 +271,11 @@ class LidarOdometry:
         return carried_covariance(self._drift, state.position - before)
 
 
-def carried_covariance(covariance: Float64Array, way: Float64Array) -> Float64Array:
-    """The covariance (6, 6) of a turn and a shift, seen from a place that lies (3,) [m] farther on."""
-    x, y, z = way
+def carried_covariance(covariance: Float64Array, trajectory: Float64Array) -> Float64Array:
+    """The covariance (6, 6) of a rotation and a shift, seen from a location that lies (3,) [m] farther on."""
+    x, y, z = trajectory
     lever = np.eye(6)
-    lever[SHIFT, TURN] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    lever[SHIFT, ROTATION] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
     carried: Float64Array = lever @ covariance @ lever.T
     return carried
 
@@ -284,13 +291,13 @@ def _is_good(fit: Fit) -> bool:
 
 
 def _unknown_motion() -> Float64Array:
-    return _motion_covariance(_UNKNOWN_TURN_RATE, _UNKNOWN_SPEED)
+    return _motion_covariance(_UNKNOWN_ROTATION_RATE, _UNKNOWN_SPEED)
 
 
-def _motion_covariance(turn_rate: float, speed: float) -> Float64Array:
+def _motion_covariance(yaw_rate: float, speed: float) -> Float64Array:
     deviations = np.empty(12)
-    deviations[TURN], deviations[SHIFT] = _STANDSTILL_TURN, _STANDSTILL_SHIFT
-    deviations[TURN_RATE], deviations[VELOCITY] = turn_rate, speed
+    deviations[ROTATION], deviations[SHIFT] = _STANDSTILL_ROTATION, _STANDSTILL_SHIFT
+    deviations[YAW_RATE], deviations[VELOCITY] = yaw_rate, speed
     return np.diag(deviations**2)
 
 
@@ -300,8 +307,8 @@ def _moved_between(first: MotionState, second: MotionState) -> MotionState:
     What the skew of the sweeps says is left aside: two sweeps that are skewed alike fit well.
     """
     seconds = (second.timestamp_ns - first.timestamp_ns) * 1e-9
-    turn_rate = turn_vector(second.rotation @ first.rotation.T) / seconds
+    yaw_rate = rotation_vector(second.rotation @ first.rotation.T) / seconds
     chord = (second.position - first.position) / seconds
-    velocity = chord - 0.5 * seconds * np.cross(turn_rate, chord)
-    covariance = _motion_covariance(_GUESSED_TURN_RATE, _GUESSED_SPEED)
-    return replace(first, turn_rate=turn_rate, velocity=velocity, covariance=covariance)
+    velocity = chord - 0.5 * seconds * np.cross(yaw_rate, chord)
+    covariance = _motion_covariance(_GUESSED_ROTATION_RATE, _GUESSED_SPEED)
+    return replace(first, yaw_rate=yaw_rate, velocity=velocity, covariance=covariance)

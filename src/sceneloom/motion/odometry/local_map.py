@@ -9,7 +9,7 @@ _FIRST_ROOM = 1 << 15
 _LEAST_POINTS = 5.0
 """Points that a cube needs before it says where its surface is."""
 _MOST_HITS = 3
-"""Points that each part of a cube takes: what is full stays as it was measured first, so a standing ego changes
+"""Points that each part of a cube takes: what is full stays as it was measured first, so a stationary ego changes
 nothing, and the map does not follow the poses that were found with it."""
 
 
@@ -58,7 +58,7 @@ class SurfaceLevel:
         )
 
     def drop_beyond(self, position_world: Float64Array, reach: float) -> None:
-        """Forget the cubes farther than `reach` [m] from a place, and return the memory they took."""
+        """Forget the cubes farther than `reach` [m] from a location, and return the memory they took."""
         keys = self.keys[: self.count]
         parts = np.stack([(keys >> 42), (keys >> 21), keys], axis=1) & ((1 << 21) - 1)
         centers = (parts - (1 << 20) + 0.5) * self.leaf
@@ -101,6 +101,6 @@ class LocalMap:
             level.insert(points_world)
 
     def drop_beyond(self, position_world: Float64Array, reach: float) -> None:
-        """Forget what lies farther than `reach` [m] from a place."""
+        """Forget what lies farther than `reach` [m] from a location."""
         for level in (self.fine, self.coarse):
             level.drop_beyond(position_world, reach)

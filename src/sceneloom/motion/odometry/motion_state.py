@@ -13,8 +13,8 @@ from sceneloom.geometry.rotations import (
 )
 from sceneloom.kernels.scan_matching import move_points
 
-TURN, SHIFT, TURN_RATE, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
-"""Places of the four errors in a covariance of the state."""
+ROTATION, SHIFT, YAW_RATE, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+"""Locations of the four errors in a covariance of the state."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,25 +25,25 @@ class MotionState:
         timestamp_ns: [ns].
         rotation: (3, 3) `world_from_ego`.
         position: (3,) [m], world frame.
-        turn_rate: (3,) [rad/s], world axes.
+        yaw_rate: (3,) [rad/s], world axes.
         velocity: (3,) [m/s], world axes.
-        covariance: (12, 12) of a small turn, a small shift, and changes of the turn rate and the velocity, all along
+        covariance: (12, 12) of a small rotation, a small shift, and changes of the yaw rate and the velocity, all along
             the world's axes.
     """
 
     timestamp_ns: int
     rotation: Float64Array
     position: Float64Array
-    turn_rate: Float64Array
+    yaw_rate: Float64Array
     velocity: Float64Array
     covariance: Float64Array
 
     def at(self, timestamp_ns: int) -> tuple[Float64Array, Float64Array]:
-        """Rotation and position at another time, at constant velocity and turn rate in the ego's own frame."""
+        """Rotation and position at another time, at constant velocity and yaw rate in the ego's own frame."""
         dt = (timestamp_ns - self.timestamp_ns) * 1e-9
-        turned = turn_matrix(self.turn_rate * dt)
-        bend = 0.5 * dt * dt * np.cross(self.turn_rate, self.velocity)
-        return turned @ self.rotation, self.position + dt * self.velocity + bend
+        rotated = rotation_matrix(self.yaw_rate * dt)
+        bend = 0.5 * dt * dt * np.cross(self.yaw_rate, self.velocity)
+        return rotated @ self.rotation, self.position + dt * self.velocity + bend
 
     def move(
         self, points_ego: Float64Array, seconds: Float64Array, points_world: Float64Array, arms: Float64Array
@@ -61,24 +61,24 @@ class MotionState:
             seconds,
             self.rotation,
             self.position,
-            self.turn_rate,
+            self.yaw_rate,
             self.velocity,
             points_world,
             arms,
         )
 
-    def predicted(self, timestamp_ns: int, acceleration: float, turn_acceleration: float) -> "MotionState":
+    def predicted(self, timestamp_ns: int, acceleration: float, yaw_acceleration: float) -> "MotionState":
         """The state at a later time, with what accelerations of the given size add to its uncertainty.
 
         Source: Bar-Shalom, Li and Kirubarajan 2001, section 6.3.2, piecewise constant white acceleration.
         """
         dt = (timestamp_ns - self.timestamp_ns) * 1e-9
         rotation, position = self.at(timestamp_ns)
-        turned = turn_matrix(self.turn_rate * dt)
+        rotated = rotation_matrix(self.yaw_rate * dt)
         step = np.eye(12)
-        step[TURN, TURN_RATE] = step[SHIFT, VELOCITY] = dt * np.eye(3)
+        step[ROTATION, YAW_RATE] = step[SHIFT, VELOCITY] = dt * np.eye(3)
         noise = np.zeros((12, 12))
-        for value, rate, size in ((TURN, TURN_RATE, turn_acceleration), (SHIFT, VELOCITY, acceleration)):
+        for value, rate, size in ((ROTATION, YAW_RATE, yaw_acceleration), (SHIFT, VELOCITY, acceleration)):
             gain = np.array([0.5 * dt * dt, dt])[:, None] * size
             for a, first in enumerate((value, rate)):
                 for b, second in enumerate((value, rate)):
@@ -87,19 +87,19 @@ class MotionState:
             timestamp_ns,
             rotation,
             position,
-            self.turn_rate,
-            turned @ self.velocity,
+            self.yaw_rate,
+            rotated @ self.velocity,
             step @ self.covariance @ step.T + noise,
         )
 
     def changed(self, step: Float64Array) -> "MotionState":
         """The state after small changes, (12,)."""
-        rotation = turn_matrix(step[TURN]) @ self.rotation
+        rotation = rotation_matrix(step[ROTATION]) @ self.rotation
         return replace(
             self,
             rotation=rotation,
             position=self.position + step[SHIFT],
-            turn_rate=self.turn_rate + step[TURN_RATE],
+            yaw_rate=self.yaw_rate + step[YAW_RATE],
             velocity=self.velocity + step[VELOCITY],
         )
 
@@ -107,19 +107,19 @@ class MotionState:
         """The changes, (12,), that lead from another state to this one."""
         return np.concatenate(
             [
-                turn_vector(self.rotation @ other.rotation.T),
+                rotation_vector(self.rotation @ other.rotation.T),
                 self.position - other.position,
-                self.turn_rate - other.turn_rate,
+                self.yaw_rate - other.yaw_rate,
                 self.velocity - other.velocity,
             ]
         )
 
 
-def turn_matrix(rotation_vector: Float64Array) -> Float64Array:
+def rotation_matrix(rotation_vector: Float64Array) -> Float64Array:
     """The (3, 3) rotation about a (3,) vector by its length [rad]."""
     return matrix_from_quaternion(quaternion_from_rotation_vector(rotation_vector))
 
 
-def turn_vector(rotation: Float64Array) -> Float64Array:
+def rotation_vector(rotation: Float64Array) -> Float64Array:
     """The (3,) rotation vector of a (3, 3) rotation."""
     return rotation_vector_from_quaternion(quaternion_from_matrix(rotation))

@@ -12,7 +12,7 @@ from sceneloom.motion.odometry.motion_state import MotionState
 _MOST_STEPS = 20
 _SCALES = (10.0, 5.0, 3.0)
 """Of the weight, in standard deviations, in the first steps and from then on."""
-_TURN_DONE, _SHIFT_DONE = 2e-5, 5e-4
+_ROTATION_DONE, _SHIFT_DONE = 2e-5, 5e-4
 """A step below these [rad], [m] is the last one."""
 POINTS_PER_MEASUREMENT = 10.0
 """Neighbouring points share the errors of the surface they lie on; so many count as one."""
@@ -79,7 +79,7 @@ def fit_sweep(
         state = state.changed(change)
         if (
             step >= len(_SCALES) - 1
-            and np.linalg.norm(change[:3]) < _TURN_DONE
+            and np.linalg.norm(change[:3]) < _ROTATION_DONE
             and np.linalg.norm(change[3:6]) < _SHIFT_DONE
         ):
             break

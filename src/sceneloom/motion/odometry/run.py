@@ -11,9 +11,9 @@ from sceneloom.motion.odometry.knots import trajectory_of
 from sceneloom.motion.odometry.lidar_odometry import LidarOdometry, Outcome, PoseEstimate
 from sceneloom.motion.odometry.motion_state import MotionState
 from sceneloom.motion.odometry.scene_sweeps import SceneSweeps
-from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 NAME = "lidar"
 """The trajectory's name."""
@@ -26,11 +26,11 @@ class OdometryRun:
     Attributes:
         trajectory: `world_from_ego` under the name "lidar", from the first point's time to the last one's, with
             covariances; the world is the ego's first pose.
-        notices: what was assumed, repaired or left out.
+        warnings: what was assumed, repaired or left out.
     """
 
     trajectory: Trajectory
-    notices: tuple[Notice, ...]
+    warnings: tuple[DataWarning, ...]
 
 
 def lidar_odometry(
@@ -40,12 +40,12 @@ def lidar_odometry(
     progress: Callable[[int, int], None] | None = None,
     lenient: bool = False,
 ) -> OdometryRun:
-    """Find the ego's way through a scene from its lidar sweeps.
+    """Find the ego trajectory through a scene from its lidar sweeps.
 
     Args:
         configuration: settings; the defaults hold for everything.
-        progress: told after each cloud how many are done and how many there are.
-        lenient: leave sweeps out that cannot be read, with a notice.
+        progress: reported after each cloud how many are done and how many there are.
+        lenient: leave sweeps out that cannot be read, with a warning.
 
     Raises:
         PoseError: the scene has no lidar sweeps, their points are in the world already, or none has returns.
@@ -72,12 +72,12 @@ def lidar_odometry(
     counts = Counter(estimate.outcome for estimate in estimates)
     if not counts[Outcome.FITTED]:
         estimates = [_of_unknown_motion(estimate, settings) for estimate in estimates]
-    notices = (*sweeps.notices, *sweeps.counted_notices(), *_remarks(counts, late, scene.source))
-    return OdometryRun(trajectory_of(NAME, estimates), notices)
+    warnings = (*sweeps.warnings, *sweeps.counted_warnings(), *_notes(counts, late, scene.source))
+    return OdometryRun(trajectory_of(NAME, estimates), warnings)
 
 
 def _append(estimates: list[PoseEstimate], estimate: PoseEstimate, settings: OdometryConfiguration) -> None:
-    """Add an estimate; what it tells about the sweep that the map began with replaces what was not known then.
+    """Add an estimate; what it reports about the sweep that the map began with replaces what was not known then.
 
     Sweeps before the very first map get the poses from which its motion comes.
     """
@@ -91,21 +91,21 @@ def _append(estimates: list[PoseEstimate], estimate: PoseEstimate, settings: Odo
 
 
 def _led_back(earlier: PoseEstimate, first: MotionState, settings: OdometryConfiguration) -> PoseEstimate:
-    state = first.predicted(earlier.state.timestamp_ns, settings.acceleration, settings.turn_acceleration)
+    state = first.predicted(earlier.state.timestamp_ns, settings.acceleration, settings.yaw_acceleration)
     return replace(earlier, state=state, covariance=state.covariance[:6, :6])
 
 
 def _of_unknown_motion(estimate: PoseEstimate, settings: OdometryConfiguration) -> PoseEstimate:
-    """Say how little is known of where the ego was at the end of a sweep that no other one could be compared with."""
+    """Report how little is known of where the ego was at the end of a sweep that no other one could be compared with."""
     later = estimate.state.predicted(
-        max(estimate.last_ns, estimate.state.timestamp_ns), settings.acceleration, settings.turn_acceleration
+        max(estimate.last_ns, estimate.state.timestamp_ns), settings.acceleration, settings.yaw_acceleration
     )
     return replace(estimate, covariance=estimate.covariance + later.covariance[:6, :6])
 
 
 _BEGINNINGS = (Outcome.STARTED, Outcome.RESTARTED)
 
-_REMARKS: Mapping[Outcome, tuple[str, str]] = MappingProxyType(
+_NOTES: Mapping[Outcome, tuple[str, str]] = MappingProxyType(
     {
         Outcome.TOO_FEW: (
             "odometry-too-few-points",
@@ -121,27 +121,35 @@ _REMARKS: Mapping[Outcome, tuple[str, str]] = MappingProxyType(
         ),
     }
 )
-"""Code and message of the notice about each outcome that is not a fit."""
+"""Code and message of the warning about each outcome that is not a fit."""
 
 
-def _remarks(counts: Counter[Outcome], late: int, place: str) -> list[Notice]:
-    notices = [
-        Notice(kind=NoticeKind.ASSUMED, code=code, place=place, message=message, count=counts[outcome])
-        for outcome, (code, message) in _REMARKS.items()
+def _notes(counts: Counter[Outcome], late: int, location: str) -> list[DataWarning]:
+    warnings = [
+        DataWarning(
+            kind=WarningKind.ASSUMED, code=code, location=location, message=message, count=counts[outcome]
+        )
+        for outcome, (code, message) in _NOTES.items()
         if counts[outcome]
     ]
     if not counts[Outcome.FITTED]:
-        message = "no two sweeps could be compared, so nothing is known of the motion; the ego was taken as standing"
-        notices.append(
-            Notice(kind=NoticeKind.ASSUMED, code="odometry-without-motion", place=place, message=message)
+        message = "no two sweeps could be compared, so nothing is known of the motion; the ego was taken as stationary"
+        warnings.append(
+            DataWarning(
+                kind=WarningKind.ASSUMED, code="odometry-without-motion", location=location, message=message
+            )
         )
     if late:
         message = (
             "sweeps whose middle is not later than that of the sweep before were left out of the odometry"
         )
-        notices.append(
-            Notice(
-                kind=NoticeKind.SKIPPED, code="odometry-late-sweep", place=place, message=message, count=late
+        warnings.append(
+            DataWarning(
+                kind=WarningKind.SKIPPED,
+                code="odometry-late-sweep",
+                location=location,
+                message=message,
+                count=late,
             )
         )
-    return notices
+    return warnings

@@ -8,13 +8,13 @@ import numpy as np
 from sceneloom.arrays import FloatArray, Int64Array
 from sceneloom.errors import DataError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.point_time_notices import PointTimesTally
+from sceneloom.motion.point_time_warnings import PointTimesStatistics
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
-from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.point_times import RawTimes, timed_frame
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import sweep_period_ns
 from sceneloom.scene.types import PointsFrame
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 _SAME_PERIOD = 0.75
 """Sweeps that begin within this part of a period of one another belong together."""
@@ -43,7 +43,7 @@ class _Source:
     ego_from_points: RigidTransform
     period_ns: int
     raw: RawTimes | None = None
-    tally: PointTimesTally = field(default_factory=PointTimesTally)
+    statistics: PointTimesStatistics = field(default_factory=PointTimesStatistics)
     unreadable: int = 0
     empty: int = 0
     repeated: int = 0
@@ -58,10 +58,10 @@ class _Source:
             self.repeated += 1
         self._latest = positions
 
-    def notices(self) -> list[Notice]:
-        """What there is to say of the lidar's sweeps."""
-        place, count = f"sensors[{self.lidar.id}].frames", len(self.lidar.frames)
-        remarks = (
+    def warnings(self) -> list[DataWarning]:
+        """What there is to state of the lidar's sweeps."""
+        location, count = f"sensors[{self.lidar.id}].frames", len(self.lidar.frames)
+        notes = (
             ("odometry-sweep-unreadable", self.unreadable, f"of {count} sweeps these cannot be read"),
             (
                 "sweeps-without-returns",
@@ -75,10 +75,12 @@ class _Source:
             ),
         )
         return [
-            *self.tally.notices(f"{place}[].points.timestamps"),
+            *self.statistics.warnings(f"{location}[].points.timestamps"),
             *(
-                Notice(kind=NoticeKind.ASSUMED, code=code, place=place, message=message, count=found)
-                for code, found, message in remarks
+                DataWarning(
+                    kind=WarningKind.ASSUMED, code=code, location=location, message=message, count=found
+                )
+                for code, found, message in notes
                 if found
             ),
         ]
@@ -86,18 +88,18 @@ class _Source:
 
 @dataclass(slots=True)
 class SceneSweeps:
-    """Gives the clouds of a scene one after another and remembers what had to be said about them.
+    """Gives the clouds of a scene one after another and remembers what had to be stated about them.
 
     Attributes:
         groups: the sweeps that make each cloud: number of the lidar, number of the frame.
-        notices: what was assumed, repaired or left out of the whole scene.
+        warnings: what was assumed, repaired or left out of the whole scene.
     """
 
     scene: Scene
     lenient: bool
     sources: list[_Source]
     groups: list[list[tuple[int, int]]]
-    notices: list[Notice]
+    warnings: list[DataWarning]
     untimed: int = 0
 
     @classmethod
@@ -107,9 +109,9 @@ class SceneSweeps:
         Raises:
             PoseError: there is none.
         """
-        notices: list[Notice] = []
-        sources = _usable_sources(scene, notices)
-        return cls(scene, lenient, sources, _grouped(sources, notices), notices)
+        warnings: list[DataWarning] = []
+        sources = _usable_sources(scene, warnings)
+        return cls(scene, lenient, sources, _grouped(sources, warnings), warnings)
 
     def __len__(self) -> int:
         return len(self.groups)
@@ -125,12 +127,12 @@ class SceneSweeps:
             if cloud is not None:
                 yield row, cloud
 
-    def counted_notices(self) -> tuple[Notice, ...]:
-        """Remarks on the clouds that were read; `notices` are those on the whole scene."""
-        of_lidars = [notice for source in self.sources for notice in source.notices()]
-        return (*of_lidars, *self._untimed_notice())
+    def counted_warnings(self) -> tuple[DataWarning, ...]:
+        """Notes on the clouds that were read; `warnings` are those on the whole scene."""
+        of_lidars = [warning for source in self.sources for warning in source.warnings()]
+        return (*of_lidars, *self._untimed_warning())
 
-    def _untimed_notice(self) -> list[Notice]:
+    def _untimed_warning(self) -> list[DataWarning]:
         if not self.untimed:
             return []
         message = (
@@ -138,10 +140,10 @@ class SceneSweeps:
             "what the ego moved during a sweep stays in its points and in the poses"
         )
         return [
-            Notice(
-                kind=NoticeKind.ASSUMED,
+            DataWarning(
+                kind=WarningKind.ASSUMED,
                 code="odometry-without-point-times",
-                place=self.scene.source,
+                location=self.scene.source,
                 message=message,
                 count=self.untimed,
             )
@@ -173,7 +175,7 @@ class SceneSweeps:
         source.note(frame)
         timed = timed_frame(frame, source.period_ns, previous=source.raw)
         source.raw = timed.raw or source.raw
-        source.tally.add(timed.found)
+        source.statistics.add(timed.found)
         if timed.frame.points.timestamps_ns is None and len(frame.points):
             self.untimed += 1
         return timed.frame
@@ -184,11 +186,11 @@ def _times(frame: LidarFrame) -> Int64Array:
     return np.full(len(frame.points), frame.timestamp_ns, np.int64) if times is None else times
 
 
-def _skipped(code: str, place: str, message: str, count: int = 1) -> Notice:
-    return Notice(kind=NoticeKind.SKIPPED, code=code, place=place, message=message, count=count)
+def _skipped(code: str, location: str, message: str, count: int = 1) -> DataWarning:
+    return DataWarning(kind=WarningKind.SKIPPED, code=code, location=location, message=message, count=count)
 
 
-def _usable_sources(scene: Scene, notices: list[Notice]) -> list[_Source]:
+def _usable_sources(scene: Scene, warnings: list[DataWarning]) -> list[_Source]:
     """The lidars whose points can be brought into the ego frame.
 
     Raises:
@@ -204,17 +206,17 @@ def _usable_sources(scene: Scene, notices: list[Notice]) -> list[_Source]:
     if not raw:
         raise PoseError(
             f"{scene.source}: the lidar points are in the world already, so their motion is known and taken out; "
-            "use the scene's own trajectory, or say `--points-frame sensor` if they are not"
+            "use the scene's own trajectory, or state `--points-frame sensor` if they are not"
         )
     mounted = [(lidar, mount) for lidar in raw if (mount := _ego_from_points(lidar)) is not None]
     if not mounted:
         mounted = [(raw[0], RigidTransform.identity())]
         message = f"lidar {raw[0].id!r} has no mounting on the ego; the lidar was taken as the ego"
-        notices.append(
-            Notice(
-                kind=NoticeKind.ASSUMED,
+        warnings.append(
+            DataWarning(
+                kind=WarningKind.ASSUMED,
                 code="lidar-is-the-ego",
-                place=f"sensors[{raw[0].id}]",
+                location=f"sensors[{raw[0].id}]",
                 message=message,
             )
         )
@@ -223,7 +225,7 @@ def _usable_sources(scene: Scene, notices: list[Notice]) -> list[_Source]:
         if id(lidar) not in used:
             why = "its points are in the world already" if lidar not in raw else "its mounting is not known"
             message = f"lidar {lidar.id!r} was left out of the odometry: {why}"
-            notices.append(_skipped("lidar-left-out-of-odometry", f"sensors[{lidar.id}]", message))
+            warnings.append(_skipped("lidar-left-out-of-odometry", f"sensors[{lidar.id}]", message))
     return [_Source(lidar, mount, sweep_period_ns(lidar)) for lidar, mount in mounted]
 
 
@@ -231,33 +233,39 @@ def _ego_from_points(lidar: LidarSensor) -> RigidTransform | None:
     return RigidTransform.identity() if lidar.points_frame is PointsFrame.EGO else lidar.mount
 
 
-def _grouped(sources: list[_Source], notices: list[Notice]) -> list[list[tuple[int, int]]]:
+def _grouped(sources: list[_Source], warnings: list[DataWarning]) -> list[list[tuple[int, int]]]:
     """Sweeps in the order of their time, those within one period together; a slow lidar once in each group."""
     longest_ns = max(source.period_ns for source in sources)
     entries = []
     for number, source in enumerate(sources):
-        stamps = source.lidar.frames.timestamps_ns
-        order = np.argsort(stamps, kind="stable")
-        place = f"sensors[{source.lidar.id}].frames"
+        timestamps = source.lidar.frames.timestamps_ns
+        order = np.argsort(timestamps, kind="stable")
+        location = f"sensors[{source.lidar.id}].frames"
         if (order != np.arange(len(order))).any():
             message = "sweeps were not in the order of their time; they were taken in that order"
-            notices.append(
-                Notice(kind=NoticeKind.REPAIRED, code="sweeps-sorted", place=place, message=message)
+            warnings.append(
+                DataWarning(
+                    kind=WarningKind.REPAIRED, code="sweeps-sorted", location=location, message=message
+                )
             )
-        fresh = np.diff(stamps[order], prepend=stamps[order[0]] - 1) > 0
+        fresh = np.diff(timestamps[order], prepend=timestamps[order[0]] - 1) > 0
         if not fresh.all():
             message = "sweeps with the time of the one before were left out of the odometry"
-            notices.append(_skipped("sweeps-of-one-time", place, message, int((~fresh).sum())))
-        entries += [(int(stamps[k]), number, int(k)) for k in order[fresh]]
+            warnings.append(_skipped("sweeps-of-one-time", location, message, int((~fresh).sum())))
+        entries += [(int(timestamps[k]), number, int(k)) for k in order[fresh]]
     groups: list[list[tuple[int, int]]] = []
     start_ns, latest = 0, dict[int, int]()
-    for stamp_ns, number, index in sorted(entries):
+    for timestamp_ns, number, index in sorted(entries):
         period_ns = sources[number].period_ns
         is_slow = period_ns >= _SAME_PERIOD * longest_ns
-        if groups and stamp_ns - start_ns < _SAME_PERIOD * longest_ns and not (is_slow and number in latest):
+        if (
+            groups
+            and timestamp_ns - start_ns < _SAME_PERIOD * longest_ns
+            and not (is_slow and number in latest)
+        ):
             groups[-1].append((number, index))
         else:
             groups.append([(number, index)])
-            start_ns, latest = stamp_ns, {}
-        latest[number] = stamp_ns
+            start_ns, latest = timestamp_ns, {}
+        latest[number] = timestamp_ns
     return groups

@@ -1,1 +1,1 @@
-"""A drive as coloured clouds: one map, sweeps by themselves, labels carried between pictures and points."""
+"""A drive as coloured clouds: one map, sweeps by themselves, labels carried between images and points."""

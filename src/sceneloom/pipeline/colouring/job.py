@@ -1,4 +1,4 @@
-"""A drive as coloured clouds: one map, sweeps by themselves, labels carried from pictures to points and back."""
+"""A drive as coloured clouds: one map, sweeps by themselves, labels carried from images to points and back."""
 
 import tempfile
 import time
@@ -12,7 +12,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray
 from sceneloom.colouring.exposure import ExposureGains, ExposureLinks
-from sceneloom.colouring.lidar_way import LidarWay
+from sceneloom.colouring.lidar_trajectory import LidarTrajectory
 from sceneloom.colouring.moving import MovingPoints, lags_for
 from sceneloom.colouring.moving_boxes import MovingBoxes
 from sceneloom.colouring.visibility import VisibilitySettings
@@ -21,26 +21,26 @@ from sceneloom.formats.label_folders import LabelFolder
 from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.fusion.system import FusionSystem
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.images.canvas import counting_left_out
 from sceneloom.motion.ego_motion import placeable_lidars
-from sceneloom.pictures.canvas import counting_left_out
+from sceneloom.pipeline.aligned.scene import Aligned, align
 from sceneloom.pipeline.colouring.outputs import ColourSinks, open_colour_sinks
 from sceneloom.pipeline.colouring.report import ColourReport, ExposureReport, LabelReport
 from sceneloom.pipeline.colouring.settings import ColourOutputs, ColourSettings
 from sceneloom.pipeline.colouring.sweeps import ColouredSweep, SweepColouring
-from sceneloom.pipeline.fusing.report import CameraTally, FusionTally, told_once
+from sceneloom.pipeline.fusing.report import CameraStatistics, FusionStatistics, reported_once
 from sceneloom.pipeline.needed_lidar import check_has_lidar
 from sceneloom.pipeline.play import Skips, build_system, play, telling
-from sceneloom.pipeline.woven.scene import Woven, weave
 from sceneloom.scene.clouds import LidarFrame
-from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.scene import Scene
-from sceneloom.scene.sensor_sources import lidar_place
+from sceneloom.scene.sensor_sources import lidar_position
 from sceneloom.scene.span import scene_period_ns
 from sceneloom.scene.types import Identifier, Progress
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 MOST_COMPARED = 300
-"""Sweeps by which exposures are told at most, spread over the drive."""
+"""Sweeps by which exposures are reported at most, spread over the drive."""
 
 
 def colour(
@@ -62,22 +62,22 @@ def colour(
 
     Args:
         output: the map to write; the same as `outputs.map`.
-        trajectory: name of the ego's way; "identity" for an ego that stands still; "lidar" to find it from the sweeps;
-            None for the scene's default, which is found from the sweeps where the scene has none.
+        trajectory: name of the ego trajectory; "identity" for an ego that is stationary; "lidar" to find it from the
+            sweeps; None for the scene's default, which is found from the sweeps where the scene has none.
         heading: "motion" to derive orientations where the trajectory has positions only.
-        start: seconds after the scene's first time stamp, None for the beginning.
+        start: seconds after the scene's first timestamp, None for the beginning.
         stop: seconds after it, exclusive, None for the end.
         settings: how to colour.
         outputs: where to write what.
-        lenient: count sweeps and pictures that cannot be read, and go on.
-        progress: told after each sweep; those that exposures are told by count, too.
+        lenient: count sweeps and images that cannot be read, and go on.
+        progress: reported after each sweep; those that exposures are reported by count, too.
 
     Returns:
         What was done, in numbers.
 
     Raises:
         PoseError: the sensors' motion is not known, or at the time of no sweep.
-        DataError: there is no lidar, something cannot be read, or a label image does not fit its picture.
+        DataError: there is no lidar, something cannot be read, or a label image does not fit its image.
         OutputError: an output exists, or cannot be written.
         OptionError: a value is not one that can be followed.
     """
@@ -87,30 +87,30 @@ def colour(
     wanted.check()
     check_has_lidar(scene, "colouring needs")
     scene = scene.corrected()
-    woven = weave(scene, trajectory=trajectory, heading=heading, start=start, stop=stop, lenient=lenient)
-    job = _Job(woven, scene, chosen, Skips() if lenient else None, progress)
+    aligned = align(scene, trajectory=trajectory, heading=heading, start=start, stop=stop, lenient=lenient)
+    job = _Job(aligned, scene, chosen, Skips() if lenient else None, progress)
     with telling(job.skips), counting_left_out() as left, ExitStack() as stack:
         labels = None if chosen.labels is None else LabelFolder.of(chosen.labels, scene.cameras)
         gains = job.compare_exposures() if chosen.exposure and len(scene.cameras) else None
         colouring = SweepColouring(scene, chosen.blend, gains, labels)
         rest = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sceneloom-map-")))
-        sinks = open_colour_sinks(woven, wanted, chosen, colouring, stack, rest)
+        sinks = open_colour_sinks(aligned, wanted, chosen, colouring, stack, rest)
         job.run(colouring, sinks)
         sinks.finish()
     report = _report(job, wanted, colouring, sinks, gains, seconds=time.perf_counter() - begun)
-    return msgspec.structs.replace(report, notices=(*report.notices, *left.notices))
+    return msgspec.structs.replace(report, warnings=(*report.warnings, *left.warnings))
 
 
 @dataclass(slots=True)
 class _Job:
     """One colouring under way."""
 
-    woven: Woven
+    aligned: Aligned
     source: Scene
     settings: ColourSettings
     skips: Skips | None
     progress: Progress | None
-    tally: FusionTally = field(init=False)
+    statistics: FusionStatistics = field(init=False)
     boxes: MovingBoxes = field(init=False)
     removed_in_boxes: int = 0
     removed_by_rays: int = 0
@@ -123,19 +123,19 @@ class _Job:
     _ahead: int = 0
 
     def __post_init__(self) -> None:
-        scene, ego = self.woven.scene, self.woven.ego
-        stands = ego is not None and ego.path.endless
+        scene, ego = self.aligned.scene, self.aligned.ego
+        stands = ego is not None and ego.path.static
         moving = [] if stands else placeable_lidars(scene)
-        self.tally = FusionTally(
-            {camera.id: CameraTally(len(camera.pictures)) for camera in scene.cameras},
+        self.statistics = FusionStatistics(
+            {camera.id: CameraStatistics(len(camera.images)) for camera in scene.cameras},
             frozenset(lidar.id for lidar in moving),
         )
         self.boxes = MovingBoxes.of(scene)
 
     def compare_exposures(self) -> ExposureGains:
-        """Look at the drive a first time, for what pictures show both."""
+        """Look at the drive a first time, for what images show both."""
         every = max(1, -(-self._sweeps // MOST_COMPARED))
-        scene = self.woven.scene
+        scene = self.aligned.scene
         thinned = replace(
             scene,
             sensors=tuple(
@@ -155,11 +155,11 @@ class _Job:
 
     def run(self, colouring: SweepColouring, sinks: ColourSinks) -> None:
         """Colour every sweep and give it to the outputs."""
-        places = self._places() if self.settings.remove_moving else {}
+        locations = self._locations() if self.settings.remove_moving else {}
         finders: dict[Identifier, MovingPoints[ColouredSweep]] = {}
-        lags = {lidar.id: lags_for(len(lidar.frames)) for lidar in self.woven.scene.lidars}
-        for frame in play(self.woven.scene, self._system(), skips=self.skips):
-            self.tally.add(frame)
+        lags = {lidar.id: lags_for(len(lidar.frames)) for lidar in self.aligned.scene.lidars}
+        for frame in play(self.aligned.scene, self._system(), skips=self.skips):
+            self.statistics.add(frame)
             self._step()
             if frame.unfused is not None:
                 continue
@@ -172,14 +172,16 @@ class _Job:
                 continue
             finder = finders.setdefault(frame.lidar_id, MovingPoints(lags[frame.lidar_id]))
             self._give_judged(
-                finder.add(sweep, sweep.frame.points.positions, self._way(sweep, places)), sinks
+                finder.add(sweep, sweep.frame.points.positions, self._trajectory(sweep, locations)), sinks
             )
         for finder in finders.values():
             self._give_judged(finder.flush(), sinks)
-        if self.tally.unfused and not self.tally.fused:
-            reasons = ", ".join(f"{reason} ({count} times)" for reason, count in self.tally.unfused.items())
+        if self.statistics.unfused and not self.statistics.fused:
+            reasons = ", ".join(
+                f"{reason} ({count} times)" for reason, count in self.statistics.unfused.items()
+            )
             raise PoseError(
-                f"{self.source.source}: none of {self.tally.frames} sweeps could be placed: {reasons}"
+                f"{self.source.source}: none of {self.statistics.frames} sweeps could be placed: {reasons}"
             )
 
     def _give_judged(self, judged: Iterator[tuple[ColouredSweep, BoolArray]], sinks: ColourSinks) -> None:
@@ -199,48 +201,50 @@ class _Job:
     def _count(self, sweep: ColouredSweep) -> None:
         self.coloured += int((sweep.points["camera"] != 255).sum())
         if self.settings.labels is not None:
-            said = sweep.points["label"][sweep.points["label"] != 65535]
-            self.labelled += len(said)
-            self.classes.update(np.unique(said).tolist())
+            stated = sweep.points["label"][sweep.points["label"] != 65535]
+            self.labelled += len(stated)
+            self.classes.update(np.unique(stated).tolist())
 
-    def _way(self, sweep: ColouredSweep, places: dict[Identifier, PoseSource | None]) -> LidarWay | None:
-        place = places[sweep.frame.lidar_id]
+    def _trajectory(
+        self, sweep: ColouredSweep, locations: dict[Identifier, PoseSource | None]
+    ) -> LidarTrajectory | None:
+        location = locations[sweep.frame.lidar_id]
         frame = LidarFrame(sweep.frame.timestamp_ns, sweep.frame.points)
-        way = None if place is None else LidarWay.of(frame, place)
-        self.unjudged += way is None
-        return way
+        trajectory = None if location is None else LidarTrajectory.of(frame, location)
+        self.unjudged += trajectory is None
+        return trajectory
 
-    def _places(self) -> dict[Identifier, PoseSource | None]:
+    def _locations(self) -> dict[Identifier, PoseSource | None]:
         """From where the lidars measured; the middle of the cameras stands for one that is not known."""
-        scene, ego, reach_ns = self.woven.scene, self.woven.ego, scene_period_ns(self.woven.scene)
+        scene, ego, reach_ns = self.aligned.scene, self.aligned.ego, scene_period_ns(self.aligned.scene)
         mounts = [camera.mount.translation for camera in scene.cameras if camera.mount is not None]
-        places = {lidar.id: lidar_place(scene, lidar, ego, reach_ns=reach_ns) for lidar in scene.lidars}
-        for lidar_id, place in places.items():
-            if place is None and ego is not None and mounts:
+        locations = {lidar.id: lidar_position(scene, lidar, ego, reach_ns=reach_ns) for lidar in scene.lidars}
+        for lidar_id, location in locations.items():
+            if location is None and ego is not None and mounts:
                 middle = RigidTransform(np.eye(3), np.mean(mounts, axis=0))
-                places[lidar_id] = PoseSource(ego.path, middle, reach_ns)
+                locations[lidar_id] = PoseSource(ego.path, middle, reach_ns)
                 self.guessed += 1
-        return places
+        return locations
 
     def _system(self) -> FusionSystem:
         configuration = FusionConfiguration(visibility=VisibilitySettings(threads=self.settings.threads))
-        system = build_system(self.woven.scene, self.woven.ego, configuration)
+        system = build_system(self.aligned.scene, self.aligned.ego, configuration)
         if self.skips is not None:
             system.on_unreadable = self.skips.add
         return system
 
     @property
     def _sweeps(self) -> int:
-        return sum(len(lidar.frames) for lidar in self.woven.scene.lidars)
+        return sum(len(lidar.frames) for lidar in self.aligned.scene.lidars)
 
     def _step(self) -> None:
         self._done += 1
         if self.progress is not None:
             self.progress(self._done, self._ahead + self._sweeps)
 
-    def notices(self) -> tuple[Notice, ...]:
-        """What had to be assumed, beyond what the scene and the sweeps tell."""
-        told = told_once(self.woven.scene.notices, self.tally.notices())
+    def warnings(self) -> tuple[DataWarning, ...]:
+        """What had to be assumed, beyond what the scene and the sweeps report."""
+        reported = reported_once(self.aligned.scene.warnings, self.statistics.warnings())
         found = (
             (
                 "moving-points-unjudged",
@@ -251,7 +255,7 @@ class _Job:
                 ),
             ),
             (
-                "lidar-place-guessed",
+                "lidar-location-guessed",
                 self.guessed,
                 (
                     "it is not known where a lidar is, whose points come in the ego's frame; the middle of the cameras "
@@ -259,11 +263,11 @@ class _Job:
                 ),
             ),
         )
-        place, kind = "sensors[]", NoticeKind.ASSUMED
+        location, kind = "sensors[]", WarningKind.ASSUMED
         return (
-            *told,
+            *reported,
             *(
-                Notice(kind=kind, code=code, place=place, message=message, count=count)
+                DataWarning(kind=kind, code=code, location=location, message=message, count=count)
                 for code, count, message in found
                 if count
             ),
@@ -279,29 +283,29 @@ def _report(
     *,
     seconds: float,
 ) -> ColourReport:
-    tally, ego = job.tally, job.woven.ego
+    statistics, ego = job.statistics, job.aligned.ego
     cameras = {k: camera.id for k, camera in enumerate(job.source.cameras)}
     return ColourReport(
         source=job.source.source,
         output=None if wanted.map is None else str(wanted.map),
         trajectory=None if ego is None else ego.name,
         blend=job.settings.blend,
-        frames=tally.frames,
-        fused=tally.fused,
-        unfused=tally.unfused,
+        frames=statistics.frames,
+        fused=statistics.fused,
+        unfused=statistics.unfused,
         skipped=() if job.skips is None else tuple(job.skips.reasons),
-        points=tally.points,
-        coloured_percent=100.0 * job.coloured / tally.points if tally.points else 0.0,
+        points=statistics.points,
+        coloured_percent=100.0 * job.coloured / statistics.points if statistics.points else 0.0,
         removed_in_boxes=job.removed_in_boxes,
         removed_by_rays=job.removed_by_rays,
         unjudged=job.unjudged,
         written=0 if sinks.map is None else sinks.map.written,
         exposure=None if gains is None else ExposureReport.of(gains, cameras),
         labels=_label_report(job, colouring, sinks),
-        cameras=tuple(camera.report(camera_id) for camera_id, camera in tally.cameras.items()),
+        cameras=tuple(camera.report(camera_id) for camera_id, camera in statistics.cameras.items()),
         files=sinks.files,
         seconds=seconds,
-        notices=job.notices(),
+        warnings=job.warnings(),
     )
 
 

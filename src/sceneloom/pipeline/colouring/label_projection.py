@@ -1,4 +1,4 @@
-"""Labelled points of a scene, drawn into the pictures that show them."""
+"""Labelled points of a scene, drawn into the images that show them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,7 +20,7 @@ from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, Key, key_of
 
 _CANVASES = 2
-"""Pictures of a camera that are drawn at once: sweeps of several lidars may meet them by turns."""
+"""Images of a camera that are drawn at once: sweeps of several lidars may meet them alternately."""
 
 
 def numbered_labels(scene: Scene) -> dict[str, int]:
@@ -51,13 +51,13 @@ def _name(annotation: LabeledPointsAnnotation) -> str:
 
 @dataclass(slots=True)
 class LabelProjection:
-    """Draws labels: `<camera>/<picture number>.png`, 0 where no labelled point is, and what the numbers mean.
+    """Draws labels: `<camera>/<image number>.png`, 0 where no labelled point is, and what the numbers mean.
 
     Attributes:
         scene: with labelled points, whose frames are counted as the results of the fusion are.
         folder: an empty folder.
         names: folder of each camera.
-        colouring: knows the numbers of pictures.
+        colouring: knows the numbers of images.
         radius_px: of the square that a point fills beside its pixel.
         written: images so far.
     """
@@ -78,11 +78,11 @@ class LabelProjection:
             for entry in annotation.labeled_points:
                 if entry.sensor_frame is not None:
                     key = (key_of(entry.sensor_id), entry.sensor_frame)
-                    told = (self.numbers[_name(annotation)], entry.point_ids)
-                    self._entries.setdefault(key, []).append(told)  # type: ignore[arg-type]
+                    reported = (self.numbers[_name(annotation)], entry.point_ids)
+                    self._entries.setdefault(key, []).append(reported)  # type: ignore[arg-type]
 
     def add(self, frame: FusedFrame) -> None:
-        """Draw the labels of one sweep into its pictures.
+        """Draw the labels of one sweep into its images.
 
         Raises:
             DataError: a label names a point that the sweep does not have.
@@ -102,9 +102,9 @@ class LabelProjection:
         labels = np.full(len(frame.points), NO_LABEL, np.uint16)
         for number, ids in self._entries.get((key_of(frame.lidar_id), frame.index), ()):
             if len(ids) and int(np.max(ids)) >= len(labels):
-                place = f"annotations[].labeled_points[{frame.lidar_id}, frame {frame.index}]"
+                location = f"annotations[].labeled_points[{frame.lidar_id}, frame {frame.index}]"
                 problem = f"point {int(np.max(ids))}; expected numbers below {len(labels)}"
-                raise DataError(self.scene.source, place, problem)
+                raise DataError(self.scene.source, location, problem)
             labels[np.asarray(ids)] = number
         return labels
 
@@ -120,5 +120,5 @@ class LabelProjection:
         for camera_id, canvases in self._open.items():
             for number in [*canvases]:
                 self._write(camera_id, number)
-        told = {str(number): name for name, number in self.numbers.items()}
-        (self.folder / NAMES_FILE).write_bytes(msgspec.json.format(msgspec.json.encode(told), indent=2))
+        reported = {str(number): name for name, number in self.numbers.items()}
+        (self.folder / NAMES_FILE).write_bytes(msgspec.json.format(msgspec.json.encode(reported), indent=2))

@@ -27,7 +27,7 @@ class MapScene:
     Attributes:
         writer: the open scene file.
         folder: an empty folder for the files in between.
-        names: what labels are called, as far as it is said.
+        names: what labels are called, as far as it is stated.
     """
 
     writer: SceneWriter

@@ -6,8 +6,8 @@ import msgspec
 
 from sceneloom.colouring.exposure import ExposureGains
 from sceneloom.pipeline.fusing.report import CameraReport
-from sceneloom.scene.notices import Notice
 from sceneloom.scene.types import Identifier
+from sceneloom.scene.warnings import DataWarning
 
 
 class ExposureReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -18,8 +18,8 @@ class ExposureReport(msgspec.Struct, frozen=True, kw_only=True):
             None where no two cameras do.
         seam_points: how many points that is of.
         alone: cameras that nothing links to another; they keep their mean brightness.
-        unlinked: cameras whose pictures share nothing that can be compared; they keep their colours.
-        factors: of each other camera, the least and the greatest factor of its pictures.
+        unlinked: cameras whose images share nothing that can be compared; they keep their colours.
+        factors: of each other camera, the least and the greatest factor of its images.
     """
 
     seam_before: float | None
@@ -31,7 +31,7 @@ class ExposureReport(msgspec.Struct, frozen=True, kw_only=True):
 
     @classmethod
     def of(cls, gains: ExposureGains, cameras: dict[int, Identifier]) -> "ExposureReport":
-        """Say what was found, by the cameras' ids instead of their indices."""
+        """Report what was found, by the cameras' ids instead of their indices."""
         found = {camera: logs for camera, logs in gains.log_gains.items() if len(logs)}
         return cls(
             seam_before=gains.seam_before if isfinite(gains.seam_before) else None,
@@ -54,7 +54,7 @@ class LabelReport(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         images: label images that were painted onto points.
-        missing: pictures that no label image is of.
+        missing: images that no label image is of.
         points: points that got a label.
         drawn: label images that were made of labelled points.
         classes: how many different labels the points got, or the drawn images have.
@@ -73,24 +73,24 @@ class ColourReport(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         source: what was coloured.
         output: the map written, or None.
-        trajectory: name of the ego's way that the map stands on, or None where the scene's own poses were used.
-        blend: how the colours of several pictures became one.
+        trajectory: name of the ego trajectory that the map stands on, or None where the scene's own poses were used.
+        blend: how the colours of several images became one.
         frames: sweeps that were read.
         fused: sweeps that are in the outputs.
         unfused: why the others are not, with counts.
-        skipped: sweeps and pictures that could not be read, one line each.
+        skipped: sweeps and images that could not be read, one line each.
         points: points of all fused sweeps.
         coloured_percent: share of them that got a colour.
         removed_in_boxes, removed_by_rays: points left out because they lie in boxes that move, and because rays of
-            other sweeps pass through their places.
-        unjudged: sweeps of which it is not known from where they were measured, so that rays tell nothing.
+            other sweeps pass through their locations.
+        unjudged: sweeps of which it is not known from where they were measured, so that rays state nothing.
         written: points of the map.
         exposure: None where it was left as it is.
         labels: None where there are none.
         cameras: one report per camera.
         files: further files written, with counts by kind.
         seconds: how long it took.
-        notices: what was assumed, repaired or left out.
+        warnings: what was assumed, repaired or left out.
     """
 
     source: str
@@ -112,4 +112,4 @@ class ColourReport(msgspec.Struct, frozen=True, kw_only=True):
     cameras: tuple[CameraReport, ...]
     files: dict[str, int]
     seconds: float
-    notices: tuple[Notice, ...]
+    warnings: tuple[DataWarning, ...]

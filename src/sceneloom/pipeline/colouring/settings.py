@@ -9,7 +9,7 @@ from sceneloom.formats.clouds.writing import WRITTEN_SUFFIXES, check_cloud_suffi
 from sceneloom.formats.output import check_output
 
 BLENDS = ("nearest", "best", "weighted")
-"""How the colours of several pictures become one: that of the pixel nearest to a picture's middle, that which is
+"""How the colours of several images become one: that of the pixel nearest to an image's middle, that which is
 trusted most, between pixels, or the mean of all that agree with it."""
 
 SCENE_SUFFIX = ".sfs"
@@ -25,8 +25,8 @@ class ColourSettings:
         voxel: side of the cubes of which the map keeps one point each [m]; None: it keeps all points.
         remove_moving: whether points on what moved are left out.
         labels: folder of label images that are painted onto the points.
-        only_coloured: whether points that no picture shows are left out.
-        provenance: whether clouds tell of each point camera, picture, pixel and weight.
+        only_coloured: whether points that no image shows are left out.
+        provenance: whether clouds report each point camera, image, pixel and weight.
         label_radius_px: of the square that a point fills in projected label images beside its pixel.
         threads: how many share the work on a sweep; what they give is the same.
 
@@ -63,14 +63,14 @@ class ColourOutputs:
         map: the whole drive as one cloud: .las, .laz, .ply, .pcd or .sfs.
         per_sweep: a folder of clouds, one for each sweep, or an .sfs file of the fused drive.
         project_labels: folder of label images of the scene's labelled points.
-        pictures: folder of pictures for people.
+        images: folder of images for people.
         overwrite: whether outputs that exist may be replaced.
     """
 
     map: Path | None = None
     per_sweep: Path | None = None
     project_labels: Path | None = None
-    pictures: Path | None = None
+    images: Path | None = None
     overwrite: bool = False
 
     @property
@@ -91,22 +91,22 @@ class ColourOutputs:
             OptionError: there is nothing to write, a suffix is unknown, or two outputs have one name.
             OutputError: an output exists, or its folder is missing.
         """
-        places = [
-            place
-            for place in (self.map, self.per_sweep, self.project_labels, self.pictures)
-            if place is not None
+        locations = [
+            location
+            for location in (self.map, self.per_sweep, self.project_labels, self.images)
+            if location is not None
         ]
-        if not places:
+        if not locations:
             raise OptionError(
                 "nothing to write: name a map (`-o map.laz`), a folder for sweeps (`--per-sweep DIR`), "
-                "for label images (`--project-labels DIR`) or for pictures (`--pictures DIR`)"
+                "for label images (`--project-labels DIR`) or for images (`--visualize DIR`)"
             )
-        if len({place.absolute() for place in places}) < len(places):
-            raise OptionError(f"{places[0]}: named twice; expected a name for each output")
+        if len({location.absolute() for location in locations}) < len(locations):
+            raise OptionError(f"{locations[0]}: named twice; expected a name for each output")
         if self.map is not None and self.map.suffix.lower() != SCENE_SUFFIX:
             try:
                 check_cloud_suffix(self.map)
             except OptionError as error:
                 raise OptionError(f"{error}, or {SCENE_SUFFIX} for a scene") from None
-        for place in places:
-            check_output(place, overwrite=self.overwrite)
+        for location in locations:
+            check_output(location, overwrite=self.overwrite)

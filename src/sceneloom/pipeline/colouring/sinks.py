@@ -1,4 +1,4 @@
-"""Where coloured sweeps go: one map, a file for each sweep, a scene of the drive, pictures."""
+"""Where coloured sweeps go: one map, a file for each sweep, a scene of the drive, images."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -12,12 +12,12 @@ from sceneloom.colouring.world_map import WorldMap
 from sceneloom.editing.chosen_points import chosen_points
 from sceneloom.formats.clouds.writing import open_cloud_writer
 from sceneloom.formats.clouds.written import NO_LABEL, CloudWriter, WrittenPoints
-from sceneloom.pictures.drive_cloud import DriveCloud
+from sceneloom.images.drive_cloud import DriveCloud
 from sceneloom.pipeline.colouring.sweeps import ColouredSweep
 from sceneloom.pipeline.fusing.sinks import SceneSink
 from sceneloom.scene.annotations.labelled_points import LabeledPoints, LabeledPointsAnnotation
 from sceneloom.scene.clouds import LidarPoints, grey_where_unseen
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.types import Identifier
 
 
@@ -31,11 +31,11 @@ class ColourSink(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """What clouds tell of their points.
+    """What clouds report their points.
 
     Attributes:
         labels: whether they have labels.
-        provenance: whether they name camera, picture, pixel and weight.
+        provenance: whether they name camera, image, pixel and weight.
         origin_world: (3,) [m], what is added to positions.
     """
 
@@ -47,7 +47,7 @@ class Columns:
         """Rows of a map (N,) of dtype `POINT` as the columns of a file."""
         extras: dict[str, AnyArray] = {"camera": np.ascontiguousarray(points["camera"])}
         if self.provenance:
-            extras["picture"] = np.ascontiguousarray(points["picture"])
+            extras["image"] = np.ascontiguousarray(points["image"])
             extras["u"], extras["v"] = (np.ascontiguousarray(points["pixel"][:, k]) for k in range(2))
             extras["weight"] = np.ascontiguousarray(points["weight"])
         return WrittenPoints(
@@ -122,7 +122,7 @@ class SweepScene:
 
     Attributes:
         sink: the open file.
-        names: what labels are called, as far as it is said.
+        names: what labels are called, as far as it is stated.
         taken: ids of annotations that are in the file.
     """
 
@@ -177,12 +177,12 @@ def label_annotation(
 
 
 @dataclass(slots=True)
-class CloudPictures:
+class CloudImages:
     """Draws the drive as one cloud."""
 
     folder: Path
     cloud: DriveCloud
-    ego_poses: PosePath | None
+    ego_poses: Poses | None
     written: int = 0
 
     def add(self, sweep: ColouredSweep, kept: BoolArray) -> None:

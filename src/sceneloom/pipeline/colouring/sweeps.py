@@ -19,15 +19,15 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier
 
-NO_PICTURE = -1
+NO_IMAGE = -1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColouredSweep:
-    """A fused sweep without its pictures, and its points as rows of a map.
+    """A fused sweep without its images, and its points as rows of a map.
 
     Attributes:
-        frame: the sweep with its new colours; `views` are left out, which hold whole pictures.
+        frame: the sweep with its new colours; `views` are left out, which hold whole images.
         points: (N,) of dtype `POINT`.
     """
 
@@ -40,7 +40,7 @@ class SweepColouring:
     """Colours sweeps.
 
     Attributes:
-        scene: what the pictures are of, as read: their numbers are those in its cameras.
+        scene: what the images are of, as read: their numbers are those in its cameras.
         blend: "nearest", "best" or "weighted".
         gains: what evens out the exposures; None: they stay.
         labels: label images; None for none.
@@ -57,22 +57,22 @@ class SweepColouring:
     def __post_init__(self) -> None:
         self._cameras = {camera.id: (k, camera) for k, camera in enumerate(self.scene.cameras)}
         for camera in self.scene.cameras:
-            stamps = camera.pictures.timestamps_ns.tolist()
-            self._numbers[camera.id] = {time_ns: k for k, time_ns in reversed([*enumerate(stamps)])}
+            timestamps = camera.images.timestamps_ns.tolist()
+            self._numbers[camera.id] = {time_ns: k for k, time_ns in reversed([*enumerate(timestamps)])}
 
     def indices(self, views: Sequence[FusedView]) -> list[int]:
         """The numbers of the cameras of views among the scene's."""
         return [self._cameras[view.camera_id][0] for view in views]
 
     def number(self, view: FusedView) -> int:
-        """The number of a view's picture in its camera."""
-        return self._numbers[view.camera_id].get(view.timestamp_ns, NO_PICTURE)
+        """The number of a view's image in its camera."""
+        return self._numbers[view.camera_id].get(view.timestamp_ns, NO_IMAGE)
 
     def colour(self, frame: FusedFrame) -> ColouredSweep:
         """Give a fused sweep its colours and labels.
 
         Raises:
-            DataError: a label image cannot be read, or has another size than its picture.
+            DataError: a label image cannot be read, or has another size than its image.
         """
         points_world = _points_of(frame)
         times = frame.points.timestamps_ns
@@ -83,7 +83,7 @@ class SweepColouring:
         points["camera"], points["pixel"] = sources.camera_index, sources.pixels
         for view in frame.views:
             of_view = sources.camera_index == self._cameras[view.camera_id][0]
-            points["picture"][of_view] = self.number(view)
+            points["image"][of_view] = self.number(view)
         if frame.points.intensities is not None:
             points["intensity"] = frame.points.intensities
         points["time_ns"] = frame.timestamp_ns if times is None else times
@@ -117,7 +117,7 @@ class SweepColouring:
         return blended.colors, blended.sources
 
     def _label_image(self, view: FusedView, labels: LabelFolder) -> UInt16Array | None:
-        """The label image of a picture, read once where several sweeps are paired with it."""
+        """The label image of an image, read once where several sweeps are paired with it."""
         number = self.number(view)
         kept = self._images.get(view.camera_id)
         if kept is None or kept[0] != number:
@@ -128,7 +128,7 @@ class SweepColouring:
 
 
 def _points_of(frame: FusedFrame) -> Float64Array:
-    """Positions in the world, before they were rounded to float32 where a picture was found."""
+    """Positions in the world, before they were rounded to float32 where an image was found."""
     return frame.views[0].points_world if frame.views else frame.points.positions.astype(np.float64)
 
 
@@ -148,7 +148,7 @@ def _nearest(
     for view, index in zip(frame.views, indices, strict=True):
         rows = np.flatnonzero(chosen[view.point_ids] == index)
         ids = view.point_ids[rows]
-        sources.pictures_ns[ids], sources.pixels[ids] = view.timestamp_ns, view.pixels[rows]
+        sources.images_ns[ids], sources.pixels[ids] = view.timestamp_ns, view.pixels[rows]
         sources.weights[ids] = view_weights(points_world, view, BlendSettings(), timestamps_ns=times)[rows]
         if index in gains:
             colors[ids] = np.rint(np.clip(colors[ids] * gains[index], 0, 255)).astype(np.uint8)

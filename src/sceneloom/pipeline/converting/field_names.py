@@ -6,16 +6,24 @@ from collections.abc import Mapping
 from sceneloom.scene.contents import IMU_STREAMS, KINDS, MODEL_FIELDS
 from sceneloom.scene.scene import Scene
 
-_STAMPS = ("timestamp_ns", "timestamps_ns", "start_ns", "duration_ns", "durations_ns", "poses", "attributes")
+_TIMESTAMPS = (
+    "timestamp_ns",
+    "timestamps_ns",
+    "start_ns",
+    "duration_ns",
+    "durations_ns",
+    "poses",
+    "attributes",
+)
 _TOGETHER: Mapping[str, tuple[str, ...]] = {
-    "timestamps": _STAMPS,
-    "sensors[], annotations[], attributes[]": _STAMPS,
+    "timestamps": _TIMESTAMPS,
+    "sensors[], annotations[], attributes[]": _TIMESTAMPS,
     "file_seconds": ("file_seconds",),
 }
 """Words for the fields of one meaning in all sensors, trajectories and annotations, and their last parts."""
 
 _WORDS = (
-    (re.compile(r"\.images(\[\])?\.content$"), ".pictures.rgb"),
+    (re.compile(r"\.images(\[\])?\.content$"), ".images.rgb"),
     (re.compile(r"\.timestamp(s?)$"), r".timestamp\1_ns"),
     (re.compile(r"^(sensors\[.*\])\.intrinsics"), r"\1.camera"),
 )
@@ -35,48 +43,52 @@ def kinds_by_id(scene: Scene) -> dict[str, str]:
     return {**by_type, **{f"{name}[{item.id}]": KINDS[type(item)] for name, item in items}}
 
 
-def fields_meant(place: str, kinds: Mapping[str, str]) -> tuple[str, ...]:
-    """Give the fields of the model that a place in the scene is or holds; none if it is no such place.
+def fields_meant(location: str, kinds: Mapping[str, str]) -> tuple[str, ...]:
+    """Give the fields of the model that a location in the scene is or holds; none if it is no such location.
 
     Args:
-        place: the field of a loss, as a name of `MODEL_FIELDS`, the beginning of one, or with ids and indices in it.
+        location: the field of a loss, as a name of `MODEL_FIELDS`, the beginning of one, or with ids and indices in it.
         kinds: of the scene, as `kinds_by_id` gives them.
     """
-    if place == "sensors":
+    if location == "sensors":
         return ("sensors.order",)
-    if place in _TOGETHER:
-        return tuple(field for field in MODEL_FIELDS if field.rpartition(".")[2] in _TOGETHER[place])
+    if location in _TOGETHER:
+        return tuple(field for field in MODEL_FIELDS if field.rpartition(".")[2] in _TOGETHER[location])
     for pattern, ours in _WORDS:
-        place = pattern.sub(ours, place)
-    names = _by_kind(place, kinds)
+        location = pattern.sub(ours, location)
+    names = _by_kind(location, kinds)
     # of all kinds, those that have such a field; the others have no further field of that name
     found = [field for name in names for field in _at_or_below(name)]
     return tuple(dict.fromkeys(found or [field for name in names for field in _above(name)]))
 
 
-def _by_kind(place: str, kinds: Mapping[str, str]) -> list[str]:
-    """The place with a kind in place of the id; several where all of them are meant."""
-    owner = max((key for key in kinds if place == key or place.startswith(f"{key}.")), key=len, default=None)
+def _by_kind(location: str, kinds: Mapping[str, str]) -> list[str]:
+    """The location with a kind instead of the id; several where all of them are meant."""
+    owner = max(
+        (key for key in kinds if location == key or location.startswith(f"{key}.")), key=len, default=None
+    )
     if owner is not None:
-        return [_plain(kinds[owner] + place[len(owner) :])]
-    several = _SEVERAL.match(place)
+        return [_plain(kinds[owner] + location[len(owner) :])]
+    several = _SEVERAL.match(location)
     if several is None:
-        return [_plain(place)]
+        return [_plain(location)]
     return [
-        _plain(kind + place[several.end() :]) for kind in KINDS.values() if kind.startswith(several.group(1))
+        _plain(kind + location[several.end() :])
+        for kind in KINDS.values()
+        if kind.startswith(several.group(1))
     ]
 
 
-def _plain(place: str) -> str:
-    """The place without indices, names of trajectories and of streams that have no rows of their own."""
-    way = _TRAJECTORY.match(place)
-    if way is not None and f"trajectories.{way.group(1)}" not in MODEL_FIELDS:
-        place = "trajectories" + place[way.end() :]
-    place = _INDEX.sub("", place)
-    stream = _STREAM.match(place)
+def _plain(location: str) -> str:
+    """The location without indices, names of trajectories and of streams that have no rows of their own."""
+    trajectory = _TRAJECTORY.match(location)
+    if trajectory is not None and f"trajectories.{trajectory.group(1)}" not in MODEL_FIELDS:
+        location = "trajectories" + location[trajectory.end() :]
+    location = _INDEX.sub("", location)
+    stream = _STREAM.match(location)
     if stream is not None and stream.group(2) not in (*IMU_STREAMS, "other"):
-        place = f"{stream.group(1)}.other{place[stream.end() :]}"
-    return place
+        location = f"{stream.group(1)}.other{location[stream.end() :]}"
+    return location
 
 
 def _at_or_below(name: str) -> list[str]:

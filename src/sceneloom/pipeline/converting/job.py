@@ -26,13 +26,13 @@ from sceneloom.formats.table import (
 )
 from sceneloom.formats.trajectories.table import TRAJECTORY_FORMS, form_for_output
 from sceneloom.formats.urls import is_url
-from sceneloom.pipeline.converting.fates import field_fates
 from sceneloom.pipeline.converting.field_names import kinds_by_id
 from sceneloom.pipeline.converting.report import ConversionReport, check_report_name, write_report
 from sceneloom.pipeline.converting.strictly import check_nothing_lost, write_strictly
+from sceneloom.pipeline.converting.supports import field_supports
 from sceneloom.pipeline.converting.trajectories import (
-    ChosenWay,
-    chosen_way,
+    ChosenTrajectory,
+    chosen_trajectory,
     drive_of,
     holds_trajectory_only,
     is_trajectory_file,
@@ -53,7 +53,7 @@ from sceneloom.stages import stage
 class _Target:
     """Where and how the output is written."""
 
-    place: Path
+    location: Path
     strict: bool
     overwrite: bool
     writing: Mapping[str, Any]
@@ -89,7 +89,8 @@ def convert(
         overwrite: whether a target that exists may be replaced.
         reading: reading options of the source's format; `format`, its name, where the content does not decide; `start`
             and `stop`, seconds between which a drive counts.
-        progress: told after each sweep, radar cycle and single picture that is written, how many are done of how many.
+        progress: reported after each sweep, radar cycle and single image that is written, how many are done of how
+            many.
         writing: writing options of the target's format.
 
     Raises:
@@ -97,7 +98,7 @@ def convert(
         DataError: the source is wrong.
         OptionError: there is no format or form `to`, it is only read, several have the target's suffix, `trajectory`
             is named where a whole drive is written that needs none, or a part is asked for of a trajectory.
-        LossError: something would be lost, and `strict` was said.
+        LossError: something would be lost, and `strict` was stated.
         OutputError: the target exists, or cannot be written.
     """
     if is_url(target):
@@ -118,12 +119,12 @@ def convert(
     listing = None if loss is None else _listing(Path(loss), overwrite=overwrite)
     options = dict(reading or {})
     try:
-        if to in TRAJECTORY_FORMS or (to is None and is_trajectory_file(to_target.place)):
-            _refuse_part(to_target.place, options)
+        if to in TRAJECTORY_FORMS or (to is None and is_trajectory_file(to_target.location)):
+            _refuse_part(to_target.location, options)
             if "format" in options:
                 options.setdefault("form", options.pop("format"))
-            way = chosen_way(source, trajectory, options, writing, progress)
-            report = _write_way(source, way, to, to_target)
+            estimated_trajectory = chosen_trajectory(source, trajectory, options, writing, progress)
+            report = _write_trajectory(source, estimated_trajectory, to, to_target)
         else:
             report = _write_drive(source, to_target, to, trajectory, options, progress)
     except LossError as error:
@@ -142,26 +143,30 @@ def _listing(path: Path, *, overwrite: bool) -> Callable[[ConversionReport], Non
     return partial(write_report, path=path, overwrite=overwrite)
 
 
-def _write_way(source: str | Path, way: ChosenWay, to: str | None, target: _Target) -> ConversionReport:
-    form = form_for_output(target.place) if to is None else TRAJECTORY_FORMS[to]
-    supports = form.supports if way.content.fixes is None else form.fix_supports
+def _write_trajectory(
+    source: str | Path, estimated_trajectory: ChosenTrajectory, to: str | None, target: _Target
+) -> ConversionReport:
+    form = form_for_output(target.location) if to is None else TRAJECTORY_FORMS[to]
+    supports = form.supports if estimated_trajectory.content.fixes is None else form.fix_supports
     blank = ConversionReport(
         source=str(source),
-        source_format=way.content.form,
-        target=str(target.place),
+        source_format=estimated_trajectory.content.form,
+        target=str(target.location),
         target_format=form.name,
-        notices=way.content.notices,
+        warnings=estimated_trajectory.content.warnings,
         losses=LossReport(),
-        fields=field_fates(way.contents, supports, way.losses, way.kinds),
+        fields=field_supports(
+            estimated_trajectory.contents, supports, estimated_trajectory.losses, estimated_trajectory.kinds
+        ),
         written=False,
     )
 
-    def judged(told: LossReport) -> ConversionReport:
-        losses = LossReport.of([*way.losses, *told])
-        fates = field_fates(way.contents, supports, losses, way.kinds)
-        return msgspec.structs.replace(blank, losses=losses, fields=fates, written=True)
+    def judged(reported: LossReport) -> ConversionReport:
+        losses = LossReport.of([*estimated_trajectory.losses, *reported])
+        found = field_supports(estimated_trajectory.contents, supports, losses, estimated_trajectory.kinds)
+        return msgspec.structs.replace(blank, losses=losses, fields=found, written=True)
 
-    return _written(partial(way.write, form=form.name), blank, judged, target)
+    return _written(partial(estimated_trajectory.write, form=form.name), blank, judged, target)
 
 
 def _write_drive(
@@ -172,7 +177,7 @@ def _write_drive(
     reading: dict[str, Any],
     progress: Progress | None,
 ) -> ConversionReport:
-    writer = _writer(target.place, to)
+    writer = _writer(target.location, to)
     opened: AbstractContextManager[Scene]
     if reading.get("form") in TRAJECTORY_FORMS or holds_trajectory_only(source):
         _refuse_part(source, reading)
@@ -183,7 +188,7 @@ def _write_drive(
     elif trajectory is not None:
         files = ", ".join(TRAJECTORY_FORMS)
         raise OptionError(
-            f"trajectory {trajectory!r}: {target.place} gets all that {source} holds; one of its trajectories is "
+            f"trajectory {trajectory!r}: {target.location} gets all that {source} holds; one of its trajectories is "
             f"written to files of the forms {files}"
         )
     else:
@@ -192,10 +197,10 @@ def _write_drive(
         return _write_scene(source, scene, writer, target, progress)
 
 
-def _refuse_part(place: str | Path, reading: Mapping[str, Any]) -> None:
+def _refuse_part(location: str | Path, reading: Mapping[str, Any]) -> None:
     if not reading.keys().isdisjoint(PART):
         raise OptionError(
-            f"{redacted(place)}: a trajectory is read and written whole; expected a drive, or no start and stop"
+            f"{redacted(location)}: a trajectory is read and written whole; expected a drive, or no start and stop"
         )
 
 
@@ -207,24 +212,24 @@ def _write_scene(
     blank = ConversionReport(
         source=str(source),
         source_format=scene.format,
-        target=str(target.place),
+        target=str(target.location),
         target_format=writer.name,
-        notices=scene.notices,
+        warnings=scene.warnings,
         losses=LossReport(),
-        fields=field_fates(counting.counts(), writer.supports, (), {}),
+        fields=field_supports(counting.counts(), writer.supports, (), {}),
         written=False,
     )
 
     def judged(losses: LossReport) -> ConversionReport:
-        fates = field_fates(counting.counts(), writer.supports, losses, kinds_by_id(scene))
-        return msgspec.structs.replace(blank, losses=losses, fields=fates, written=True)
+        found = field_supports(counting.counts(), writer.supports, losses, kinds_by_id(scene))
+        return msgspec.structs.replace(blank, losses=losses, fields=found, written=True)
 
-    writer.check_output(target.place)
+    writer.check_output(target.location)
     return _written(partial(_written_scene, writer, counting.scene), blank, judged, target)
 
 
-def _written_scene(writer: FormatSpec, scene: Scene, place: Path, **writing: Any) -> LossReport:
-    return write_in(writer, scene, place, **writing)
+def _written_scene(writer: FormatSpec, scene: Scene, location: Path, **writing: Any) -> LossReport:
+    return write_in(writer, scene, location, **writing)
 
 
 def _written(
@@ -236,26 +241,26 @@ def _written(
     written = partial(write, overwrite=target.overwrite, **target.writing)
     with stage("writing"):
         if not target.strict:
-            return judged(written(target.place))
+            return judged(written(target.location))
         check_nothing_lost(expected)
-        return write_strictly(written, target.place, judged, overwrite=target.overwrite)
+        return write_strictly(written, target.location, judged, overwrite=target.overwrite)
 
 
-def _writer(place: Path, to: str | None) -> FormatSpec:
+def _writer(location: Path, to: str | None) -> FormatSpec:
     if to is None:
-        return format_for_output(place)
+        return format_for_output(location)
     if to not in format_names():
         known = ", ".join((*written_formats(), *TRAJECTORY_FORMS))
         raise OptionError(f"no format or form {to!r}; there are {known}")
     form = format_named(to)
     if not form.writes:
         known = ", ".join((*written_formats(), *TRAJECTORY_FORMS))
-        raise OptionError(f"{place}: the format {to} is only read; written are {known}")
+        raise OptionError(f"{location}: the format {to} is only read; written are {known}")
     return form
 
 
 def _telling(scene: Scene, progress: Progress | None) -> Scene:
-    """The scene that tells how many of its frames have been read; pictures of a video are written all at once."""
+    """The scene that reports how many of its frames have been read; images of a video are written all at once."""
     if progress is None:
         return scene
     total = sum(
@@ -266,10 +271,10 @@ def _telling(scene: Scene, progress: Progress | None) -> Scene:
     )
     read: set[tuple[type, Identifier, int]] = set()
 
-    def told(sensor_id: Identifier, k: int, frame: AnyFrame) -> None:
+    def reported(sensor_id: Identifier, k: int, frame: AnyFrame) -> None:
         if isinstance(frame, DepthFrame):
             return
         read.add((type(sensor_id), sensor_id, k))
         progress(min(len(read), total), total)
 
-    return watched(scene, told)
+    return watched(scene, reported)

@@ -6,11 +6,11 @@ from pathlib import Path
 import msgspec
 
 from sceneloom.errors import OptionError
-from sceneloom.formats.loss import Fate, LossReport
+from sceneloom.formats.loss import LossReport, Support
 from sceneloom.formats.output import replacing
-from sceneloom.pipeline.converting.fates import FieldFate, lost
+from sceneloom.pipeline.converting.supports import FieldSupport, lost
 from sceneloom.redaction import without_folders
-from sceneloom.scene.notices import Notice
+from sceneloom.scene.warnings import DataWarning
 
 
 class ConversionReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -19,8 +19,8 @@ class ConversionReport(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         source, source_format: what was read, and as what.
         target, target_format: what was written, and as what.
-        notices: what was assumed, repaired or left out on reading.
-        losses: what the writing told of this scene, place by place.
+        warnings: what was assumed, repaired or left out on reading.
+        losses: what the writing reported this scene, location by location.
         fields: every field that the source holds, and what became of it.
         written: whether the target is there; false where losing something was refused.
     """
@@ -29,17 +29,17 @@ class ConversionReport(msgspec.Struct, frozen=True, kw_only=True):
     source_format: str
     target: str
     target_format: str
-    notices: tuple[Notice, ...]
+    warnings: tuple[DataWarning, ...]
     losses: LossReport
-    fields: tuple[FieldFate, ...] = ()
+    fields: tuple[FieldSupport, ...] = ()
     written: bool = True
 
-    def of_fate(self, fate: Fate) -> tuple[FieldFate, ...]:
+    def of_support(self, support: Support) -> tuple[FieldSupport, ...]:
         """The fields that this became of."""
-        return tuple(field for field in self.fields if field.fate == fate)
+        return tuple(field for field in self.fields if field.support == support)
 
     @property
-    def lost(self) -> tuple[FieldFate, ...]:
+    def lost(self) -> tuple[FieldSupport, ...]:
         """The fields that are not wholly in the target."""
         return lost(self.fields)
 
@@ -48,7 +48,7 @@ REPORT_SUFFIXES = (".json", ".md", ".txt")
 
 
 def check_report_name(path: Path) -> None:
-    """Refuse a name for a report that does not say how to write it.
+    """Refuse a name for a report that does not state how to write it.
 
     Raises:
         OptionError: its suffix is none of those of reports.
@@ -84,47 +84,53 @@ def headline(report: ConversionReport) -> str:
     return f"{report.source} ({report.source_format}) → {report.target} ({report.target_format}){not_written}"
 
 
-def fate_rows(fields: Iterable[FieldFate]) -> list[tuple[str, str, str]]:
+def support_rows(fields: Iterable[FieldSupport]) -> list[tuple[str, str, str]]:
     """One row for each field: its name, how many objects or frames hold it, and what happened to it."""
     return [(field.field, str(field.count), explained(field)) for field in fields]
 
 
-def short_rows(fields: Iterable[FieldFate]) -> list[tuple[str, str, str]]:
-    """As `fate_rows`, with one row for all fields of a kind to which the same happened, by what their names share.
+def short_rows(fields: Iterable[FieldSupport]) -> list[tuple[str, str, str]]:
+    """As `support_rows`, with one row for all fields of a kind to which the same happened, by what their names share.
 
     Rows that name an option as a remedy come first: the others may not be shown.
     """
-    together: dict[tuple[str, str], list[FieldFate]] = {}
+    together: dict[tuple[str, str], list[FieldSupport]] = {}
     for field in fields:
         kind = ".".join(field.field.split(".")[:2])
         together.setdefault((kind, explained(field)), []).append(field)
     return sorted(
         (
-            fate_rows(same)[0] if len(same) == 1 else (f"{_beginning(same)}.*", f"{len(same)} fields", told)
-            for (_, told), same in together.items()
+            support_rows(same)[0]
+            if len(same) == 1
+            else (f"{_beginning(same)}.*", f"{len(same)} fields", reported)
+            for (_, reported), same in together.items()
         ),
         key=lambda row: "`--" not in row[2],
     )
 
 
-def _beginning(fields: Iterable[FieldFate]) -> str:
+def _beginning(fields: Iterable[FieldSupport]) -> str:
     """What the names have in common, up to a dot."""
     names = [field.field.split(".") for field in fields]
     shared = [parts[0] for parts in zip(*names, strict=False) if len(set(parts)) == 1]
     return ".".join(shared)
 
 
-def explained(field: FieldFate) -> str:
+def explained(field: FieldSupport) -> str:
     """What happened to a field, and by how much its worst value is off."""
-    told = "; ".join(field.how)
+    reported = "; ".join(field.how)
     worst = "" if field.largest_error is None else f"largest error {field.largest_error:.3g}"
-    return "; ".join(filter(None, (told, worst)))
+    return "; ".join(filter(None, (reported, worst)))
 
 
-def fate_groups(report: ConversionReport) -> list[tuple[str, tuple[FieldFate, ...], bool]]:
-    """The fields by what became of them, the worst first: a title, them, and whether there is more to say of them."""
-    kept = report.of_fate(Fate.KEPT)
-    groups = [(str(fate), report.of_fate(fate), True) for fate in reversed(Fate) if fate != Fate.KEPT]
+def support_groups(report: ConversionReport) -> list[tuple[str, tuple[FieldSupport, ...], bool]]:
+    """The fields by what became of them, the worst first: a title, them, and whether there is more to state of them."""
+    kept = report.of_support(Support.KEPT)
+    groups = [
+        (str(support), report.of_support(support), True)
+        for support in reversed(Support)
+        if support != Support.KEPT
+    ]
     groups += [
         ("kept aside, where other programs do not look", tuple(field for field in kept if field.how), True),
         ("kept", tuple(field for field in kept if not field.how), False),
@@ -134,24 +140,24 @@ def fate_groups(report: ConversionReport) -> list[tuple[str, tuple[FieldFate, ..
 
 def _text(report: ConversionReport) -> list[str]:
     lines = [headline(report)]
-    for title, fields, _ in fate_groups(report):
+    for title, fields, _ in support_groups(report):
         lines += ["", f"{title} ({len(fields)})"]
         lines += [
-            f"  {name} [{count}]" + (f": {how}" if how else "") for name, count, how in fate_rows(fields)
+            f"  {name} [{count}]" + (f": {how}" if how else "") for name, count, how in support_rows(fields)
         ]
     return lines
 
 
 def _markdown(report: ConversionReport) -> list[str]:
     lines = [f"# {headline(report)}"]
-    for title, fields, _ in fate_groups(report):
+    for title, fields, _ in support_groups(report):
         lines += [
             "",
             f"## {title[0].upper()}{title[1:]}",
             "| field | held by | how |",
             "| --- | ---: | --- |",
         ]
-        lines += [f"| `{name}` | {count} | {_cell(how)} |" for name, count, how in fate_rows(fields)]
+        lines += [f"| `{name}` | {count} | {_cell(how)} |" for name, count, how in support_rows(fields)]
     return lines
 
 

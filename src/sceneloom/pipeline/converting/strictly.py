@@ -6,14 +6,14 @@ from pathlib import Path
 from sceneloom.errors import LossError
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import on_trial
-from sceneloom.pipeline.converting.fates import FieldFate, lost
 from sceneloom.pipeline.converting.report import ConversionReport
+from sceneloom.pipeline.converting.supports import FieldSupport, lost
 
 _NAMED = 6
 """How many fields a message names."""
 
 Judged = Callable[[LossReport], ConversionReport]
-"""Makes the report of a conversion out of what the writing told."""
+"""Makes the report of a conversion out of what the writing reported."""
 
 
 def check_nothing_lost(report: ConversionReport) -> None:
@@ -30,7 +30,7 @@ def check_nothing_lost(report: ConversionReport) -> None:
 def write_strictly(
     write: Callable[[Path], LossReport], target: Path, judged: Judged, *, overwrite: bool
 ) -> ConversionReport:
-    """Write beside the target, and let it take the target's place if nothing was lost.
+    """Write beside the target, and let it take the target's location if nothing was lost.
 
     Args:
         write: writes to a path.
@@ -50,13 +50,14 @@ def write_strictly(
     return judged(write(target))
 
 
-def _problem(gone: Iterable[FieldFate], target_format: str) -> str:
+def _problem(gone: Iterable[FieldSupport], target_format: str) -> str:
     fields = list(gone)
     named = "; ".join(
-        f"{field.field} ({field.fate}{': ' + field.how[0] if field.how else ''})" for field in fields[:_NAMED]
+        f"{field.field} ({field.support}{': ' + field.how[0] if field.how else ''})"
+        for field in fields[:_NAMED]
     )
     further = f"; and {len(fields) - _NAMED} more" if len(fields) > _NAMED else ""
     return (
-        f"is not written, since {target_format} would not hold all: {named}{further}; say what to leave out first "
+        f"is not written, since {target_format} would not hold all: {named}{further}; state what to leave out first "
         "(`sceneloom edit`), choose a format that holds it (`sceneloom formats NAME`), or convert without `--strict`"
     )

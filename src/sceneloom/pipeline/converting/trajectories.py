@@ -7,7 +7,7 @@ from typing import Any
 
 from sceneloom.errors import UnknownFormatError, check_option_names
 from sceneloom.formats.loss import Loss, LossReport
-from sceneloom.formats.table import claims_of, format_and_place
+from sceneloom.formats.table import claims_of, format_and_location
 from sceneloom.formats.trajectories.content import TrajectoryFile
 from sceneloom.formats.trajectories.table import (
     TRAJECTORY_FORMS,
@@ -44,7 +44,7 @@ def holds_trajectory_only(path: str | Path) -> bool:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ChosenWay:
+class ChosenTrajectory:
     """A trajectory on its way to a file of its own.
 
     Attributes:
@@ -59,23 +59,23 @@ class ChosenWay:
     kinds: Mapping[str, str] = field(default_factory=dict)
     losses: tuple[Loss, ...] = ()
 
-    def write(self, place: Path, *, form: str, overwrite: bool, **writing: Any) -> LossReport:
+    def write(self, location: Path, *, form: str, overwrite: bool, **writing: Any) -> LossReport:
         """Write the file.
 
         Raises:
             OptionError: the trajectory lacks what the form needs.
             OutputError: the file exists, or cannot be written.
         """
-        return write_trajectory(self.content, place, form=form, overwrite=overwrite, **writing)
+        return write_trajectory(self.content, location, form=form, overwrite=overwrite, **writing)
 
 
-def chosen_way(
+def chosen_trajectory(
     source: str | Path,
     name: str | None,
     reading: Mapping[str, Any],
     writing: Mapping[str, Any],
     progress: Progress | None,
-) -> ChosenWay:
+) -> ChosenTrajectory:
     """Read the trajectory that is to be written, and see what else its source holds.
 
     Raises:
@@ -85,13 +85,15 @@ def chosen_way(
     check_option_names("writing a trajectory", writing, _WRITING)
     content = read_trajectory_file(source, name=name, progress=progress, **reading)
     if content.form in TRAJECTORY_FORMS:
-        return ChosenWay(content, contents_of(_drive(content, str(source), None)))
-    form, place = format_and_place(split_name(source)[0], format=content.form)
-    with form.open(place, **{key: value for key, value in reading.items() if key not in _OF_FILES}) as scene:
-        others = [way for way in scene.trajectories if way != content.trajectory.name]
+        return ChosenTrajectory(content, contents_of(_drive(content, str(source), None)))
+    form, location = format_and_location(split_name(source)[0], format=content.form)
+    with form.open(
+        location, **{key: value for key, value in reading.items() if key not in _OF_FILES}
+    ) as scene:
+        others = [trajectory for trajectory in scene.trajectories if trajectory != content.trajectory.name]
         what = f"not written: the file holds {content.trajectory.name!r}"
-        losses = tuple(Loss(field=f"trajectories[{way}]", what=what) for way in others)
-        return ChosenWay(content, contents_of(scene), kinds_by_id(scene), losses)
+        losses = tuple(Loss(field=f"trajectories[{trajectory}]", what=what) for trajectory in others)
+        return ChosenTrajectory(content, contents_of(scene), kinds_by_id(scene), losses)
 
 
 def drive_of(source: str | Path, name: str | None, reading: Mapping[str, Any]) -> Scene:
@@ -106,8 +108,12 @@ def drive_of(source: str | Path, name: str | None, reading: Mapping[str, Any]) -
 def _drive(content: TrajectoryFile, source: str, name: str | None) -> Scene:
     if content.fixes is not None:
         fixes = replace(content.fixes, id="gnss")
-        return Scene((fixes,), source=source, format=content.form, notices=content.notices)
-    way = content.trajectory if name is None else replace(content.trajectory, name=name)
+        return Scene((fixes,), source=source, format=content.form, warnings=content.warnings)
+    trajectory = content.trajectory if name is None else replace(content.trajectory, name=name)
     return Scene(
-        (), trajectories={way.name: way}, source=source, format=content.form, notices=content.notices
+        (),
+        trajectories={trajectory.name: trajectory},
+        source=source,
+        format=content.form,
+        warnings=content.warnings,
     )

@@ -7,8 +7,8 @@ from typing import Any
 
 from sceneloom.formats.table import check_scene_output, write_scene
 from sceneloom.pipeline.deskewing.plan import plan_deskew
-from sceneloom.pipeline.deskewing.report import DeskewReport, DeskewTally
-from sceneloom.pipeline.fusing.report import told_once
+from sceneloom.pipeline.deskewing.report import DeskewReport, DeskewStatistics
+from sceneloom.pipeline.fusing.report import reported_once
 from sceneloom.pipeline.play import Skips, telling
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, Progress
@@ -33,20 +33,20 @@ def deskew(
 
     Args:
         output: a scene file or a recording, by its suffix.
-        trajectory: name of the ego's way, "identity", "lidar" to find it from the sweeps, "imu" to undo only the
-            turning that the IMU tells, or None for the scene's default.
+        trajectory: name of the ego trajectory, "identity", "lidar" to find it from the sweeps, "imu" to undo only the
+            rotating that the IMU reports, or None for the scene's default.
         heading: "motion" to derive orientations where the trajectory has positions only.
         at: the moment of each sweep that its points are brought to: "start", "middle" or "end".
         lidar: id of the only lidar to deskew; None for all whose points are not in the world.
-        start: seconds after the scene's first time stamp, None for the beginning.
+        start: seconds after the scene's first timestamp, None for the beginning.
         stop: seconds after it, exclusive, None for the end.
         lenient: leave out sweeps that cannot be read, and count them.
-        progress: told after each sweep.
+        progress: reported after each sweep.
         overwrite: whether an output that exists may be replaced.
         writing: further options of the output's format.
 
     Returns:
-        What was done, in numbers, with all losses and notices.
+        What was done, in numbers, with all losses and warnings.
 
     Raises:
         OptionError: a value cannot be followed, or the scene was deskewed before.
@@ -55,9 +55,9 @@ def deskew(
         OutputError: the output exists, or cannot be written.
     """
     begun = time.perf_counter()
-    # finding the motion may take long: an output that cannot be is told before
+    # finding the motion may take long: an output that cannot be is reported before
     check_scene_output(Path(output), overwrite=overwrite)
-    skips, tally = Skips(), DeskewTally()
+    skips, statistics = Skips(), DeskewStatistics()
     with telling(skips):
         plan = plan_deskew(
             scene,
@@ -71,25 +71,25 @@ def deskew(
             progress=progress,
         )
         total = sum(len(sensor.frames) for sensor in plan.lidars)
-        changed = plan.deskewed(partial(tally.add, progress=progress, total=total))
+        changed = plan.deskewed(partial(statistics.add, progress=progress, total=total))
         losses = write_scene(changed, output, overwrite=overwrite, **writing)
     return DeskewReport(
         source=scene.source,
         output=str(output),
-        trajectory=plan.way,
+        trajectory=plan.trajectory,
         at=at,
         lidars=tuple(sensor.id for sensor in plan.lidars),
         sweeps=total + len(skips.reasons),
-        deskewed=tally.deskewed,
-        extrapolated=tally.extrapolated,
-        left=tally.left,
+        deskewed=statistics.deskewed,
+        extrapolated=statistics.extrapolated,
+        left=statistics.left,
         skipped=tuple(skips.reasons),
-        points=tally.points,
-        mean_shift=tally.shifted / tally.points if tally.points else 0.0,
-        max_shift=tally.farthest,
+        points=statistics.points,
+        mean_shift=statistics.shifted / statistics.points if statistics.points else 0.0,
+        max_shift=statistics.farthest,
         seconds=time.perf_counter() - begun,
         losses=losses,
-        notices=told_once(changed.notices, tally.times.notices()),
+        warnings=reported_once(changed.warnings, statistics.times.warnings()),
     )
 
 
@@ -103,7 +103,7 @@ def deskewed_scene(
 ) -> Scene:
     """Give the scene with sweeps that are deskewed when they are read; the arguments are those of `deskew`.
 
-    Points stay in their frame, as if all of a sweep had been measured at its new time stamp. When each was measured
+    Points stay in their frame, as if all of a sweep had been measured at its new timestamp. When each was measured
     stands in the further array `measured_timestamps_ns` of the points.
 
     Raises:

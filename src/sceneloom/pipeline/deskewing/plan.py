@@ -11,7 +11,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError, OptionError, PoseError
-from sceneloom.motion.ego_motion import find_ego_motion, is_computed, with_way_found
+from sceneloom.motion.ego_motion import find_ego_motion, is_computed, with_trajectory_estimated
 from sceneloom.motion.inertial import imu_motion
 from sceneloom.motion.one_moment import MOMENTS, DeskewedFrame, DeskewedFrames, Deskewer, typical_offset_ns
 from sceneloom.motion.sensor_paths import sensor_path
@@ -28,7 +28,7 @@ from sceneloom.scene.span import scene_period_ns, sweep_period_ns
 from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, Progress, key_of
 
 OURS, ENTRY = "sceneloom", "deskew"
-"""Where a scene's metadata say how it was deskewed."""
+"""Where a scene's metadata state how it was deskewed."""
 
 _NO_GAPS = np.zeros((0, 2), np.int64)
 
@@ -40,8 +40,8 @@ class DeskewPlan:
     Attributes:
         scene: as read, or a part of it.
         lidars: those to deskew.
-        ego: the way they are deskewed by; None where they go by poses of their own.
-        gaps_ns: (G, 2) int64 [ns], between which times the way is not known.
+        ego: the trajectory they are deskewed by; None where they go by poses of their own.
+        gaps_ns: (G, 2) int64 [ns], between which times the trajectory is not known.
         at: the moment of each sweep that its points are brought to.
     """
 
@@ -52,12 +52,12 @@ class DeskewPlan:
     at: str
 
     @property
-    def way(self) -> str | None:
-        """Name of the ego's way."""
+    def trajectory(self) -> str | None:
+        """Name of the ego trajectory."""
         return None if self.ego is None else self.ego.name
 
     def deskewed(self, on_frame: Callable[[Identifier, int, DeskewedFrame], None] | None = None) -> Scene:
-        """Give the scene whose sweeps are deskewed when they are read; `on_frame` is told of each."""
+        """Give the scene whose sweeps are deskewed when they are read; `on_frame` is reported each."""
         chosen = {key_of(sensor.id) for sensor in self.lidars}
         sensors = tuple(
             self._deskewed_lidar(sensor, on_frame)
@@ -70,15 +70,15 @@ class DeskewPlan:
             *_earlier(self.scene),
             {
                 "lidars": [sensor.id for sensor in self.lidars],
-                "trajectory": self.way,
+                "trajectory": self.trajectory,
                 "at": self.at,
                 # the name of a folder may hold bytes that are no Unicode
                 "source": Path(self.scene.source).name.encode(errors="replace").decode(),
             },
         ]
-        scene = self.scene if self.ego is None else _told(self.scene, self.ego)
-        told = {**(ours if isinstance(ours, Mapping) else {}), ENTRY: entries}
-        metadata = MappingProxyType({**self.scene.metadata, OURS: told})
+        scene = self.scene if self.ego is None else _reported(self.scene, self.ego)
+        reported = {**(ours if isinstance(ours, Mapping) else {}), ENTRY: entries}
+        metadata = MappingProxyType({**self.scene.metadata, OURS: reported})
         return replace(scene, sensors=sensors, metadata=metadata)
 
     def _deskewed_lidar(
@@ -90,23 +90,26 @@ class DeskewPlan:
             raise OptionError(_in_world(self.scene, sensor))
         offset_ns = typical_offset_ns(sensor.frames, period_ns, self.at)
         deskewer = Deskewer(source, period_ns, offset_ns, self.gaps_ns)
-        told = None if on_frame is None else partial(on_frame, sensor.id)
-        stamps_ns = sensor.frames.timestamps_ns + offset_ns
-        frames = LazyFrames(stamps_ns, DeskewedFrames(sensor.frames, deskewer, told))
+        reported = None if on_frame is None else partial(on_frame, sensor.id)
+        timestamps_ns = sensor.frames.timestamps_ns + offset_ns
+        frames = LazyFrames(timestamps_ns, DeskewedFrames(sensor.frames, deskewer, reported))
         poses = sensor.poses
-        if poses is not None and sensor.coordinates is Coordinates.WORLD and self.way != IMU:
+        if poses is not None and sensor.coordinates is Coordinates.WORLD and self.trajectory != IMU:
             poses = (
-                sensor_path(sensor_source(self.scene, sensor, self.ego, reach_ns=reach_ns), stamps_ns)
+                sensor_path(sensor_source(self.scene, sensor, self.ego, reach_ns=reach_ns), timestamps_ns)
                 or poses
             )
         return replace(sensor, frames=frames, poses=poses)
 
 
-def _told(scene: Scene, ego: EgoMotion) -> Scene:
-    """The scene with what is to be said of the ego's way, and with the way where it was found from the sweeps."""
+def _reported(scene: Scene, ego: EgoMotion) -> Scene:
+    """The scene with what is to be stated of the ego trajectory.
+
+    And with the trajectory where it was found from the sweeps.
+    """
     if is_computed(scene, ego.name):
-        return with_way_found(scene, ego)
-    return replace(scene, notices=(*scene.notices, *ego.notices))
+        return with_trajectory_estimated(scene, ego)
+    return replace(scene, warnings=(*scene.warnings, *ego.warnings))
 
 
 def plan_deskew(
@@ -121,7 +124,9 @@ def plan_deskew(
     skips: Skips | None = None,
     progress: Progress | None = None,
 ) -> DeskewPlan:
-    """Choose lidars, part and way; the arguments are those of `deskew`, `skips` collects sweeps that cannot be read.
+    """Choose lidars, part and trajectory; the arguments are those of `deskew`.
+
+    `skips` collects sweeps that cannot be read.
 
     Raises:
         OptionError: a value cannot be followed, or the scene was deskewed before.
@@ -144,7 +149,7 @@ def plan_deskew(
         return DeskewPlan(part, lidars, None, _NO_GAPS, at)
     if trajectory is not None:
         _check_on_ego(scene, lidars)
-    # a heading comes from the way before the part, too
+    # a heading comes from the trajectory before the part, too
     whole = part if heading is None else scene
     ego = find_ego_motion(
         whole, name=trajectory, heading=heading, progress=progress, lenient=skips is not None
@@ -153,7 +158,7 @@ def plan_deskew(
 
 
 def _all_placed(lidars: tuple[LidarSensor, ...]) -> bool:
-    """Whether each has poses in the world and no mounting, so that the ego's way says nothing about it."""
+    """Whether each has poses in the world and no mounting, so that the ego trajectory says nothing about it."""
     return all(
         sensor.points_frame is PointsFrame.SENSOR
         and sensor.mount is None
@@ -168,7 +173,7 @@ def _check_on_ego(scene: Scene, lidars: tuple[LidarSensor, ...]) -> None:
         on_ego = sensor.poses is not None and sensor.coordinates is Coordinates.EGO
         if sensor.mount is None and sensor.points_frame is PointsFrame.SENSOR and not on_ego:
             raise PoseError(
-                f"{scene.source}: it is not known how lidar {sensor.id!r} is mounted on the ego, so the ego's way "
+                f"{scene.source}: it is not known how lidar {sensor.id!r} is mounted on the ego, so the ego trajectory "
                 "cannot deskew it; leave the trajectory out to use the poses that the lidar has of its own"
             )
 
@@ -197,7 +202,7 @@ def _chosen_lidars(scene: Scene, lidar: Identifier | None) -> tuple[LidarSensor,
 
 
 def _earlier(scene: Scene) -> list[Mapping[str, Any]]:
-    """What the metadata say of earlier deskewing; whatever else stands in that place is passed over."""
+    """What the metadata state of earlier deskewing; whatever else stands in that location is passed over."""
     ours = scene.metadata.get(OURS)
     entries = ours.get(ENTRY) if isinstance(ours, Mapping) else None
     if not isinstance(entries, list):

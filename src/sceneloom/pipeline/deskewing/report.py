@@ -7,9 +7,9 @@ import numpy as np
 
 from sceneloom.formats.loss import LossReport
 from sceneloom.motion.one_moment import DeskewedFrame
-from sceneloom.motion.point_time_notices import PointTimesTally
-from sceneloom.scene.notices import Notice
+from sceneloom.motion.point_time_warnings import PointTimesStatistics
 from sceneloom.scene.types import Identifier, Progress
+from sceneloom.scene.warnings import DataWarning
 
 
 class DeskewReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -18,7 +18,7 @@ class DeskewReport(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         source: what was read.
         output: what was written.
-        trajectory: name of the ego's way, or None where the lidars' own poses were used.
+        trajectory: name of the ego trajectory, or None where the lidars' own poses were used.
         at: the moment of each sweep that its points were brought to: "start", "middle" or "end".
         lidars: the lidars that were deskewed.
         sweeps: how many they have.
@@ -26,11 +26,11 @@ class DeskewReport(msgspec.Struct, frozen=True, kw_only=True):
         extrapolated: those of them that needed poses beyond the trajectory's ends.
         left: why the others stayed as they were, with counts.
         skipped: sweeps that could not be read, one line each.
-        points: points of the deskewed sweeps whose place is a number.
+        points: points of the deskewed sweeps whose location is a number.
         mean_shift, max_shift: how far these were moved [m].
         seconds: how long it took.
         losses: what the output could not hold.
-        notices: what was assumed, repaired or left out.
+        warnings: what was assumed, repaired or left out.
     """
 
     source: str
@@ -48,11 +48,11 @@ class DeskewReport(msgspec.Struct, frozen=True, kw_only=True):
     max_shift: float
     seconds: float
     losses: LossReport
-    notices: tuple[Notice, ...]
+    warnings: tuple[DataWarning, ...]
 
 
 @dataclass(slots=True)
-class DeskewTally:
+class DeskewStatistics:
     """Counts what became of the sweeps; each counts once, however often it is read."""
 
     deskewed: int = 0
@@ -61,7 +61,7 @@ class DeskewTally:
     shifted: float = 0.0
     farthest: float = 0.0
     left: dict[str, int] = field(default_factory=dict)
-    times: PointTimesTally = field(default_factory=PointTimesTally)
+    times: PointTimesStatistics = field(default_factory=PointTimesStatistics)
     seen: set[tuple[type, Identifier, int]] = field(default_factory=set)
 
     def add(
@@ -73,7 +73,7 @@ class DeskewTally:
         progress: Progress | None,
         total: int,
     ) -> None:
-        """Count sweep `k` of a sensor, and tell how many of all are done."""
+        """Count sweep `k` of a sensor, and report how many of all are done."""
         key = (type(sensor_id), sensor_id, k)
         if key in self.seen:
             return

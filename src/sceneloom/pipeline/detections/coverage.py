@@ -21,7 +21,7 @@ class CoveringFusion:
     """Fusion by projection for detectors that do not look for the same classes.
 
     Attributes:
-        classes_2d, classes_3d: that the detectors of pictures and of sweeps look for.
+        classes_2d, classes_3d: that the detectors of images and of sweeps look for.
         settings: what is taken for granted about detectors otherwise.
     """
 
@@ -32,13 +32,13 @@ class CoveringFusion:
     def __call__(self, pair: DetectionPair) -> FusedBoxes:
         """Fuse the boxes that both could find, and take those that only one could find as they are."""
         in_space = _looked_for(pair.boxes_3d, self.classes_2d)
-        in_picture = _looked_for(pair.boxes_2d, self.classes_3d)
-        parts = [_part(pair, in_space, in_picture, self.settings)]
+        in_image = _looked_for(pair.boxes_2d, self.classes_3d)
+        parts = [_part(pair, in_space, in_image, self.settings)]
         none = np.zeros(len(pair.boxes_3d), np.bool_), np.zeros(len(pair.boxes_2d), np.bool_)
         if not in_space.all():
             parts.append(_part(pair, ~in_space, none[1], replace(self.settings, recall_2d=0.0)))
-        if not in_picture.all():
-            parts.append(_part(pair, none[0], ~in_picture, replace(self.settings, recall_3d=0.0)))
+        if not in_image.all():
+            parts.append(_part(pair, none[0], ~in_image, replace(self.settings, recall_3d=0.0)))
         return together(parts)
 
 
@@ -47,12 +47,12 @@ def _looked_for(boxes: Boxes3D | Boxes2D, classes: Classes) -> BoolArray:
 
 
 def _part(
-    pair: DetectionPair, in_space: BoolArray, in_picture: BoolArray, settings: ProjectionSettings
+    pair: DetectionPair, in_space: BoolArray, in_image: BoolArray, settings: ProjectionSettings
 ) -> FusedBoxes:
-    """Fuse some of the boxes; rows are told of all."""
-    if in_space.all() and in_picture.all():
+    """Fuse some of the boxes; rows are reported all."""
+    if in_space.all() and in_image.all():
         return fuse_by_projection(pair, settings=settings)
-    rows_3d, rows_2d = np.flatnonzero(in_space), np.flatnonzero(in_picture)
+    rows_3d, rows_2d = np.flatnonzero(in_space), np.flatnonzero(in_image)
     some = replace(pair, boxes_3d=pair.boxes_3d.select(rows_3d), boxes_2d=pair.boxes_2d.select(rows_2d))
     fused = fuse_by_projection(some, settings=settings)
     return replace(fused, rows_3d=_of_all(fused.rows_3d, rows_3d), rows_2d=_of_all(fused.rows_2d, rows_2d))

@@ -19,26 +19,26 @@ from sceneloom.geometry.interpolation import OUT_OF_REACH
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detections.sweep_points import SweepPoints
 from sceneloom.scene.detections import Boxes2D, Boxes3D
-from sceneloom.scene.notices import Notice, NoticeKind
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.types import Identifier
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 Timed = TypeVar("Timed", Boxes2D, Boxes3D)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectedCamera:
-    """A camera, and what was found in its pictures.
+    """A camera, and what was found in its images.
 
     Attributes:
-        lens: of its pictures.
+        camera_model: of its images.
         source: `world_from_camera`.
-        boxes: of each picture, in the order of time; one without boxes: a picture in which nothing was found.
+        boxes: of each image, in the order of time; one without boxes: an image in which nothing was found.
         classes: that its detector looks for; None for all that there are, empty where it has none.
     """
 
-    lens: Camera
+    camera_model: Camera
     source: PoseSource
     boxes: Sequence[Boxes2D]
     classes: frozenset[str] | None = None
@@ -56,10 +56,10 @@ class DetectedDrive:
         cameras: by id.
         classes: that the detector of sweeps looks for; None for all that there are.
         period_ns: the usual time from sweep to sweep [ns].
-        detectors: name of what is known of such detectors, for those who say none; None for the usual one.
-        way_known: whether the ego's way is known; else the world is the ego's frame.
-        points: of the sweeps, by which what pictures alone show is placed; None where there are none.
-        notices: what was assumed or is missing.
+        detectors: name of what is known of such detectors, for those who state none; None for the usual one.
+        trajectory_known: whether the ego trajectory is known; else the world is the ego's frame.
+        points: of the sweeps, by which what images alone show is placed; None where there are none.
+        warnings: what was assumed or is missing.
     """
 
     name: str
@@ -70,9 +70,9 @@ class DetectedDrive:
     classes: frozenset[str] | None = None
     period_ns: int = PERIOD_NS
     detectors: str | None = None
-    way_known: bool = True
+    trajectory_known: bool = True
     points: SweepPoints | None = None
-    notices: tuple[Notice, ...] = field(default=())
+    warnings: tuple[DataWarning, ...] = field(default=())
 
     @property
     def timestamps_ns(self) -> Int64Array:
@@ -95,12 +95,12 @@ class DetectedDrive:
             return None
         return frozenset[str]().union(*(classes for classes in known if classes is not None))
 
-    def places(self) -> tuple[RigidTransform, ...]:
-        """`world_from_lidar` at each sweep; beyond the ends of the ego's way its first and last pose hold."""
+    def locations(self) -> tuple[RigidTransform, ...]:
+        """`world_from_lidar` at each sweep; beyond the ends of the ego trajectory its first and last pose hold."""
         return poses_at(self.source, self.timestamps_ns)
 
     def between(self, span_ns: tuple[int, int]) -> "DetectedDrive":
-        """The same drive, as if detectors had looked in [start, stop) [ns] alone, and in pictures a period around."""
+        """The same drive, as if detectors had looked in [start, stop) [ns] alone, and in images a period around."""
 
         def within(boxes: Sequence[Timed], more_ns: int) -> tuple[Timed, ...]:
             times = [one.timestamp_ns for one in boxes]
@@ -114,7 +114,7 @@ class DetectedDrive:
         return replace(self, boxes=within(self.boxes, 0), cameras=cameras)
 
     def of_classes(self, classes: frozenset[str]) -> "DetectedDrive":
-        """The same drive, as if detectors looked for some classes alone; sweeps and pictures stay."""
+        """The same drive, as if detectors looked for some classes alone; sweeps and images stay."""
 
         def chosen(boxes: Boxes3D | Boxes2D) -> Int64Array:
             return np.flatnonzero([label in classes for label in boxes.labels])
@@ -129,12 +129,12 @@ class DetectedDrive:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moment:
-    """One sweep, and the pictures that belong to it.
+    """One sweep, and the images that belong to it.
 
     Attributes:
         timestamp_ns: of the sweep [ns].
         world_from_lidar: at that time.
-        pairs: by camera that has a picture of that time, without points.
+        pairs: by camera that has an image of that time, without points.
         boxes_3d: of the sweep.
         points: of the sweeps, or None.
     """
@@ -146,7 +146,7 @@ class Moment:
     points: SweepPoints | None = None
 
     def pairs_with_points(self) -> Mapping[Identifier, DetectionPair]:
-        """The pairs with the points of the sweep, which are read now, if any picture has boxes.
+        """The pairs with the points of the sweep, which are read now, if any image has boxes.
 
         Raises:
             DataError: the sweep cannot be read.
@@ -159,8 +159,8 @@ class Moment:
 
 
 def moments(drive: DetectedDrive) -> Iterator[Moment]:
-    """Put each sweep and the nearest picture of each camera together, if it is no farther than half a period."""
-    places = drive.places()
+    """Put each sweep and the nearest image of each camera together, if it is no farther than half a period."""
+    locations = drive.locations()
     partners = {camera_id: _nearest(drive, camera) for camera_id, camera in drive.cameras.items()}
     seen_from = {
         camera_id: poses_at(camera.source, np.array([b.timestamp_ns for b in camera.boxes], np.int64))
@@ -172,25 +172,27 @@ def moments(drive: DetectedDrive) -> Iterator[Moment]:
             row = partners[camera_id][k]
             if row < 0:
                 continue
-            camera_from_lidar = seen_from[camera_id][row].inverse() @ places[k]
-            pairs[camera_id] = DetectionPair(boxes, camera.boxes[row], camera.lens, camera_from_lidar)
-        yield Moment(boxes.timestamp_ns, places[k], pairs, boxes, drive.points)
+            camera_from_lidar = seen_from[camera_id][row].inverse() @ locations[k]
+            pairs[camera_id] = DetectionPair(boxes, camera.boxes[row], camera.camera_model, camera_from_lidar)
+        yield Moment(boxes.timestamp_ns, locations[k], pairs, boxes, drive.points)
 
 
-def calibration_notices(drive: DetectedDrive) -> tuple[Notice, ...]:
-    """What the boxes of pictures and sweeps say of the calibration of each camera: nothing where they come together."""
+def calibration_warnings(drive: DetectedDrive) -> tuple[DataWarning, ...]:
+    """What the boxes of images and sweeps state of the calibration of each camera: nothing where they come together."""
     residuals = {camera_id: BoxResiduals() for camera_id in drive.cameras}
     for moment in moments(drive):
         for camera_id, pair in moment.pairs.items():
             residuals[camera_id].add(pair)
-    return tuple(notice for camera_id, found in residuals.items() for notice in found.notices(str(camera_id)))
+    return tuple(
+        warning for camera_id, found in residuals.items() for warning in found.warnings(str(camera_id))
+    )
 
 
 _NONE = -1
 
 
 def _nearest(drive: DetectedDrive, camera: DetectedCamera) -> list[int]:
-    """For each sweep the row of the nearest picture, `_NONE` where none is near; of two the earlier one."""
+    """For each sweep the row of the nearest image, `_NONE` where none is near; of two the earlier one."""
     times = np.array([boxes.timestamp_ns for boxes in camera.boxes], np.int64)
     sweeps = drive.timestamps_ns
     if not len(times):
@@ -204,7 +206,7 @@ def _nearest(drive: DetectedDrive, camera: DetectedCamera) -> list[int]:
 
 
 def poses_at(source: PoseSource, times_ns: Int64Array) -> tuple[RigidTransform, ...]:
-    """`world_from_sensor` at each time, (N,) int64 [ns]; beyond reach, the nearest end of the way holds."""
+    """`world_from_sensor` at each time, (N,) int64 [ns]; beyond reach, the nearest end of the trajectory holds."""
     found = source.at(times_ns)
     beyond = found.coverage == OUT_OF_REACH
     positions, quaternions = found.positions.copy(), found.quaternions_xyzw.copy()
@@ -223,23 +225,27 @@ def kitti_detectors() -> str | None:
     return next((name for name in detector_names() if name.startswith("kitti")), None)
 
 
-def projection_settings(drive: DetectedDrive, said: ProjectionSettings | None) -> ProjectionSettings:
-    """What fusion by projection takes for granted: what was said, else what is known of the drive's detectors."""
-    if said is not None:
-        return said
+def projection_settings(drive: DetectedDrive, stated: ProjectionSettings | None) -> ProjectionSettings:
+    """What fusion by projection takes for granted: what was stated, else what is known of the drive's detectors."""
+    if stated is not None:
+        return stated
     return ProjectionSettings() if drive.detectors is None else ProjectionSettings(detectors=drive.detectors)
 
 
 def kitti_drive(sequence: KittiSequence) -> DetectedDrive:
     """A sequence of KITTI's tracking benchmark as a drive.
 
-    Without the way of its OXTS unit the lidar's frame stands for the world.
+    Without the trajectory of its OXTS unit the lidar's frame stands for the world.
     """
     path, ego_from_lidar = sequence.world_from_ego, RigidTransform.identity()
-    notices = list(sequence.notices)
+    warnings = list(sequence.warnings)
     if path is None or sequence.lidar_from_imu is None:
-        message = "the ego's way is not known: objects are followed as if it stood still"
-        notices.append(Notice(kind=NoticeKind.ASSUMED, code="no-way", place=sequence.name, message=message))
+        message = "the ego trajectory is not known: objects are followed as if it was stationary"
+        warnings.append(
+            DataWarning(
+                kind=WarningKind.ASSUMED, code="no-trajectory", location=sequence.name, message=message
+            )
+        )
     else:
         ego_from_lidar = sequence.lidar_from_imu.inverse()
     known = path is not None and sequence.lidar_from_imu is not None
@@ -248,8 +254,8 @@ def kitti_drive(sequence: KittiSequence) -> DetectedDrive:
         message = (
             f"boxes are taken to be as sure and exact as those of {detectors}; `--detectors` says otherwise"
         )
-        notices.append(Notice(kind=NoticeKind.ASSUMED, code="detectors", place="", message=message))
-    path = path if known and path is not None else PosePath.identity()
+        warnings.append(DataWarning(kind=WarningKind.ASSUMED, code="detectors", location="", message=message))
+    path = path if known and path is not None else Poses.identity()
     frames = range(sequence.frame_count)
     camera = DetectedCamera(
         sequence.camera,
@@ -266,6 +272,6 @@ def kitti_drive(sequence: KittiSequence) -> DetectedDrive:
         classes=sequence.classes_3d,
         period_ns=PERIOD_NS,
         detectors=detectors,
-        way_known=known,
-        notices=tuple(notices),
+        trajectory_known=known,
+        warnings=tuple(warnings),
     )

@@ -31,11 +31,11 @@ class DetectionFiles:
 
     Attributes:
         boxes_3d: of the detector of sweeps; several are put together.
-        boxes_2d: of detectors of pictures.
+        boxes_2d: of detectors of images.
         lidar: whose boxes they are; None for the only one.
         cameras: whose boxes each file of `boxes_2d` has, in the same order; one for all; empty for the only camera, or
             for those that the records of the files name.
-        trajectory, heading: the ego's way, as for `fuse`.
+        trajectory, heading: the ego trajectory, as for `fuse`.
         whole: the drive that the scene is a part of, where it is one: lists number its frames.
     """
 
@@ -52,7 +52,7 @@ def scene_drive(scene: Scene, files: DetectionFiles, *, lenient: bool = False) -
     """Read the boxes of a scene's detectors; of a part of a drive those of its time.
 
     Without boxes of sweeps, the sweeps of the lidar are those in which nothing was looked for; without a lidar, the
-    pictures of the first camera take their place.
+    images of the first camera take their location.
 
     Args:
         scene: the drive.
@@ -95,11 +95,11 @@ def scene_drive(scene: Scene, files: DetectionFiles, *, lenient: bool = False) -
             classes=None if files.boxes_3d else frozenset(),
             period_ns=sweep_period_ns(lidar),
             points=SweepPoints.of(scene, lidar.id, source),
-            notices=(*scene.notices, *ledger.notices),
+            warnings=(*scene.warnings, *ledger.warnings),
         )
     if files.whole is None or not len(sweeps):
         return drive
-    margin_ns = drive.period_ns // 2  # detectors stamp what they find at any time of a sweep
+    margin_ns = drive.period_ns // 2  # detectors timestamp what they find at any time of a sweep
     return drive.between((int(sweeps[0]) - margin_ns, int(sweeps[-1]) + margin_ns))
 
 
@@ -118,7 +118,10 @@ def _chosen(scene: Scene, chosen: Identifier | None) -> LidarSensor:
 
 
 def _reference_times(lidar: LidarSensor) -> Int64Array:
-    """When the boxes of each sweep hold: at the middle of its points, as far after its stamp as in the first sweep."""
+    """When the boxes of each sweep hold: at the middle of its points.
+
+    As far after its timestamp as in the first sweep.
+    """
     times = lidar.frames.timestamps_ns
     if not len(times):
         return times
@@ -144,7 +147,7 @@ def _cameras(
     lists: dict[Identifier, list[Sequence[Boxes2D]]] = {}
     for path, camera, number in _assigned(scene, files):
         whole = camera if files.whole is None else _camera(files.whole, camera.id)
-        context = ListContext(camera.id, whole.pictures.timestamps_ns, number=number, others=_numbers(scene))
+        context = ListContext(camera.id, whole.images.timestamps_ns, number=number, others=_numbers(scene))
         lists.setdefault(camera.id, []).append(read_boxes_2d(path, context, ledger))
     return {
         camera_id: _detected(scene, _camera(scene, camera_id), _together_2d(found), ego)
@@ -165,10 +168,10 @@ def _assigned(scene: Scene, files: DetectionFiles) -> list[tuple[Path, CameraSen
         return [(path, only, None) for path in files.boxes_2d]
     if named:
         raise OptionError(
-            f"{len(files.boxes_2d)} files of boxes in pictures and {len(named)} cameras; expected one for each file"
+            f"{len(files.boxes_2d)} files of boxes in images and {len(named)} cameras; expected one for each file"
         )
     if not scene.cameras:
-        raise OptionError(f"{scene.source}: boxes in pictures, and no camera in it")
+        raise OptionError(f"{scene.source}: boxes in images, and no camera in it")
     first = len(scene.lidars)
     return [(path, camera, first + k) for path in files.boxes_2d for k, camera in enumerate(scene.cameras)]
 
@@ -184,7 +187,7 @@ def _detected(
 ) -> DetectedCamera:
     source = sensor_source(scene, camera, ego, reach_ns=scene_period_ns(scene))
     if boxes is None:
-        none = tuple(Boxes2D.empty(t, sensor_id=camera.id) for t in camera.pictures.timestamps_ns.tolist())
+        none = tuple(Boxes2D.empty(t, sensor_id=camera.id) for t in camera.images.timestamps_ns.tolist())
         return DetectedCamera(camera.camera, source, none, frozenset())
     return DetectedCamera(camera.camera, source, tuple(boxes))
 
@@ -248,7 +251,7 @@ def _together_2d(lists: Sequence[Sequence[Boxes2D]]) -> list[Boxes2D]:
 
 
 def joined_2d(parts: Sequence[Boxes2D]) -> Boxes2D:
-    """Boxes of one picture put together."""
+    """Boxes of one image put together."""
     if len(parts) == 1:
         return parts[0]
     first = parts[0]

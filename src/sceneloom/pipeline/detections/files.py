@@ -26,19 +26,19 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detections.detected import (
     DetectedCamera,
     DetectedDrive,
-    calibration_notices,
+    calibration_warnings,
     kitti_drive,
     poses_at,
 )
 from sceneloom.pipeline.detections.fused import detections_record, fused_boxes_of, iter_fused_detections
 from sceneloom.pipeline.detections.kitti_objects import kitti_objects
-from sceneloom.pipeline.detections.report import DetectionFusionReport, DetectionTally, FusedDriveReport
+from sceneloom.pipeline.detections.report import DetectionFusionReport, DetectionStatistics, FusedDriveReport
 from sceneloom.scene.detections import Boxes3D
-from sceneloom.scene.notices import Notice
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.span import usual_period_ns
 from sceneloom.scene.types import Identifier, Progress
+from sceneloom.scene.warnings import DataWarning
 from sceneloom.tracking.observation import Observation, View
 
 SIDE_SUFFIX = ".frames.jsonl"
@@ -66,7 +66,7 @@ def fuse_folder_detections(
         settings: what fusion by projection takes for granted; None for what is known of the drive's detectors.
         form: "jsonl", or "kitti" for one file of KITTI's text, `NNNN.txt`, without tracks.
         overwrite: whether files that exist may be replaced.
-        progress: told after each pair.
+        progress: reported after each pair.
 
     Raises:
         DataError: a file is faulty, or a sequence is not there.
@@ -86,7 +86,7 @@ def fuse_folder_detections(
                 file = folder / f"{name}.txt"
                 fused = list(iter_fused_detections(drive, configuration=configuration, settings=settings))
                 write_labels(kitti_objects(fused, sequence.rectified_from_lidar), file)
-                reports.append(_drive_report(drive, output / file.name, DetectionTally.of(fused)))
+                reports.append(_drive_report(drive, output / file.name, DetectionStatistics.of(fused)))
             else:
                 draft = folder / f"{name}.jsonl"
                 report = _fuse_into(
@@ -95,7 +95,7 @@ def fuse_folder_detections(
                 reports.append(report)
             if progress is not None:
                 progress(k + 1, len(names))
-    return _report(str(tracking.path), output, reports, tracking.notices, begun)
+    return _report(str(tracking.path), output, reports, tracking.warnings, begun)
 
 
 def fuse_drive_detections(
@@ -115,7 +115,7 @@ def fuse_drive_detections(
         configuration: settings of the fusion system.
         settings: what fusion by projection takes for granted; None for what is known of the drive's detectors.
         overwrite: whether files that exist may be replaced.
-        progress: told after each pair.
+        progress: reported after each pair.
 
     Raises:
         OutputError: a file exists, or cannot be written.
@@ -143,52 +143,52 @@ def _fuse_into(
     settings: ProjectionSettings | None,
     progress: Progress | None = None,
 ) -> FusedDriveReport:
-    tally = DetectionTally()
+    statistics = DetectionStatistics()
     numbers = {camera_id: k for k, camera_id in enumerate(drive.cameras, start=1)}
     with draft.open("w", encoding="utf-8", newline="\n") as lines, side.open("wb") as sides:
         for frame in iter_fused_detections(drive, configuration=configuration, settings=settings):
-            tally.add(frame)
+            statistics.add(frame)
             if progress is not None:
                 progress(frame.index + 1, len(drive.boxes))
-            lens = drive.cameras[frame.camera_id].lens
-            record = detections_record(frame, lens, camera_number=numbers[frame.camera_id])
+            camera_model = drive.cameras[frame.camera_id].camera_model
+            record = detections_record(frame, camera_model, camera_number=numbers[frame.camera_id])
             lines.write(f"{format_json(record)}\n")
-            sides.write(msgspec.json.encode(_side(drive, frame, lens)) + b"\n")
-    return _drive_report(drive, output, tally)
+            sides.write(msgspec.json.encode(_side(drive, frame, camera_model)) + b"\n")
+    return _drive_report(drive, output, statistics)
 
 
-def _drive_report(drive: DetectedDrive, output: Path, tally: DetectionTally) -> FusedDriveReport:
+def _drive_report(drive: DetectedDrive, output: Path, statistics: DetectionStatistics) -> FusedDriveReport:
     return FusedDriveReport(
         name=drive.name,
         file=str(output),
-        pairs=tally.pairs,
-        unpaired=len(drive.boxes) - tally.fused_sweeps,
-        objects=tally.both + tally.sweeps_only + tally.pictures_only,
-        both=tally.both,
-        sweeps_only=tally.sweeps_only,
-        pictures_only=tally.pictures_only,
-        by_class=dict(tally.by_class),
-        notices=(*drive.notices, *calibration_notices(drive)),
+        pairs=statistics.pairs,
+        unpaired=len(drive.boxes) - statistics.fused_sweeps,
+        objects=statistics.both + statistics.sweeps_only + statistics.images_only,
+        both=statistics.both,
+        sweeps_only=statistics.sweeps_only,
+        images_only=statistics.images_only,
+        by_class=dict(statistics.by_class),
+        warnings=(*drive.warnings, *calibration_warnings(drive)),
     )
 
 
-def _side(drive: DetectedDrive, frame: FusedDetectionFrame, lens: Camera) -> dict[str, Any]:
-    """Where lidar and camera were, which lens it was, as one line."""
+def _side(drive: DetectedDrive, frame: FusedDetectionFrame, camera_model: Camera) -> dict[str, Any]:
+    """Where lidar and camera were, which camera model it was, as one line."""
     camera = drive.cameras[frame.camera_id]
     (world_from_lidar,) = poses_at(drive.source, np.array([frame.timestamp_ns], np.int64))
-    (world_from_camera,) = poses_at(camera.source, np.array([frame.picture_timestamp_ns], np.int64))
+    (world_from_camera,) = poses_at(camera.source, np.array([frame.image_timestamp_ns], np.int64))
     return {
         "timestamp_ns": frame.timestamp_ns,
-        "picture_timestamp_ns": frame.picture_timestamp_ns,
+        "image_timestamp_ns": frame.image_timestamp_ns,
         "lidar": frame.lidar_id,
         "camera": frame.camera_id,
         "world_from_lidar": _seven(world_from_lidar),
         "world_from_camera": _seven(world_from_camera),
-        "lens": {
-            "model": lens.model,
-            "size_wh": [lens.width, lens.height],
-            "fx_fy_cx_cy": [lens.fx, lens.fy, lens.cx, lens.cy],
-            "coefficients": list(lens.coefficients),
+        "camera_model": {
+            "model": camera_model.model,
+            "size_wh": [camera_model.width, camera_model.height],
+            "fx_fy_cx_cy": [camera_model.fx, camera_model.fy, camera_model.cx, camera_model.cy],
+            "coefficients": list(camera_model.coefficients),
         },
     }
 
@@ -199,15 +199,15 @@ def _seven(pose: RigidTransform) -> list[float]:
 
 
 def _report(
-    source: str, output: Path, reports: list[FusedDriveReport], notices: Iterable[Notice], begun: float
+    source: str, output: Path, reports: list[FusedDriveReport], warnings: Iterable[DataWarning], begun: float
 ) -> DetectionFusionReport:
     return DetectionFusionReport(
         source=source,
         output=str(output),
         drives=tuple(reports),
         seconds=time.perf_counter() - begun,
-        notices=tuple(
-            dict.fromkeys([*notices, *(notice for report in reports for notice in report.notices)])
+        warnings=tuple(
+            dict.fromkeys([*warnings, *(warning for report in reports for warning in report.warnings)])
         ),
     )
 
@@ -215,7 +215,7 @@ def _report(
 def fused_files(path: Path) -> tuple[Path, ...]:
     """The files of results that a path has: itself, or those in a folder; () for none.
 
-    A file is known by its first line, so that one whose other file is missing is told so.
+    A file is known by its first line, so that one whose other file is missing is reported so.
     """
     found = sorted(path.glob("*.jsonl")) if path.is_dir() else [path] if path.is_file() else []
     return tuple(file for file in found if _begins_with_detections(file))
@@ -256,7 +256,7 @@ def read_fused(path: Path) -> tuple[DetectedDrive, tuple[Observation, ...]]:
     return _drive(path, sides, sorted(by_time)), observations
 
 
-class _Lens(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class _CameraModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     model: str
     size_wh: tuple[int, int]
     fx_fy_cx_cy: tuple[float, float, float, float]
@@ -268,21 +268,26 @@ _Seven = tuple[float, float, float, float, float, float, float]
 
 
 class _Placed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Where lidar and camera were, as `_side` tells it."""
+    """Where lidar and camera were, as `_side` reports it."""
 
     timestamp_ns: _Time
-    picture_timestamp_ns: _Time
+    image_timestamp_ns: _Time
     lidar: Identifier
     camera: Identifier
     world_from_lidar: _Seven
     world_from_camera: _Seven
-    lens: _Lens
+    camera_model: _CameraModel
 
     @property
     def view(self) -> View:
         """The camera as a tracker knows it."""
-        lens = Camera(self.lens.model, *self.lens.size_wh, *self.lens.fx_fy_cx_cy, self.lens.coefficients)
-        return View(lens, _pose(self.world_from_camera).inverse() @ _pose(self.world_from_lidar))
+        camera_model = Camera(
+            self.camera_model.model,
+            *self.camera_model.size_wh,
+            *self.camera_model.fx_fy_cx_cy,
+            self.camera_model.coefficients,
+        )
+        return View(camera_model, _pose(self.world_from_camera).inverse() @ _pose(self.world_from_lidar))
 
 
 def _record(path: Path, number: int, line: str) -> FusedDetections:
@@ -290,10 +295,10 @@ def _record(path: Path, number: int, line: str) -> FusedDetections:
         record = parse_json(line)
         if not isinstance(record, FusedDetections):
             problem = f"a {type(record).__name__}; expected the detections of table 10"
-            raise DataError("record", "", problem)  # noqa: TRY301 - its place is added below, as to all of them
+            raise DataError("record", "", problem)  # noqa: TRY301 - its location is added below, as to all of them
     except DataError as error:
         raise DataError(
-            path, ": ".join(filter(None, (f"line {number}", error.place))), error.problem
+            path, ": ".join(filter(None, (f"line {number}", error.location))), error.problem
         ) from error
     return record
 
@@ -301,7 +306,7 @@ def _record(path: Path, number: int, line: str) -> FusedDetections:
 def _placed(path: Path, number: int, line: str) -> _Placed:
     try:
         placed = msgspec.json.decode(line, type=_Placed)
-        placed.view  # noqa: B018 - a lens or a pose that is none raises here, where the line is known
+        placed.view  # noqa: B018 - a camera model or a pose that is none raises here, where the line is known
     except (msgspec.DecodeError, SceneloomError, UnicodeError, RecursionError) as error:
         raise DataError(path, f"line {number}", f"{error}; expected where lidar and camera were") from error
     return placed
@@ -321,14 +326,14 @@ def _observation(same: list[tuple[FusedDetections, _Placed]]) -> Observation:
 
 
 def _drive(path: Path, sides: list[_Placed], times: list[int]) -> DetectedDrive:
-    """The sensors as the lines tell them, each on a way of its own."""
+    """The sensors as the lines report them, each on a way of its own."""
     lidar_id = sides[0].lidar if sides else "lidar"
-    lidar = _way({placed.timestamp_ns: placed.world_from_lidar for placed in sides})
+    lidar = _trajectory({placed.timestamp_ns: placed.world_from_lidar for placed in sides})
     cameras = {}
     for camera_id in dict.fromkeys(placed.camera for placed in sides):
         own = [placed for placed in sides if placed.camera == camera_id]
-        way = _way({placed.picture_timestamp_ns: placed.world_from_camera for placed in own})
-        cameras[camera_id] = DetectedCamera(own[0].view.camera, way, ())
+        trajectory = _trajectory({placed.image_timestamp_ns: placed.world_from_camera for placed in own})
+        cameras[camera_id] = DetectedCamera(own[0].view.camera, trajectory, ())
     return DetectedDrive(
         name=path.stem,
         lidar_id=lidar_id,
@@ -343,10 +348,10 @@ def _times(times: Iterable[int]) -> Int64Array:
     return np.array(list(times), np.int64)
 
 
-def _way(poses: Mapping[int, _Seven]) -> PoseSource:
+def _trajectory(poses: Mapping[int, _Seven]) -> PoseSource:
     if not poses:
-        return PoseSource(PosePath.identity(), RigidTransform.identity())
+        return PoseSource(Poses.identity(), RigidTransform.identity())
     times = sorted(poses)
     values = np.array([poses[t] for t in times], np.float64)
-    path = PosePath(_times(times), values[:, :3].copy(), values[:, 3:].copy())
+    path = Poses(_times(times), values[:, :3].copy(), values[:, 3:].copy())
     return PoseSource(path, RigidTransform.identity(), PERIOD_NS, own=True)

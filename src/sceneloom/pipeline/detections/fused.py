@@ -42,11 +42,11 @@ def iter_fused_detections(
             for what is known of the drive's.
 
     Yields:
-        The objects of each sweep and each picture that belongs to it, in the order of the sweeps.
+        The objects of each sweep and each image that belongs to it, in the order of the sweeps.
 
     Raises:
         OptionError: no algorithm has the name that the configuration says.
-        CalibrationError: a lens is unknown.
+        CalibrationError: a camera model is unknown.
     """
     chosen = configuration or FusionConfiguration()
     named = chosen_algorithm(FusionType.DETECTIONS, chosen.detection_algorithm)
@@ -61,7 +61,7 @@ def iter_fused_detections(
     system = FusionSystem(
         chosen, detect=detect if drive.points is None else _WithPoints(drive.points, detect)
     )
-    system.add_lidar(drive.lidar_id, drive.source, period_ns=drive.period_ns, place=drive.source)
+    system.add_lidar(drive.lidar_id, drive.source, period_ns=drive.period_ns, location=drive.source)
     for index, (camera_id, camera) in enumerate(drive.cameras.items()):
         system.add_camera(camera_id, camera.source, index=index)
     for _, _, _, sensor_id, measurement in merge(*_streams(drive), key=lambda entry: entry[:3]):
@@ -73,7 +73,7 @@ def iter_fused_detections(
 
 @dataclass(frozen=True, slots=True)
 class _WithPoints:
-    """Reads the points of a sweep, by which what pictures alone show is placed, when its boxes are fused."""
+    """Reads the points of a sweep, by which what images alone show is placed, when its boxes are fused."""
 
     points: SweepPoints
     detect: DetectionAlgorithm
@@ -88,10 +88,16 @@ _Sent = tuple[int, int, int, Identifier, Boxes3D | SeenBoxes]
 
 
 def _streams(drive: DetectedDrive) -> list[list[_Sent]]:
-    """What each sensor's detector sends: time, order among sensors, number, sensor, boxes; pictures before sweeps."""
+    """What each sensor's detector sends: time, order among sensors, number, sensor, boxes; images before sweeps."""
     streams: list[list[_Sent]] = [
         [
-            (boxes.timestamp_ns, order, k, camera_id, SeenBoxes(boxes, camera.lens, extras={"seq": k}))
+            (
+                boxes.timestamp_ns,
+                order,
+                k,
+                camera_id,
+                SeenBoxes(boxes, camera.camera_model, extras={"seq": k}),
+            )
             for k, boxes in enumerate(camera.boxes)
         ]
         for order, (camera_id, camera) in enumerate(drive.cameras.items())
@@ -103,22 +109,22 @@ def _streams(drive: DetectedDrive) -> list[list[_Sent]]:
 
 
 def detections_record(
-    frame: FusedDetectionFrame, lens: Camera, *, camera_number: int, lidar_number: int = 0
+    frame: FusedDetectionFrame, camera_model: Camera, *, camera_number: int, lidar_number: int = 0
 ) -> FusedDetections:
-    """Give the record of table 10 of the objects of a sweep and a picture, axes as the scene has them.
+    """Give the record of table 10 of the objects of a sweep and an image, axes as the scene has them.
 
     Args:
-        lens: of the picture, to whose size boxes are cut.
+        camera_model: of the image, to whose size boxes are cut.
         camera_number, lidar_number: of the sensors in records.
 
     Raises:
         DataError: a time cannot stand in the record.
     """
     fused = frame.fused
-    columns, _ = declared_columns(fused, _AS_IN_THE_SCENE, lens)
+    columns, _ = declared_columns(fused, _AS_IN_THE_SCENE, camera_model)
     return FusedDetections(
         timestamp=Timestamp.of(frame.timestamp_ns),
-        image_seq=int(frame.picture_extras["seq"]),
+        image_seq=int(frame.image_extras["seq"]),
         points_seq=frame.index,
         camera_id=camera_number,
         lidar_id=lidar_number,
@@ -126,8 +132,8 @@ def detections_record(
         class_names=fused.labels,
         box_3d_ids=_numbers(fused.rows_3d.tolist()),
         box_2d_ids=_numbers(fused.rows_2d.tolist()),
-        motion_compensated=int(not frame.standing),
-        image_timestamp=Timestamp.of(frame.picture_timestamp_ns),
+        motion_compensated=int(not frame.stationary),
+        image_timestamp=Timestamp.of(frame.image_timestamp_ns),
         **columns,
     )
 

@@ -1,4 +1,4 @@
-"""Fused objects as KITTI has results: boxes in pictures and in the rectified camera's frame, without tracks."""
+"""Fused objects as KITTI has results: boxes in images and in the rectified camera's frame, without tracks."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ from sceneloom.geometry.rigid import RigidTransform
 
 
 def kitti_objects(frames: Sequence[FusedDetectionFrame], rectified_from_lidar: RigidTransform) -> KittiLabels:
-    """Give the rows of a sequence's objects; what the picture does not show has none.
+    """Give the rows of a sequence's objects; what the image does not show has none.
 
     Args:
         frames: of one lidar and one camera; the number of the sweep is that of the frame.
@@ -19,10 +19,12 @@ def kitti_objects(frames: Sequence[FusedDetectionFrame], rectified_from_lidar: R
     """
     numbers, rows, types = [np.zeros(0, np.int64)], [np.zeros((0, 12))], list[str]()
     for frame in frames:
-        fused, lens = frame.fused, frame.camera
-        corners = np.clip(fused.corners_xyxy, 0.0, np.tile([float(lens.width), float(lens.height)], 2))
+        fused, camera_model = frame.fused, frame.camera
+        corners = np.clip(
+            fused.corners_xyxy, 0.0, np.tile([float(camera_model.width), float(camera_model.height)], 2)
+        )
         shown = np.flatnonzero((corners[:, 2] > corners[:, 0]) & (corners[:, 3] > corners[:, 1]))
-        limits = np.tile([lens.width - 1.0, lens.height - 1.0], 2)
+        limits = np.tile([camera_model.width - 1.0, camera_model.height - 1.0], 2)
         pixels = np.clip(corners[shown] - CENTRE_TO_CORNER, 0.0, limits)
         placed = rectified_boxes(
             fused.centers[shown], fused.sizes_lwh[shown], fused.yaws[shown], rectified_from_lidar

@@ -8,7 +8,7 @@ import msgspec
 
 from sceneloom.detections.results import NO_BOX
 from sceneloom.fusion.detection_fusion import FusedDetectionFrame
-from sceneloom.scene.notices import Notice
+from sceneloom.scene.warnings import DataWarning
 
 
 class FusedDriveReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -17,12 +17,12 @@ class FusedDriveReport(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         name: of it.
         file: where its objects are.
-        pairs: sweeps that were fused with a picture.
-        unpaired: sweeps to which no picture belongs, and which have no result.
+        pairs: sweeps that were fused with an image.
+        unpaired: sweeps to which no image belongs, and which have no result.
         objects: in all pairs.
-        both, sweeps_only, pictures_only: of these, seen by both detectors, or by one of them.
+        both, sweeps_only, images_only: of these, seen by both detectors, or by one of them.
         by_class: how many objects of each class.
-        notices: what was assumed or is missing.
+        warnings: what was assumed or is missing.
     """
 
     name: str
@@ -32,9 +32,9 @@ class FusedDriveReport(msgspec.Struct, frozen=True, kw_only=True):
     objects: int
     both: int
     sweeps_only: int
-    pictures_only: int
+    images_only: int
     by_class: Mapping[str, int]
-    notices: tuple[Notice, ...] = ()
+    warnings: tuple[DataWarning, ...] = ()
 
 
 class DetectionFusionReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -45,24 +45,24 @@ class DetectionFusionReport(msgspec.Struct, frozen=True, kw_only=True):
         output: the file, or the folder of files.
         drives: one by one.
         seconds: the whole call.
-        notices: of all of them.
+        warnings: of all of them.
     """
 
     source: str
     output: str
     drives: tuple[FusedDriveReport, ...]
     seconds: float
-    notices: tuple[Notice, ...] = ()
+    warnings: tuple[DataWarning, ...] = ()
 
 
 @dataclass(slots=True)
-class DetectionTally:
+class DetectionStatistics:
     """Counts objects.
 
     Attributes:
-        pairs: sweeps that were fused with a picture.
+        pairs: sweeps that were fused with an image.
         fused_sweeps: of which there is any result.
-        both, sweeps_only, pictures_only: objects, by who saw them.
+        both, sweeps_only, images_only: objects, by who saw them.
         by_class: objects of each class.
     """
 
@@ -70,17 +70,17 @@ class DetectionTally:
     fused_sweeps: int = 0
     both: int = 0
     sweeps_only: int = 0
-    pictures_only: int = 0
+    images_only: int = 0
     by_class: Counter[str] = field(default_factory=Counter)
     _sweep: int = -1
 
     @classmethod
-    def of(cls, frames: Iterable[FusedDetectionFrame]) -> "DetectionTally":
+    def of(cls, frames: Iterable[FusedDetectionFrame]) -> "DetectionStatistics":
         """Count the objects of all pairs."""
-        tally = cls()
+        statistics = cls()
         for frame in frames:
-            tally.add(frame)
-        return tally
+            statistics.add(frame)
+        return statistics
 
     def add(self, frame: FusedDetectionFrame) -> None:
         """Count the objects of a pair."""
@@ -88,8 +88,8 @@ class DetectionTally:
         self.pairs += 1
         self.fused_sweeps += frame.index != self._sweep
         self._sweep = frame.index
-        in_space, in_picture = fused.rows_3d != NO_BOX, fused.rows_2d != NO_BOX
-        self.both += int((in_space & in_picture).sum())
-        self.sweeps_only += int((in_space & ~in_picture).sum())
-        self.pictures_only += int((~in_space & in_picture).sum())
+        in_space, in_image = fused.rows_3d != NO_BOX, fused.rows_2d != NO_BOX
+        self.both += int((in_space & in_image).sum())
+        self.sweeps_only += int((in_space & ~in_image).sum())
+        self.images_only += int((~in_space & in_image).sum())
         self.by_class.update(fused.labels)

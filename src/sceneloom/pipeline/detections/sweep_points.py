@@ -47,9 +47,9 @@ class SweepPoints:
             DataError: the sweep cannot be read.
             PoseError: it is not known where the lidar was.
         """
-        stamps = self.lidar.frames.timestamps_ns
-        row = int(np.searchsorted(stamps, time_ns, side="right")) - 1
-        if row < 0 or time_ns - int(stamps[row]) > self.period_ns:
+        timestamps = self.lidar.frames.timestamps_ns
+        row = int(np.searchsorted(timestamps, time_ns, side="right")) - 1
+        if row < 0 or time_ns - int(timestamps[row]) > self.period_ns:
             return None
         positions = self.lidar.frames[row].points.positions
         if self.lidar.points_frame is PointsFrame.SENSOR:

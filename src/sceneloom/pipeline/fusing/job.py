@@ -13,13 +13,13 @@ from sceneloom.errors import PoseError
 from sceneloom.formats.loss import LossReport
 from sceneloom.fusion.algorithms import AlgorithmChoice, FusionType, chosen_algorithm
 from sceneloom.fusion.configuration import FusionConfiguration
+from sceneloom.images.canvas import counting_left_out
 from sceneloom.motion.ego_motion import placeable_lidars
-from sceneloom.pictures.canvas import counting_left_out
+from sceneloom.pipeline.aligned.scene import Aligned, align
 from sceneloom.pipeline.fusing.outputs import FusionOutputs, Sinks, checked_outputs, open_sinks
-from sceneloom.pipeline.fusing.report import CameraTally, FusionReport, FusionTally, told_once
+from sceneloom.pipeline.fusing.report import CameraStatistics, FusionReport, FusionStatistics, reported_once
 from sceneloom.pipeline.needed_lidar import check_has_lidar
 from sceneloom.pipeline.play import Skips, build_system, play, telling
-from sceneloom.pipeline.woven.scene import Woven, weave
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Progress
 from sceneloom.stages import stage, timed
@@ -36,8 +36,8 @@ def iter_fused(
     """Fuse a scene sweep by sweep without writing anything.
 
     Args:
-        trajectory: name of the ego's way; "identity" for an ego that stands still; "lidar" to find it from the sweeps;
-            None for the scene's default, which is found from the sweeps where the scene has none.
+        trajectory: name of the ego trajectory; "identity" for an ego that is stationary; "lidar" to find it from the
+            sweeps; None for the scene's default, which is found from the sweeps where the scene has none.
         heading: "motion" to derive orientations where the trajectory has positions only.
         algorithm: a function that is called as `colouring.FusionAlgorithm`, the name of an installed algorithm, or
             "file.py:function"; None for what the configuration says.
@@ -48,12 +48,12 @@ def iter_fused(
 
     Raises:
         PoseError: the sensors' motion is not known.
-        DataError: a sweep or a picture cannot be read.
+        DataError: a sweep or an image cannot be read.
         OptionError: an algorithm is not there, or does not give what it should.
     """
     settings = _configured(configuration, algorithm)
-    woven = weave(scene, trajectory=trajectory, heading=heading)
-    yield from play(woven.scene, build_system(woven.scene, woven.ego, settings))
+    aligned = align(scene, trajectory=trajectory, heading=heading)
+    yield from play(aligned.scene, build_system(aligned.scene, aligned.ego, settings))
 
 
 def fuse(
@@ -70,28 +70,28 @@ def fuse(
     lenient: bool = False,
     progress: Progress | None = None,
 ) -> FusionReport:
-    """Fuse lidar and cameras of a scene and write the fused scene, depth images and pictures.
+    """Fuse lidar and cameras of a scene and write the fused scene, depth images and images.
 
     Args:
         output: the `.sfs` file to write; the same as `outputs.scene`.
-        trajectory: name of the ego's way; "identity" for an ego that stands still; "lidar" to find it from the sweeps;
-            None for the scene's default, which is found from the sweeps where the scene has none.
+        trajectory: name of the ego trajectory; "identity" for an ego that is stationary; "lidar" to find it from the
+            sweeps; None for the scene's default, which is found from the sweeps where the scene has none.
         heading: "motion" to derive orientations where the trajectory has positions only.
-        start: seconds after the scene's first time stamp, None for the beginning.
+        start: seconds after the scene's first timestamp, None for the beginning.
         stop: seconds after it, exclusive, None for the end.
         outputs: where to write what, and how.
         algorithm: a function that is called as `colouring.FusionAlgorithm`, the name of an installed algorithm, or
             "file.py:function"; None for what the configuration says.
         configuration: settings of the fusion system.
-        lenient: count sweeps and pictures that cannot be read, and go on.
-        progress: told after each sweep; each counts twice where the ego's way is found from the sweeps first.
+        lenient: count sweeps and images that cannot be read, and go on.
+        progress: reported after each sweep; each counts twice where the ego trajectory is found from the sweeps first.
 
     Returns:
-        What was done, in numbers, with all losses and notices.
+        What was done, in numbers, with all losses and warnings.
 
     Raises:
         PoseError: the sensors' motion is not known, or at the time of no sweep.
-        DataError: there is no lidar, or a sweep or a picture cannot be read.
+        DataError: there is no lidar, or a sweep or an image cannot be read.
         OutputError: an output exists, or cannot be written.
         OptionError: a value is not one that can be followed.
     """
@@ -136,7 +136,7 @@ def _fuse(
     check_has_lidar(scene, "fusing needs")
     wanted = checked_outputs(outputs or FusionOutputs(), output)
     steps = _Steps(progress)
-    woven = weave(
+    aligned = align(
         scene,
         trajectory=trajectory,
         heading=heading,
@@ -146,15 +146,15 @@ def _fuse(
         progress=steps.finding,
     )
     skips = Skips() if lenient else None
-    system = build_system(woven.scene, woven.ego, configuration)
+    system = build_system(aligned.scene, aligned.ego, configuration)
     if skips is not None:
         system.on_unreadable = skips.add
-    frames = play(woven.scene, system, skips=skips)
-    return _write_fused(woven, wanted, frames, skips, begun=begun, progress=steps.fusing)
+    frames = play(aligned.scene, system, skips=skips)
+    return _write_fused(aligned, wanted, frames, skips, begun=begun, progress=steps.fusing)
 
 
 def _write_fused(
-    woven: Woven,
+    aligned: Aligned,
     wanted: FusionOutputs,
     frames: Iterable[FusedFrame],
     skips: Skips | None,
@@ -165,33 +165,33 @@ def _write_fused(
     """Write fused sweeps, in the order in which they come, and everything else of the drive.
 
     Args:
-        woven: the drive.
+        aligned: the drive.
         wanted: where to write what, checked before.
         frames: the sweeps.
         skips: what could not be read is or will be in there; None where that is an error.
         begun: when the work began, by `time.perf_counter` [s].
-        progress: told after each sweep.
+        progress: reported after each sweep.
 
     Raises:
         PoseError: no sweep could be fused.
         DataError: something cannot be read.
         OutputError: an output exists, or cannot be written.
     """
-    tally = _tally(woven)
-    total = sum(len(lidar.frames) for lidar in woven.scene.lidars)
+    statistics = _statistics(aligned)
+    total = sum(len(lidar.frames) for lidar in aligned.scene.lidars)
     with telling(skips), stage("writing"), counting_left_out() as left, ExitStack() as stack:
-        sinks = open_sinks(woven, wanted, stack, skips)
+        sinks = open_sinks(aligned, wanted, stack, skips)
         with stage("fusing"):
             for done, frame in enumerate(frames, start=1):
-                tally.add(frame)
+                statistics.add(frame)
                 _write(sinks, frame)
                 if progress is not None:
                     progress(done, total)
-        _refuse_nothing_fused(woven.scene, tally)
+        _refuse_nothing_fused(aligned.scene, statistics)
         losses = sinks.finish()
     seconds = time.perf_counter() - begun
-    report = _report(woven, wanted, tally, sinks, skips, seconds=seconds, losses=losses)
-    return msgspec.structs.replace(report, notices=(*report.notices, *left.notices))
+    report = _report(aligned, wanted, statistics, sinks, skips, seconds=seconds, losses=losses)
+    return msgspec.structs.replace(report, warnings=(*report.warnings, *left.warnings))
 
 
 def _write(sinks: Sinks, frame: FusedFrame) -> None:
@@ -201,9 +201,9 @@ def _write(sinks: Sinks, frame: FusedFrame) -> None:
 
 
 def _report(
-    woven: Woven,
+    aligned: Aligned,
     wanted: FusionOutputs,
-    tally: FusionTally,
+    statistics: FusionStatistics,
     sinks: Sinks,
     skips: Skips | None,
     *,
@@ -211,56 +211,60 @@ def _report(
     losses: LossReport,
 ) -> FusionReport:
     return FusionReport(
-        source=woven.scene.source,
+        source=aligned.scene.source,
         output=None if wanted.scene is None else str(wanted.scene),
-        trajectory=None if woven.ego is None else woven.ego.name,
-        frames=tally.frames,
-        fused=tally.fused - (0 if sinks.scene is None else sinks.scene.left_out),
-        extrapolated=tally.extrapolated,
-        unfused=tally.unfused,
+        trajectory=None if aligned.ego is None else aligned.ego.name,
+        frames=statistics.frames,
+        fused=statistics.fused - (0 if sinks.scene is None else sinks.scene.left_out),
+        extrapolated=statistics.extrapolated,
+        unfused=statistics.unfused,
         skipped=() if skips is None else tuple(skips.reasons),
-        points=tally.points,
-        coloured_percent=tally.coloured_percent,
-        cameras=tuple(camera.report(camera_id) for camera_id, camera in tally.cameras.items()),
+        points=statistics.points,
+        coloured_percent=statistics.coloured_percent,
+        cameras=tuple(camera.report(camera_id) for camera_id, camera in statistics.cameras.items()),
         files=sinks.files,
         depth_beyond_range=0 if sinks.depth is None else sinks.depth.beyond_range,
         seconds=seconds,
         stages={},
         losses=losses,
-        notices=told_once(woven.scene.notices, tally.notices()),
+        warnings=reported_once(aligned.scene.warnings, statistics.warnings()),
     )
 
 
-def _tally(woven: Woven) -> FusionTally:
-    stands = woven.ego is not None and woven.ego.path.endless
-    carried = [] if stands else placeable_lidars(woven.scene)
-    return FusionTally(
-        {camera.id: CameraTally(len(camera.pictures)) for camera in woven.scene.cameras},
+def _statistics(aligned: Aligned) -> FusionStatistics:
+    stands = aligned.ego is not None and aligned.ego.path.static
+    carried = [] if stands else placeable_lidars(aligned.scene)
+    return FusionStatistics(
+        {camera.id: CameraStatistics(len(camera.images)) for camera in aligned.scene.cameras},
         frozenset(lidar.id for lidar in carried),
     )
 
 
-def _refuse_nothing_fused(scene: Scene, tally: FusionTally) -> None:
-    if tally.unfused and not tally.fused:
-        reasons = ", ".join(f"{reason} ({count} times)" for reason, count in tally.unfused.items())
+def _refuse_nothing_fused(scene: Scene, statistics: FusionStatistics) -> None:
+    if statistics.unfused and not statistics.fused:
+        reasons = ", ".join(f"{reason} ({count} times)" for reason, count in statistics.unfused.items())
         raise PoseError(
-            f"{scene.source}: none of {tally.frames} sweeps could be fused: {reasons}; expected a trajectory on the "
-            "clock of the sweeps; `sceneloom info` tells both spans, and `--trajectory lidar` needs none"
+            f"{scene.source}: none of {statistics.frames} sweeps could be fused: {reasons}; expected a trajectory on "
+            f"the "
+            "clock of the sweeps; `sceneloom info` reports both spans, and `--trajectory lidar` needs none"
         )
 
 
 @dataclass(slots=True)
 class _Steps:
-    """Tells of two passes over the sweeps as of one: finding the ego's way, where it must be found, and fusing."""
+    """Reports of two passes over the sweeps as of one: finding the ego trajectory, where it must be found.
 
-    told: Progress | None
+    And fusing.
+    """
+
+    reported: Progress | None
     found: int = 0
 
     def finding(self, done: int, total: int) -> None:
         self.found = total
-        if self.told is not None:
-            self.told(done, 2 * total)
+        if self.reported is not None:
+            self.reported(done, 2 * total)
 
     def fusing(self, done: int, total: int) -> None:
-        if self.told is not None:
-            self.told(self.found + done, self.found + total)
+        if self.reported is not None:
+            self.reported(self.found + done, self.found + total)

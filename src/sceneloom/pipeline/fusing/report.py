@@ -8,10 +8,10 @@ import numpy as np
 
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.formats.loss import LossReport
-from sceneloom.motion.point_time_notices import PointTimesTally
-from sceneloom.scene.notices import Notice, NoticeKind
+from sceneloom.motion.point_time_warnings import PointTimesStatistics
 from sceneloom.scene.point_times import PointTimes
 from sceneloom.scene.types import Identifier
+from sceneloom.scene.warnings import DataWarning, WarningKind
 
 
 class CameraReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -19,21 +19,21 @@ class CameraReport(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         camera: its id.
-        pictures: how many the scene has.
-        paired: sweeps that were fused with one of its pictures.
-        unpaired: sweeps without a picture near enough in time.
-        unposed: sweeps whose picture lies beyond the reach of the trajectory.
-        in_picture_percent: share of all points of the paired sweeps that fall into the picture.
+        images: how many the scene has.
+        paired: sweeps that were fused with one of its images.
+        unpaired: sweeps without an image near enough in time.
+        unposed: sweeps whose image lies beyond the reach of the trajectory.
+        in_image_percent: share of all points of the paired sweeps that fall into the image.
         hidden_percent: share of those that lie behind a nearer surface.
         coloured: points that got their colour from this camera.
     """
 
     camera: Identifier
-    pictures: int
+    images: int
     paired: int
     unpaired: int
     unposed: int
-    in_picture_percent: float
+    in_image_percent: float
     hidden_percent: float
     coloured: int
 
@@ -44,12 +44,12 @@ class FusionReport(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         source: what was fused.
         output: the scene file written, or None.
-        trajectory: name of the ego's way that the scene stands on, or None where its own poses were used.
+        trajectory: name of the ego trajectory that the scene stands on, or None where its own poses were used.
         frames: sweeps that were read.
         fused: sweeps that were fused, and that the scene file, where one is written, can hold.
         extrapolated: sweeps that needed poses beyond the trajectory's ends.
         unfused: why the others were not fused, with counts.
-        skipped: sweeps and pictures that could not be read, and sweeps that the file cannot hold, one line each.
+        skipped: sweeps and images that could not be read, and sweeps that the file cannot hold, one line each.
         points: points of all sweeps.
         coloured_percent: share of them that got a colour.
         cameras: one report per camera.
@@ -58,7 +58,7 @@ class FusionReport(msgspec.Struct, frozen=True, kw_only=True):
         seconds: how long it took.
         stages: how much of that by stage: reading, fusing, writing …
         losses: what the scene file could not hold.
-        notices: what was assumed, repaired or left out on reading and fusing.
+        warnings: what was assumed, repaired or left out on reading and fusing.
     """
 
     source: str
@@ -77,7 +77,7 @@ class FusionReport(msgspec.Struct, frozen=True, kw_only=True):
     seconds: float
     stages: Mapping[str, float]
     losses: LossReport
-    notices: tuple[Notice, ...]
+    warnings: tuple[DataWarning, ...]
 
     @property
     def frames_per_second(self) -> float:
@@ -85,48 +85,48 @@ class FusionReport(msgspec.Struct, frozen=True, kw_only=True):
         return self.frames / self.seconds if self.seconds > 0 else 0.0
 
 
-def told_once(before: tuple[Notice, ...], own: tuple[Notice, ...]) -> tuple[Notice, ...]:
-    """Add remarks on the sweeps to those that were made before, but for what the odometry has said already."""
-    said = {notice.code for notice in before}
-    return (*before, *(notice for notice in own if notice.code not in said))
+def reported_once(before: tuple[DataWarning, ...], own: tuple[DataWarning, ...]) -> tuple[DataWarning, ...]:
+    """Add notes on the sweeps to those that were made before, but for what the odometry has stated already."""
+    stated = {warning.code for warning in before}
+    return (*before, *(warning for warning in own if warning.code not in stated))
 
 
 @dataclass(slots=True)
-class CameraTally:
+class CameraStatistics:
     """Counts of one camera while frames pass."""
 
-    pictures: int
+    images: int
     paired: int = 0
     unpaired: int = 0
     unposed: int = 0
     points: int = 0
-    in_picture: int = 0
+    in_image: int = 0
     hidden: int = 0
     coloured: int = 0
 
-    def add(self, in_picture: int, hidden: int, points: int) -> None:
-        """Count one view of a sweep: its points in the picture, hidden ones among them, and all its points."""
+    def add(self, in_image: int, hidden: int, points: int) -> None:
+        """Count one view of a sweep: its points in the image, hidden ones among them, and all its points."""
         self.paired += 1
         self.points += points
-        self.in_picture += in_picture
+        self.in_image += in_image
         self.hidden += hidden
 
     def report(self, camera_id: Identifier) -> CameraReport:
         """The counts as shares."""
         return CameraReport(
             camera=camera_id,
-            pictures=self.pictures,
+            images=self.images,
             paired=self.paired,
             unpaired=self.unpaired,
             unposed=self.unposed,
-            in_picture_percent=_percent(self.in_picture, self.points),
-            hidden_percent=_percent(self.hidden, self.in_picture),
+            in_image_percent=_percent(self.in_image, self.points),
+            hidden_percent=_percent(self.hidden, self.in_image),
             coloured=self.coloured,
         )
 
 
 @dataclass(slots=True)
-class FusionTally:
+class FusionStatistics:
     """Counts while frames pass.
 
     Attributes:
@@ -134,14 +134,14 @@ class FusionTally:
         moving: lidars whose points the ego carries along, so that the time of each counts.
     """
 
-    cameras: dict[Identifier, CameraTally]
+    cameras: dict[Identifier, CameraStatistics]
     moving: frozenset[Identifier] = frozenset()
     frames: int = 0
     fused: int = 0
     extrapolated: int = 0
     points: int = 0
     coloured: int = 0
-    times: PointTimesTally = field(default_factory=PointTimesTally)
+    times: PointTimesStatistics = field(default_factory=PointTimesStatistics)
     timeless: int = 0
     nowhere: int = 0
     unfused: dict[str, int] = field(default_factory=dict)
@@ -172,30 +172,38 @@ class FusionTally:
         if frame.points.camera_index is None:
             return
         by_index = np.bincount(frame.points.camera_index, minlength=256)[:255].tolist()
-        for tally, count in zip(self.cameras.values(), by_index, strict=False):
-            tally.coloured += count
+        for statistics, count in zip(self.cameras.values(), by_index, strict=False):
+            statistics.coloured += count
         self.coloured += sum(by_index)
 
-    def notices(self) -> tuple[Notice, ...]:
+    def warnings(self) -> tuple[DataWarning, ...]:
         """What had to be assumed about the sweeps."""
-        return (*self.times.notices(), *self._timeless_notice(), *self._nowhere_notice())
+        return (*self.times.warnings(), *self._timeless_warning(), *self._non_finite_warning())
 
-    def _nowhere_notice(self) -> list[Notice]:
+    def _non_finite_warning(self) -> list[DataWarning]:
         if not self.nowhere:
             return []
-        message = "points whose place is not finite were kept as they are; they get no colour and no depth"
-        place, kind = "sensors[].frames[].points.positions", NoticeKind.SKIPPED
-        return [Notice(kind=kind, code="points-not-finite", place=place, message=message, count=self.nowhere)]
+        message = "points whose location is not finite were kept as they are; they get no colour and no depth"
+        location, kind = "sensors[].frames[].points.positions", WarningKind.SKIPPED
+        return [
+            DataWarning(
+                kind=kind, code="points-not-finite", location=location, message=message, count=self.nowhere
+            )
+        ]
 
-    def _timeless_notice(self) -> list[Notice]:
+    def _timeless_warning(self) -> list[DataWarning]:
         if not self.timeless:
             return []
         message = (
             "points have no times of their own; they were taken as measured at their sweep's time, "
             "and what the ego moved during a sweep stays in them"
         )
-        place, kind = "sensors[].frames[].points.timestamps", NoticeKind.ASSUMED
-        return [Notice(kind=kind, code="no-point-times", place=place, message=message, count=self.timeless)]
+        location, kind = "sensors[].frames[].points.timestamps", WarningKind.ASSUMED
+        return [
+            DataWarning(
+                kind=kind, code="no-point-times", location=location, message=message, count=self.timeless
+            )
+        ]
 
     @property
     def coloured_percent(self) -> float:

@@ -1,4 +1,4 @@
-"""Where the results of a fusion go: a scene file, depth images, pictures."""
+"""Where the results of a fusion go: a scene file, depth images, images."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,14 +15,14 @@ from sceneloom.formats.file_names import file_stems
 from sceneloom.formats.loss import LossReport
 from sceneloom.formats.sfs.times import TICKS_NS
 from sceneloom.formats.sfs.writer import SceneWriter
+from sceneloom.images.drive_cloud import DriveCloud
+from sceneloom.images.sheets import save_images
 from sceneloom.motion.sensor_paths import sensor_path
-from sceneloom.pictures.drive_cloud import DriveCloud
-from sceneloom.pictures.sheets import save_pictures
 from sceneloom.pipeline.play import Skips
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier
 
@@ -41,7 +41,7 @@ class SceneSink:
 
     Attributes:
         writer: the open file.
-        sources: `world_from_sensor` of the lidars whose place is known.
+        sources: `world_from_sensor` of the lidars whose location is known.
         time_unit: the file's unit of time.
         origin: what the sweeps are read from, for messages.
         skips: collects sweeps that the file cannot hold; None where they are errors.
@@ -71,12 +71,12 @@ class SceneSink:
         try:
             self.writer.add_frame(frame.lidar_id, sweep)
         except DataError as error:
-            row = error.place.partition(".points.")[2]
-            place = f"sensors[{frame.lidar_id}].frames[{frame.index}].points.{row}"
-            told = DataError(self.origin, place, error.problem)
+            row = error.location.partition(".points.")[2]
+            location = f"sensors[{frame.lidar_id}].frames[{frame.index}].points.{row}"
+            reported = DataError(self.origin, location, error.problem)
             if self.skips is None:
-                raise told from error
-            self.skips.add(told)
+                raise reported from error
+            self.skips.add(reported)
             self.left_out += 1
             return
         tick_ns = TICKS_NS[self.time_unit]
@@ -123,7 +123,7 @@ class DepthSink:
         folders: of the views of each lidar.
         names: of the folder of each camera therein.
         form: "png" (16 bit, metres times 256) or "npz" (float32 metres).
-        index: file of JSON lines that says of each image which sweep and which picture it is of, and their times.
+        index: file of JSON lines that says of each image which sweep and which image it is of, and their times.
         written: files so far.
         beyond_range: pixels that the form cannot hold.
     """
@@ -154,22 +154,22 @@ class DepthSink:
             "lidar": frame.lidar_id,
             "sweep_ns": frame.timestamp_ns,
             "camera": view.camera_id,
-            "picture_ns": view.timestamp_ns,
+            "image_ns": view.timestamp_ns,
         }
         with self.index.open("ab") as lines:
             lines.write(msgspec.json.encode(record) + b"\n")
 
 
 @dataclass(slots=True)
-class PictureSink:
+class ImageSink:
     """Draws some of the sweeps for people to look at, and the drive as one cloud.
 
     Attributes:
-        folder: of the pictures of the drive.
-        folders: of the pictures of each lidar.
+        folder: of the images of the drive.
+        folders: of the images of each lidar.
         chosen: numbers of the sweeps to draw.
         cloud: gathers the drive.
-        ego_poses: the way of the ego, drawn into the clouds; None where it is not known.
+        ego_poses: the ego trajectory, drawn into the clouds; None where it is not known.
         written: files so far.
     """
 
@@ -177,7 +177,7 @@ class PictureSink:
     folders: Mapping[Identifier, Path]
     chosen: frozenset[int]
     cloud: DriveCloud
-    ego_poses: PosePath | None = None
+    ego_poses: Poses | None = None
     written: int = 0
 
     def add(self, frame: FusedFrame) -> None:
@@ -185,7 +185,7 @@ class PictureSink:
         self.cloud.add(frame)
         if frame.index in self.chosen and frame.unfused is None:
             folder = self.folders[frame.lidar_id]
-            self.written += len(save_pictures(frame, folder, frame.index, ego_poses=self.ego_poses))
+            self.written += len(save_images(frame, folder, frame.index, ego_poses=self.ego_poses))
 
     def finish(self) -> None:
         """Draw the drive."""

@@ -11,7 +11,7 @@ from pathlib import Path
 _GIGABYTE = 1e9
 _BROWSERS = ("chromium", "google-chrome", "firefox", "open")
 LEAST_TEMPORARY_BYTES = 1_000_000_000
-"""Pictures and clouds are spooled; less room is soon filled."""
+"""Images and clouds are spooled; less room is soon filled."""
 
 
 def python_line() -> str:
@@ -25,7 +25,7 @@ def processor_line(available: int) -> str:
 
 
 def memory_bytes() -> tuple[int, int] | None:
-    """All memory and what of it is free [bytes]; None where the system does not tell."""
+    """All memory and what of it is free [bytes]; None where the system does not report."""
     table = Path("/proc/meminfo")
     try:
         rows = dict(line.split(":", 1) for line in table.read_text("ascii").splitlines() if ":" in line)
@@ -38,7 +38,7 @@ def memory_line() -> str:
     """The memory in words."""
     known = memory_bytes()
     if known is None:
-        return "not told by this system"
+        return "not reported by this system"
     return f"{known[0] / _GIGABYTE:.1f} GB, {known[1] / _GIGABYTE:.1f} GB free"
 
 
@@ -49,7 +49,7 @@ def temporary_space() -> tuple[str, int]:
 
 
 def programs() -> Iterator[tuple[str, str | None]]:
-    """Programs that show results, with their places; None where they are not there."""
+    """Programs that show results, with their locations; None where they are not there."""
     yield "rerun viewer", shutil.which("rerun", path=_search_path())
     yield "web browser", next(filter(None, map(shutil.which, _BROWSERS)), None)
 

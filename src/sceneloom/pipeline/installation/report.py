@@ -36,14 +36,14 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True):
         group: "versions", "packages", "extras", "machine", "kernels", "codecs" or "programs".
         name: what was looked at.
         status: "missing" is something that one can do without, "broken" something that is needed.
-        said: what was found.
+        stated: what was found.
         remedy: what to do, where there is something.
     """
 
     group: str
     name: str
     status: Status
-    said: str
+    stated: str
     remedy: str | None = None
 
 
@@ -70,20 +70,20 @@ def examine_installation() -> InstallationReport:
 
 
 def _versions() -> Iterator[Finding]:
-    yield Finding(group="versions", name="sceneloom", status=Status.GOOD, said=__version__)
-    yield Finding(group="versions", name="Python", status=Status.GOOD, said=python_line())
+    yield Finding(group="versions", name="sceneloom", status=Status.GOOD, stated=__version__)
+    yield Finding(group="versions", name="Python", status=Status.GOOD, stated=python_line())
 
 
 def _packages() -> Iterator[Finding]:
     try:
         packages = find_packages()
     except PackageNotFoundError:
-        said = "is imported from a folder and not installed, so what it needs is not known"
+        stated = "is imported from a folder and not installed, so what it needs is not known"
         yield Finding(
             group="packages",
             name="sceneloom",
             status=Status.MISSING,
-            said=said,
+            stated=stated,
             remedy="pip install sceneloom",
         )
         return
@@ -96,12 +96,12 @@ def _packages() -> Iterator[Finding]:
 def _needed(package: Package) -> Finding:
     if package.problem is None:
         return Finding(
-            group="packages", name=package.name, status=Status.GOOD, said=package.installed or "there"
+            group="packages", name=package.name, status=Status.GOOD, stated=package.installed or "there"
         )
     bound = f">={package.least}" if package.least else ""
     remedy = f"pip uninstall {package.name}, then pip install '{package.name}{bound}'"
     return Finding(
-        group="packages", name=package.name, status=Status.BROKEN, said=package.problem, remedy=remedy
+        group="packages", name=package.name, status=Status.BROKEN, stated=package.problem, remedy=remedy
     )
 
 
@@ -116,33 +116,33 @@ def _extras(packages: Iterable[Package]) -> Iterator[Finding]:
             group="extras",
             name=extra,
             status=Status.MISSING if lacking else Status.GOOD,
-            said="; ".join(lacking) if lacking else there,
+            stated="; ".join(lacking) if lacking else there,
             remedy=how_to_install(extra) if lacking else None,
         )
 
 
 def _machine() -> Iterator[Finding]:
-    yield Finding(group="machine", name="processors", status=Status.GOOD, said=processor_line(processors()))
-    yield Finding(group="machine", name="memory", status=Status.GOOD, said=memory_line())
+    yield Finding(group="machine", name="processors", status=Status.GOOD, stated=processor_line(processors()))
+    yield Finding(group="machine", name="memory", status=Status.GOOD, stated=memory_line())
     folder, free = temporary_space()
     short = free < LEAST_TEMPORARY_BYTES
     yield Finding(
         group="machine",
         name="temporary files",
         status=Status.MISSING if short else Status.GOOD,
-        said=f"{folder}, {free / 1e9:.1f} GB free",
+        stated=f"{folder}, {free / 1e9:.1f} GB free",
         remedy="set TMPDIR to a folder with more room" if short else None,
     )
 
 
 def _kernels() -> Iterator[Finding]:
     cache = find_kernel_cache()
-    place = f"{cache.folder}{'' if cache.writable else ' (not writable)'}"
+    location = f"{cache.folder}{'' if cache.writable else ' (not writable)'}"
     yield Finding(
         group="kernels",
         name="compiled kernels",
         status=Status.GOOD if cache.writable else Status.MISSING if cache.usable else Status.BROKEN,
-        said=f"{cache.compiled} of {cache.kernels} compiled, kept in {place}",
+        stated=f"{cache.compiled} of {cache.kernels} compiled, kept in {location}",
         remedy=_kernel_remedy(warm=cache.is_warm, writable=cache.writable),
     )
 
@@ -163,7 +163,9 @@ def _codecs() -> Iterator[Finding]:
 
         codecs = available_codecs()
     except ImportError as error:
-        yield Finding(group="codecs", name="video", status=Status.BROKEN, said=f"cannot be imported: {error}")
+        yield Finding(
+            group="codecs", name="video", status=Status.BROKEN, stated=f"cannot be imported: {error}"
+        )
         return
     for name, there in codecs.items():
         lacking = Status.BROKEN if name in NEEDED_CODECS else Status.MISSING
@@ -171,17 +173,17 @@ def _codecs() -> Iterator[Finding]:
             group="codecs",
             name=name,
             status=Status.GOOD if there else lacking,
-            said="there" if there else "not in the video library",
+            stated="there" if there else "not in the video library",
             remedy=None if there else "pip uninstall av, then pip install av: a wheel brings its own codecs",
         )
 
 
 def _programs() -> Iterator[Finding]:
-    for name, place in programs():
+    for name, location in programs():
         yield Finding(
             group="programs",
             name=name,
-            status=Status.MISSING if place is None else Status.GOOD,
-            said=place or "not found",
-            remedy=how_to_install("view") if place is None and "rerun" in name else None,
+            status=Status.MISSING if location is None else Status.GOOD,
+            stated=location or "not found",
+            remedy=how_to_install("view") if location is None and "rerun" in name else None,
         )

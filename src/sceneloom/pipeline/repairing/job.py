@@ -16,7 +16,7 @@ from sceneloom.calibrate.target.target_start import start_from_target
 from sceneloom.calibrate.target.views import board_views
 from sceneloom.formats.output import check_output
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pictures.calibration import save_change_pictures
+from sceneloom.images.calibration import save_change_images
 from sceneloom.pipeline.repairing.outputs import Repair, form_for, write_calibration
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.scene import Scene
@@ -29,16 +29,16 @@ class RepairReport(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         source: the drive.
         method: "refine", "hand-eye", "lidar-to-lidar" or "target".
-        verdict: "refined", "kept" or "cannot tell".
+        verdict: "refined", "kept" or "cannot determine".
         reason: why.
         sensors: between which sensors, from the frame that is led into to the other.
         transform: (4, 4) of what holds now, row by row.
-        change: what was found, whatever the verdict: turns [deg], shifts [m], "focal" (factor), "later" [s].
+        change: what was found, whatever the verdict: rotates [deg], shifts [m], "focal" (factor), "later" [s].
         sigmas: standard deviations of these, in the same units.
-        unobserved: what the drive does not tell.
-        remarks: further things that were found out.
+        unobserved: what the drive does not report.
+        notes: further things that were found out.
         frames: how many frames or motions took part.
-        time_offset: seconds to be added to the camera's stamps.
+        time_offset: seconds to be added to the camera's timestamps.
         output: what was written, or None.
         form: as what.
     """
@@ -52,7 +52,7 @@ class RepairReport(msgspec.Struct, frozen=True, kw_only=True):
     change: dict[str, float]
     sigmas: dict[str, float]
     unobserved: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     frames: int = 0
     time_offset: float = 0.0
     output: str | None = None
@@ -68,28 +68,28 @@ def refine_drive(
     parameters: Sequence[str] = DEFAULT,
     most: int = MOST,
     form: str | None = None,
-    pictures: Path | None = None,
+    images: Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> RepairReport:
     """Refine the calibration of a camera against a lidar by the drive itself.
 
-    Nothing is written unless the calibration was refined; pictures are drawn in any case.
+    Nothing is written unless the calibration was refined; images are drawn in any case.
 
     Args:
-        pictures: folder for pictures of points and edges under the stated and the best calibration.
+        images: folder for images of points and edges under the stated and the best calibration.
 
     Raises:
         OptionError: a sensor, a parameter or the form is unknown.
-        PoseError, DataError: as `calibration_frames` and `write_calibration` say.
+        PoseError, DataError: as `calibration_frames` and `write_calibration` state.
         OutputError: the target exists, or cannot be written.
     """
     _check_target(target, form, overwrite=overwrite)
     scene = scene.corrected()
     frames = calibration_frames(scene, camera, lidar, most)
     found = refine(frames, parameters=parameters, progress=progress)
-    if pictures is not None:
-        save_change_pictures(frames, found.change, pictures, overwrite=overwrite)
+    if images is not None:
+        save_change_images(frames, found.change, images, overwrite=overwrite)
     first = frames[0]
     repair = Repair(
         first.camera_id,
@@ -116,7 +116,7 @@ def mount_lidar(
     """Find how a lidar is mounted on the ego by hand-eye alignment of its odometry and a trajectory.
 
     Raises:
-        OptionError, PoseError, DataError: as `lidar_to_ego` and `write_calibration` say.
+        OptionError, PoseError, DataError: as `lidar_to_ego` and `write_calibration` state.
         OutputError: the target exists, or cannot be written.
     """
     _check_target(target, form, overwrite=overwrite)
@@ -125,12 +125,12 @@ def mount_lidar(
     mounting = result.found.mounting
     stated = result.stated or RigidTransform.identity()
     clock = "" if result.clock.offset_ns is None else f", {result.clock.offset_ns / 1e6:.1f} ms late"
-    remarks = [
+    notes = [
         f"compared with trajectory {result.trajectory!r}; {100 * result.found.inliers:.0f} % of the motions fit",
         f"clock of the lidar: {result.clock.verdict}{clock}",
     ]
     report = mounting_report(
-        scene, "hand-eye", ("ego", str(result.lidar_id)), stated, mounting, result.found.motions, remarks
+        scene, "hand-eye", ("ego", str(result.lidar_id)), stated, mounting, result.found.motions, notes
     )
     repair = Repair(None, result.lidar_id, stated, mounting.a_from_b)
     return _written(scene, repair, report, target, form, overwrite=overwrite)
@@ -154,7 +154,7 @@ def align_lidars(
         onto: the one that stays; None for the first one.
 
     Raises:
-        OptionError, PoseError, DataError: as `lidar_to_lidar` and `write_calibration` say.
+        OptionError, PoseError, DataError: as `lidar_to_lidar` and `write_calibration` state.
         OutputError: the target exists, or cannot be written.
     """
     _check_target(target, form, overwrite=overwrite)
@@ -162,11 +162,11 @@ def align_lidars(
     result = lidar_to_lidar(scene, onto, lidar, most=most, progress=progress)
     ids = str(result.first_id), str(result.second_id)
     stated = result.stated or RigidTransform.identity()
-    remarks = [
+    notes = [
         f"{100 * result.overlap:.0f} % of the points of {ids[1]} lie on what {ids[0]} sees",
         f"{result.agreeing} of {result.frames} frames agree; begun at the {result.started} mounting",
     ]
-    report = mounting_report(scene, "lidar-to-lidar", ids, stated, result.mounting, result.frames, remarks)
+    report = mounting_report(scene, "lidar-to-lidar", ids, stated, result.mounting, result.frames, notes)
     first = scene.sensor(result.first_id)
     of_first = first.mount if isinstance(first, LidarSensor) else None
     mount = result.mounting.a_from_b if of_first is None else of_first @ result.mounting.a_from_b
@@ -193,7 +193,7 @@ def calibrate_by_target(
         board: as `Board.parse` reads it.
 
     Raises:
-        OptionError, PoseError, DataError: as `board_views`, `start_from_target` and `write_calibration` say.
+        OptionError, PoseError, DataError: as `board_views`, `start_from_target` and `write_calibration` state.
         OutputError: the target exists, or cannot be written.
     """
     _check_target(target, form, overwrite=overwrite)
@@ -220,10 +220,10 @@ def mounting_report(
     stated: RigidTransform,
     mounting: MountingEstimate,
     frames: int,
-    remarks: Sequence[str] = (),
+    notes: Sequence[str] = (),
 ) -> RepairReport:
-    """Say what was found of a mounting."""
-    names = ("turn_x", "turn_y", "turn_z", "shift_x", "shift_y", "shift_z")
+    """Report what was found of a mounting."""
+    names = ("rotation_x", "rotation_y", "rotation_z", "shift_x", "shift_y", "shift_z")
     return RepairReport(
         source=scene.source,
         method=method,
@@ -234,7 +234,7 @@ def mounting_report(
         change=_in_degrees(dict(zip(names, step_between(stated, mounting.a_from_b).tolist(), strict=True))),
         sigmas=_in_degrees(dict(zip(names, mounting.sigmas.tolist(), strict=True))),
         unobserved=mounting.unobserved,
-        remarks=tuple(remarks),
+        notes=tuple(notes),
         frames=frames,
     )
 
@@ -250,7 +250,7 @@ def _refinement_report(scene: Scene, repair: Repair, found: Refinement) -> Repai
         change=_in_degrees(found.found_change),
         sigmas=_in_degrees(found.sigmas),
         unobserved=found.held,
-        remarks=(f"{found.frames} frames of {found.views} views, sharpness {found.sharpness:.1f}",),
+        notes=(f"{found.frames} frames of {found.views} views, sharpness {found.sharpness:.1f}",),
         frames=found.frames,
         time_offset=found.time_offset,
     )
@@ -260,11 +260,13 @@ def _rows(transform: RigidTransform) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(row) for row in transform.matrix.tolist())
 
 
-_TURNS = frozenset({"pitch", "yaw", "roll", "turn_x", "turn_y", "turn_z"})
+_ROTATIONS = frozenset({"pitch", "yaw", "roll", "rotation_x", "rotation_y", "rotation_z"})
 
 
 def _in_degrees(numbers: dict[str, float]) -> dict[str, float]:
-    return {name: value * 57.29577951308232 if name in _TURNS else value for name, value in numbers.items()}
+    return {
+        name: value * 57.29577951308232 if name in _ROTATIONS else value for name, value in numbers.items()
+    }
 
 
 def _check_target(target: Path | None, form: str | None, *, overwrite: bool) -> None:
@@ -282,8 +284,8 @@ def _written(
     *,
     overwrite: bool,
 ) -> RepairReport:
-    told = tuple(notice.message for notice in scene.correction_notices)
-    report = msgspec.structs.replace(report, remarks=(*report.remarks, *told))
+    reported = tuple(warning.message for warning in scene.correction_warnings)
+    report = msgspec.structs.replace(report, notes=(*report.notes, *reported))
     if target is None or report.verdict != RefinementVerdict.REFINED:
         return report
     chosen = write_calibration(scene, repair, target, form=form, overwrite=overwrite)

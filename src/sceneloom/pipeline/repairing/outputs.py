@@ -22,13 +22,13 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations.corrections import CameraCalibration
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier
 
 CALIBRATION_FILE = "calibration.json"
 _CAMERA_AXES, _LIDAR_AXES = "+z,+x,-y", "+x,-y,+z"
-"""Forward, right and up in a camera's and in a lidar's frame, as the declared axes say it."""
+"""Forward, right and up in a camera's and in a lidar's frame, as the declared axes state it."""
 
 
 class CalibrationForm(StrEnum):
@@ -46,8 +46,8 @@ class Repair:
     Attributes:
         camera_id, lidar_id: the sensors; None where the other one alone was mounted anew.
         stated, repaired: `camera_from_lidar` before and after; of a lidar alone `ego_from_lidar`.
-        camera: the lens as it is now, or None where there is no camera.
-        time_offset: seconds to be added to the camera's stamps.
+        camera: the camera model as it is now, or None where there is no camera.
+        time_offset: seconds to be added to the camera's timestamps.
     """
 
     camera_id: Identifier | None
@@ -83,12 +83,12 @@ def write_calibration(
     """Write a repaired calibration.
 
     Args:
-        form: "sfs", "table-3" or "recording"; None to tell it by the ending.
+        form: "sfs", "table-3" or "recording"; None to report it by the ending.
 
     Raises:
         OptionError: the form does not fit the target or the repair.
         DataError: the drive has no calibration.json to be changed, or the scene cannot be written.
-        CalibrationError: the record cannot hold the lens.
+        CalibrationError: the record cannot hold the camera model.
         OutputError: the target exists, or cannot be written.
     """
     chosen = form_for(target, form)
@@ -114,11 +114,11 @@ def with_repair(scene: Scene, repair: Repair) -> Scene:
             f"{scene.source}: sensor {repair.camera_id!r} is a {sensor.type}; expected a camera"
         )
     difference = repair.stated @ repair.repaired.inverse()
-    first_ns = sensor.pictures.timestamps_ns[:1]
+    first_ns = sensor.images.timestamps_ns[:1]
     annotation = CameraCalibration(
         id=_free_id(scene, f"calibration-{repair.camera_id}"),
         sensor_id=repair.camera_id,
-        poses=PosePath(
+        poses=Poses(
             np.asarray(first_ns, np.int64),
             difference.translation.reshape(1, 3).copy(),
             difference.quaternion_xyzw.reshape(1, 4),
@@ -130,7 +130,7 @@ def with_repair(scene: Scene, repair: Repair) -> Scene:
 
 
 def _remounted(scene: Scene, repair: Repair) -> Scene:
-    """No annotation tells how a lidar is mounted: the scene itself is changed."""
+    """No annotation reports how a lidar is mounted: the scene itself is changed."""
     sensors = tuple(
         replace(sensor, mount=repair.repaired)
         if isinstance(sensor, LidarSensor) and sensor.id == repair.lidar_id
@@ -205,13 +205,13 @@ def _calibration_of(scene: Scene) -> dict[str, Any]:
 def _entry(
     content: Mapping[str, Any], part: str, number_key: str, sensors: tuple[Any, ...], wanted: Identifier
 ) -> dict[str, Any]:
-    """The entry of a sensor: by its number where entries have one, else by its place.
+    """The entry of a sensor: by its number where entries have one, else by its location.
 
     Raises:
         DataError: there is none.
     """
-    place = [sensor.id for sensor in sensors].index(wanted)
-    number = int("".join(sign for sign in str(wanted) if sign.isdigit()) or place)
+    location = [sensor.id for sensor in sensors].index(wanted)
+    number = int("".join(sign for sign in str(wanted) if sign.isdigit()) or location)
     entries = [entry for entry in content.get(part) or () if isinstance(entry, dict)]
     for index, entry in enumerate(entries):
         if entry.get(number_key, index) == number:

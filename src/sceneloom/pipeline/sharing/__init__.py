@@ -1,1 +1,1 @@
-"""Drives made ready for others' eyes: places in pictures hidden, positions and times made relative."""
+"""Drives made ready for others' eyes: locations in images hidden, positions and times made relative."""

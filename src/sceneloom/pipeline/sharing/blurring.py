@@ -1,4 +1,4 @@
-"""The job of hiding places in pictures: read a drive, hide boxes for good, write it, say what was done."""
+"""The job of hiding locations in images: read a drive, hide boxes for good, write it, state what was done."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,16 +9,16 @@ from typing import Any
 
 import msgspec
 
-from sceneloom.editing.hiding.boxes import Hiding, PictureBox, find_hidings
-from sceneloom.editing.hiding.hide import hide_in_pictures, regions_of
+from sceneloom.editing.hiding.boxes import Hiding, ImageBox, find_hidings
+from sceneloom.editing.hiding.hide import hide_in_images, regions_of
 from sceneloom.editing.hiding.regions import HiddenRegions
 from sceneloom.errors import OptionError
 from sceneloom.formats.files import open_file
-from sceneloom.formats.loss import Fate, Loss, LossReport
+from sceneloom.formats.loss import Loss, LossReport, Support
 from sceneloom.formats.table import check_scene_output
 from sceneloom.formats.video.writer import VideoWriter
 from sceneloom.pipeline.edited import EditReport, edit_files
-from sceneloom.pipeline.sharing.hidden_pictures import with_hidden_files
+from sceneloom.pipeline.sharing.hidden_images import with_hidden_files
 from sceneloom.scene.cameras import CameraSensor, VideoContent
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Identifier, Key, Progress, key_of
@@ -27,26 +27,26 @@ _DEFAULT_FPS = 25.0
 
 
 class CameraBlur(msgspec.Struct, frozen=True, kw_only=True):
-    """What was hidden in the pictures of one camera.
+    """What was hidden in the images of one camera.
 
     Attributes:
         camera: its id.
         boxes: how many were given for it; of annotations, how many keyframes.
-        hidden: how many places were hidden, with those between given boxes.
-        pictures: in how many pictures.
-        of_pictures: how many it has.
-        without_picture: boxes that name a picture which is not there.
-        outside: boxes that lie outside of their picture or have no size.
-        cut: boxes that reach beyond an edge of their picture; what is inside was hidden.
-        encoded: pictures of its video, all of which are encoded again; None where it has no video.
+        hidden: how many locations were hidden, with those between given boxes.
+        images: in how many images.
+        of_images: how many it has.
+        without_image: boxes that name an image which is not there.
+        outside: boxes that lie outside of their image or have no size.
+        cut: boxes that reach beyond an edge of their image; what is inside was hidden.
+        encoded: images of its video, all of which are encoded again; None where it has no video.
     """
 
     camera: Identifier
     boxes: int
     hidden: int
-    pictures: int
-    of_pictures: int
-    without_picture: int
+    images: int
+    of_images: int
+    without_image: int
     outside: int
     cut: int
     encoded: int | None = None
@@ -56,8 +56,8 @@ class BlurReport(msgspec.Struct, frozen=True, kw_only=True):
     """What was done.
 
     Attributes:
-        edit: reading, writing, notices and losses.
-        fill: what took the place of what was there.
+        edit: reading, writing, warnings and losses.
+        fill: what took the position of what was there.
         margin: by what share of its size each box grew on each side.
         cameras: one after the other.
     """
@@ -72,7 +72,7 @@ def blur_files(
     source: str | Path,
     output: str | Path,
     *,
-    boxes: Sequence[PictureBox] = (),
+    boxes: Sequence[ImageBox] = (),
     labels: Iterable[str] = (),
     fill: str = "blur",
     margin: float = 0.1,
@@ -83,22 +83,22 @@ def blur_files(
     overwrite: bool = False,
     **writing: Any,
 ) -> BlurReport:
-    """Hide boxes in the pictures of a drive, and write it.
+    """Hide boxes in the images of a drive, and write it.
 
-    Videos are encoded again, FFV1 as FFV1 and others as H.264, which the loss report lists; the pictures keep their
-    times, and nothing else of the videos goes over. Of pictures in files of their own only touched ones are encoded
-    anew; all lose what their files say besides the picture.
+    Videos are encoded again, FFV1 as FFV1 and others as H.264, which the loss report lists; the images keep their
+    times, and nothing else of the videos goes over. Of images in files of their own only touched ones are encoded
+    anew; all lose what their files state besides the image.
 
     Args:
         source: a file or folder of any format.
         output: a file or a folder, by its suffix in any format that can be written.
-        boxes: what to hide, out of `formats.picture_boxes.read_picture_boxes` or from a detector.
-        labels: those of the drive's own boxes and outlines in pictures that are to be hidden.
-        fill, margin: see `editing.hiding.hide_in_pictures`.
-        hold: what a track or an annotation is hidden longer before its first and after its last picture [s].
+        boxes: what to hide, out of `formats.image_boxes.read_image_boxes` or from a detector.
+        labels: those of the drive's own boxes and outlines in images that are to be hidden.
+        fill, margin: see `editing.hiding.hide_in_images`.
+        hold: what a track or an annotation is hidden longer before its first and after its last image [s].
         drop_colours: whether points lose the colours that cameras gave them.
         reading: reading options.
-        progress: told after each sweep and radar cycle that is written.
+        progress: reported after each sweep and radar cycle that is written.
         overwrite: whether an output that exists may be replaced.
         writing: further options of the output's format.
 
@@ -114,14 +114,14 @@ def blur_files(
             "or labels of annotations (`--label NAME`)"
         )
     check_scene_output(Path(output), overwrite=overwrite)
-    told: list[CameraBlur] = []
+    reported: list[CameraBlur] = []
     losses: list[Loss] = []
     with TemporaryDirectory(dir=Path(output).parent, prefix=".sceneloom-blur-") as folder:
         settings = _Settings(tuple(boxes), chosen, fill, margin, hold, drop_colours)
 
         def change(scenes: Sequence[Scene], _: Any) -> Scene:
             changed, done = settings.hidden(scenes[0], Path(folder), losses)
-            told.extend(done)
+            reported.extend(done)
             return changed
 
         report = edit_files(
@@ -135,14 +135,14 @@ def blur_files(
             **writing,
         )
     report = msgspec.structs.replace(report, losses=LossReport.of([*report.losses, *losses]))
-    return BlurReport(edit=report, fill=fill, margin=margin, cameras=tuple(told))
+    return BlurReport(edit=report, fill=fill, margin=margin, cameras=tuple(reported))
 
 
 @dataclass(frozen=True, slots=True)
 class _Settings:
     """What to hide, and how."""
 
-    boxes: tuple[PictureBox, ...]
+    boxes: tuple[ImageBox, ...]
     labels: tuple[str, ...]
     fill: str
     margin: float
@@ -154,11 +154,11 @@ class _Settings:
         hidings = find_hidings(scene, boxes=self.boxes, labels=self.labels, hold=self.hold)
         regions = regions_of(scene, hidings, margin=self.margin)
         pixels = {key: found.pixels for key, found in regions.items()}
-        bare = hide_in_pictures(
+        bare = hide_in_images(
             scene, hidings, fill=self.fill, margin=self.margin, drop_colours=self.drop_colours
         )
         changed, encoded = _with_videos(scene, with_hidden_files(scene, bare, pixels), folder, losses)
-        counts = {key_of(camera.id): len(camera.pictures) for camera in scene.cameras}
+        counts = {key_of(camera.id): len(camera.images) for camera in scene.cameras}
         return changed, [
             _camera_blur(hiding, regions[key], counts[key], counts[key] if key in encoded else None)
             for hiding in hidings
@@ -169,7 +169,7 @@ class _Settings:
 def _with_videos(
     scene: Scene, hidden: Scene, folder: Path, losses: list[Loss]
 ) -> tuple[Scene, frozenset[Key]]:
-    """Encode the pictures of videos again; of odd sizes, which H.264 cannot hold, they stay single pictures.
+    """Encode the images of videos again; of odd sizes, which H.264 cannot hold, they stay single images.
 
     Args:
         scene: before anything was hidden, with its videos.
@@ -189,23 +189,25 @@ def _with_videos(
     encoded = set[Key]()
     for sensor in hidden.sensors:
         key = key_of(sensor.id)
-        if not isinstance(sensor, CameraSensor) or key not in codecs or not len(sensor.pictures):
+        if not isinstance(sensor, CameraSensor) or key not in codecs or not len(sensor.images):
             sensors.append(sensor)
             continue
         codec = "ffv1" if codecs[key] == "ffv1" else "h264"
-        size = sensor.pictures[0].camera
+        size = sensor.images[0].camera
         if codec == "h264" and (size.width % 2 or size.height % 2):
-            what = "its odd size is not that of an H.264 video: the pictures go one by one"
-            losses.append(Loss(field=f"sensors[{sensor.id}].video", what=what, fate=Fate.CONVERTED))
+            what = "its odd size is not that of an H.264 video: the images go one by one"
+            losses.append(Loss(field=f"sensors[{sensor.id}].video", what=what, support=Support.CONVERTED))
             sensors.append(sensor)
             continue
         target = folder / f"video{len(encoded)}{'.mkv' if codec == 'ffv1' else '.mp4'}"
         _encode(sensor, target, codec)
         if codec == "h264":
             what = "the video is encoded again, as H.264 of quality 18"
-            count = len(sensor.pictures)
+            count = len(sensor.images)
             losses.append(
-                Loss(field=f"sensors[{sensor.id}].video", what=what, count=count, fate=Fate.APPROXIMATED)
+                Loss(
+                    field=f"sensors[{sensor.id}].video", what=what, count=count, support=Support.APPROXIMATED
+                )
             )
         sensors.append(replace(sensor, video=VideoContent(partial(open_file, target), codec)))
         encoded.add(key)
@@ -213,24 +215,24 @@ def _with_videos(
 
 
 def _encode(camera: CameraSensor, target: Path, codec: str) -> None:
-    times_ns = camera.pictures.timestamps_ns
+    times_ns = camera.images.timestamps_ns
     seconds = (times_ns - times_ns[0]) * 1e-9
     fps = (len(seconds) - 1) / seconds[-1] if seconds[-1] > 0 else _DEFAULT_FPS
-    size = camera.pictures[0].camera
+    size = camera.images[0].camera
     count = len(seconds)
-    with VideoWriter(target, size.width, size.height, fps, codec=codec, pictures=count) as writer:
-        for picture, time in zip(camera.pictures, seconds.tolist(), strict=True):
-            writer.add(picture.rgb, time)
+    with VideoWriter(target, size.width, size.height, fps, codec=codec, images=count) as writer:
+        for image, time in zip(camera.images, seconds.tolist(), strict=True):
+            writer.add(image.rgb, time)
 
 
-def _camera_blur(hiding: Hiding, regions: HiddenRegions, pictures: int, encoded: int | None) -> CameraBlur:
+def _camera_blur(hiding: Hiding, regions: HiddenRegions, images: int, encoded: int | None) -> CameraBlur:
     return CameraBlur(
         camera=hiding.camera_id,
         boxes=hiding.given,
         hidden=sum(map(len, regions.pixels.values())),
-        pictures=len(regions.pixels),
-        of_pictures=pictures,
-        without_picture=hiding.unmatched,
+        images=len(regions.pixels),
+        of_images=images,
+        without_image=hiding.unmatched,
         outside=regions.outside,
         cut=regions.cut,
         encoded=encoded,

@@ -19,22 +19,22 @@ from sceneloom.formats.loss import LossReport
 from sceneloom.formats.output import check_output, filling, replacing
 from sceneloom.formats.table import write_scene
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pictures.canvas import counting_left_out
-from sceneloom.pipeline.detections.detected import DetectedDrive, calibration_notices, kitti_drive
+from sceneloom.images.canvas import counting_left_out
+from sceneloom.pipeline.detections.detected import DetectedDrive, calibration_warnings, kitti_drive
 from sceneloom.pipeline.detections.files import read_fused
+from sceneloom.pipeline.tracking.images import save_tracking_images
 from sceneloom.pipeline.tracking.job import TrackingSettings, track, track_observations
 from sceneloom.pipeline.tracking.kitti_results import kitti_results
 from sceneloom.pipeline.tracking.labelled_drive import label_drive
 from sceneloom.pipeline.tracking.lines import track_lines
-from sceneloom.pipeline.tracking.pictures import save_tracking_pictures
 from sceneloom.pipeline.tracking.report import TrackedReport, TrackReport
 from sceneloom.pipeline.tracking.tracked import TrackedDrive
-from sceneloom.scene.notices import Notice
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Progress
+from sceneloom.scene.warnings import DataWarning
 from sceneloom.stages import stage
 from sceneloom.tracking.observation import Observation
-from sceneloom.tracking.settings import PictureBox
+from sceneloom.tracking.settings import ImageBox
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,19 +65,19 @@ class TrackableDrive:
 
     @classmethod
     def of_sequence(cls, sequence: KittiSequence, source: str) -> "TrackableDrive":
-        """A sequence of KITTI's tracking benchmark; its scene has the ego's way and the camera, without pictures."""
+        """A sequence of KITTI's tracking benchmark; its scene has the ego trajectory and the camera, without images."""
         scene = sequence_scene(sequence, source=f"{source}/{sequence.name}")
         return cls(kitti_drive(sequence), scene, sequence.rectified_from_lidar)
 
 
-Write = Callable[[TrackedDrive, TrackableDrive, Path, PictureBox, Mapping[str, Any]], LossReport]
+Write = Callable[[TrackedDrive, TrackableDrive, Path, ImageBox, Mapping[str, Any]], LossReport]
 
 
 def _write_kitti(
     tracked: TrackedDrive,
     source: TrackableDrive,
     path: Path,
-    box2d: PictureBox,
+    box2d: ImageBox,
     scene_options: Mapping[str, Any],
 ) -> LossReport:
     del scene_options
@@ -100,7 +100,7 @@ def _write_lines(
     tracked: TrackedDrive,
     source: TrackableDrive,
     path: Path,
-    box2d: PictureBox,
+    box2d: ImageBox,
     scene_options: Mapping[str, Any],
 ) -> LossReport:
     del source, box2d, scene_options
@@ -113,7 +113,7 @@ def _write_scene(
     tracked: TrackedDrive,
     source: TrackableDrive,
     path: Path,
-    box2d: PictureBox,
+    box2d: ImageBox,
     scene_options: Mapping[str, Any],
 ) -> LossReport:
     del box2d
@@ -148,16 +148,16 @@ def form_of(output: Path, form: str | None) -> str:
     return found
 
 
-def _scene_options(said: Mapping[str, Any] | None, form: str) -> Mapping[str, Any]:
+def _scene_options(stated: Mapping[str, Any] | None, form: str) -> Mapping[str, Any]:
     """How scenes are written; refused where none is.
 
     Raises:
-        OptionError: something was said of scenes, but another form is written.
+        OptionError: something was stated of scenes, but another form is written.
     """
-    if said and form != "sfs":
-        flags = " and ".join(f"--{name.replace('_', '-')}" for name in said)
-        raise OptionError(f"{flags}: only of scenes, but {form!r} is written; say --format sfs with it")
-    return said or {}
+    if stated and form != "sfs":
+        flags = " and ".join(f"--{name.replace('_', '-')}" for name in stated)
+        raise OptionError(f"{flags}: only of scenes, but {form!r} is written; state --format sfs with it")
+    return stated or {}
 
 
 def _check_folder(output: Path, form: str | None) -> None:
@@ -180,9 +180,9 @@ def track_folder(
     *,
     sequences: Sequence[str] = (),
     form: str | None = None,
-    box2d: PictureBox = PictureBox.IMAGE,
+    box2d: ImageBox = ImageBox.IMAGE,
     settings: TrackingSettings | None = None,
-    pictures: Path | None = None,
+    images: Path | None = None,
     overwrite: bool = False,
     scene_options: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
@@ -196,12 +196,12 @@ def track_folder(
         output: the folder to write.
         sequences: which ones; none for all.
         form: "kitti", "jsonl" or "sfs"; None for KITTI's results.
-        box2d: which boxes in the picture are told.
+        box2d: which boxes in the image are reported.
         settings: how.
-        pictures: folder into which some moments are drawn, one in it for each sequence; None for none.
+        images: folder into which some moments are drawn, one in it for each sequence; None for none.
         overwrite: whether files that exist may be replaced.
         scene_options: how scenes are written, `profile` and `time_unit` as of `write_scene`; of "sfs" only.
-        progress: told after each sweep.
+        progress: reported after each sweep.
 
     Raises:
         DataError: a file is faulty, or a sequence is not there.
@@ -221,12 +221,12 @@ def track_folder(
         form=form,
         box2d=box2d,
         settings=settings,
-        pictures=pictures,
+        images=images,
         overwrite=overwrite,
         scene_options=scene_options,
         progress=progress,
     )
-    return msgspec.structs.replace(report, notices=(*tracking.notices, *report.notices))
+    return msgspec.structs.replace(report, warnings=(*tracking.warnings, *report.warnings))
 
 
 def track_many(
@@ -236,9 +236,9 @@ def track_many(
     *,
     source: str,
     form: str | None = None,
-    box2d: PictureBox = PictureBox.IMAGE,
+    box2d: ImageBox = ImageBox.IMAGE,
     settings: TrackingSettings | None = None,
-    pictures: Path | None = None,
+    images: Path | None = None,
     overwrite: bool = False,
     scene_options: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
@@ -250,7 +250,7 @@ def track_many(
         count: how many there are.
         output: the folder to write.
         source: what is read, for the report.
-        form, box2d, settings, pictures, overwrite, scene_options, progress: as of `track_folder`.
+        form, box2d, settings, images, overwrite, scene_options, progress: as of `track_folder`.
 
     Raises:
         OutputError: the folder has something in it, or cannot be written.
@@ -260,17 +260,17 @@ def track_many(
     output, wanted = Path(output), form or "kitti"
     form_of(output, wanted)
     _check_folder(output, form)
-    told = _scene_options(scene_options, wanted)
+    reported = _scene_options(scene_options, wanted)
     reports, losses = [], LossReport()
     with ExitStack() as stack:
         folder = stack.enter_context(filling(output, overwrite=overwrite))
-        drawn = None if pictures is None else stack.enter_context(filling(pictures, overwrite=overwrite))
+        drawn = None if images is None else stack.enter_context(filling(images, overwrite=overwrite))
         for k in range(count):
             steps = None if progress is None else _of_many(progress, k, count)
             one = read(k)
             own = None if drawn is None else drawn / one.drive.name
             report, loss = _track_into(
-                folder, output, one, wanted, box2d, settings, told, steps, pictures=own
+                folder, output, one, wanted, box2d, settings, reported, steps, images=own
             )
             reports.append(report)
             losses = LossReport.of([*losses, *loss])
@@ -282,9 +282,9 @@ def track_into(
     output: str | Path,
     *,
     form: str | None = None,
-    box2d: PictureBox = PictureBox.IMAGE,
+    box2d: ImageBox = ImageBox.IMAGE,
     settings: TrackingSettings | None = None,
-    pictures: Path | None = None,
+    images: Path | None = None,
     overwrite: bool = False,
     scene_options: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
@@ -293,8 +293,8 @@ def track_into(
 
     Args:
         source: the drive.
-        output: the file; its suffix tells the form where `form` does not.
-        form, box2d, settings, pictures, overwrite, scene_options, progress: as of `track_folder`.
+        output: the file; its suffix reports the form where `form` does not.
+        form, box2d, settings, images, overwrite, scene_options, progress: as of `track_folder`.
 
     Raises:
         OutputError: the file exists, or cannot be written.
@@ -303,15 +303,15 @@ def track_into(
     begun = time.perf_counter()
     output = Path(output)
     wanted = form_of(output, form)
-    told = _scene_options(scene_options, wanted)
+    reported = _scene_options(scene_options, wanted)
     check_output(output, overwrite=overwrite)
     with ExitStack() as stack:
         draft = stack.enter_context(replacing(output, overwrite=overwrite))
-        drawn = None if pictures is None else stack.enter_context(filling(pictures, overwrite=overwrite))
+        drawn = None if images is None else stack.enter_context(filling(images, overwrite=overwrite))
         report, loss = _track_into(
-            *(draft.parent, output, source, wanted, box2d, settings, told, progress),
+            *(draft.parent, output, source, wanted, box2d, settings, reported, progress),
             name=draft.name,
-            pictures=drawn,
+            images=drawn,
         )
     return _report(source.scene.source, output, wanted, [report], (), begun, loss)
 
@@ -321,16 +321,16 @@ def _track_into(
     output: Path,
     source: TrackableDrive,
     form: str,
-    box2d: PictureBox,
+    box2d: ImageBox,
     settings: TrackingSettings | None,
     scene_options: Mapping[str, Any],
     progress: Progress | None,
     *,
     name: str | None = None,
-    pictures: Path | None = None,
+    images: Path | None = None,
 ) -> tuple[TrackedReport, LossReport]:
     chosen = settings or TrackingSettings()
-    chosen = replace(chosen, tracker=replace(chosen.tracker, picture_box=box2d))
+    chosen = replace(chosen, tracker=replace(chosen.tracker, image_box=box2d))
     with stage("tracking"):
         if source.observations is None:
             tracked = track(source.drive, settings=chosen, progress=progress)
@@ -339,30 +339,30 @@ def _track_into(
                 source.drive, source.observations, settings=chosen, progress=progress
             )
     suffix, write = FORMS[form]
-    place = folder / (name or f"{source.drive.name}{suffix}")
+    location = folder / (name or f"{source.drive.name}{suffix}")
     with stage("writing"):
-        losses = write(tracked, source, place, box2d, scene_options)
+        losses = write(tracked, source, location, box2d, scene_options)
     with counting_left_out() as left:
-        if pictures is not None:
-            save_tracking_pictures(source.scene, source.drive, tracked.moments, pictures)
+        if images is not None:
+            save_tracking_images(source.scene, source.drive, tracked.moments, images)
     labels = {
         number: label for m in tracked.moments for number, label in zip(m.ids.tolist(), m.labels, strict=True)
     }
     counts = dict(zip(*np.unique(list(labels.values()), return_counts=True), strict=True)) if labels else {}
     report = TrackedReport(
         name=source.drive.name,
-        file=str(output if name else output / place.name),
+        file=str(output if name else output / location.name),
         frames=len(tracked.moments),
         tracks={str(label): int(count) for label, count in counts.items()},
         states=sum(map(len, tracked.moments)),
         seconds=tracked.seconds,
-        notices=(*source.drive.notices, *calibration_notices(source.drive), *left.notices),
+        warnings=(*source.drive.warnings, *calibration_warnings(source.drive), *left.warnings),
     )
     return report, losses
 
 
 def _of_many(progress: Progress, k: int, count: int) -> Progress:
-    """Tells of one drive of many; all count the same."""
+    """Reports of one drive of many; all count the same."""
     return lambda done, total: progress(k * 1000 + done * 1000 // max(total, 1), count * 1000)
 
 
@@ -371,7 +371,7 @@ def _report(
     output: Path,
     form: str,
     reports: Iterable[TrackedReport],
-    notices: Iterable[Notice],
+    warnings: Iterable[DataWarning],
     begun: float,
     losses: LossReport,
 ) -> TrackReport:
@@ -384,6 +384,6 @@ def _report(
         drives=drives,
         ms_per_frame=sum(one.seconds for one in drives) * 1e3 / frames if frames else 0.0,
         seconds=time.perf_counter() - begun,
-        notices=tuple(dict.fromkeys([*notices, *(notice for one in drives for notice in one.notices)])),
+        warnings=tuple(dict.fromkeys([*warnings, *(warning for one in drives for warning in one.warnings)])),
         losses=losses,
     )

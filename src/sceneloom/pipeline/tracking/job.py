@@ -54,11 +54,11 @@ def track(
 
     Args:
         settings: how.
-        progress: told after each sweep.
+        progress: reported after each sweep.
 
     Raises:
         OptionError: no algorithm of detection fusion has that name.
-        CalibrationError: a lens is unknown.
+        CalibrationError: a camera model is unknown.
     """
     wanted = settings or TrackingSettings()
     fusion = projection_settings(drive, wanted.fusion)
@@ -75,28 +75,28 @@ def track(
 
 @dataclass(frozen=True, slots=True)
 class _Steps:
-    """Tells of the work of several groups of classes as of one."""
+    """Reports of the work of several groups of classes as of one."""
 
-    told: Progress | None
+    reported: Progress | None
     group: int
     groups: int
     total: int
 
     def done(self, count: int) -> None:
-        if self.told is not None:
-            self.told(self.group * self.total + count, self.groups * self.total)
+        if self.reported is not None:
+            self.reported(self.group * self.total + count, self.groups * self.total)
 
 
 def _groups(drive: DetectedDrive) -> Iterator[tuple[DetectedDrive, dict[str, Any]]]:
     """The drive by classes that the same detectors look for, and which of them find nothing of it at all."""
-    in_sweeps, in_pictures = drive.classes, drive.classes_2d
-    found = frozenset(drive.labels) | (in_sweeps or frozenset()) | (in_pictures or frozenset())
-    only_sweeps = frozenset() if in_pictures is None else found - in_pictures
-    only_pictures = frozenset() if in_sweeps is None else found - in_sweeps - only_sweeps
+    in_sweeps, in_images = drive.classes, drive.classes_2d
+    found = frozenset(drive.labels) | (in_sweeps or frozenset()) | (in_images or frozenset())
+    only_sweeps = frozenset() if in_images is None else found - in_images
+    only_images = frozenset() if in_sweeps is None else found - in_sweeps - only_sweeps
     parts: tuple[tuple[frozenset[str], dict[str, Any]], ...] = (
-        (found - only_sweeps - only_pictures, {}),
+        (found - only_sweeps - only_images, {}),
         (only_sweeps, {"recall_2d": 0.0}),
-        (only_pictures, {"recall_3d": 0.0}),
+        (only_images, {"recall_3d": 0.0}),
     )
     for classes, recalls in parts:
         if classes == found:  # also where nothing was found at all, once
@@ -119,7 +119,7 @@ def track_observations(
         drive: where the sensors were; of each observation's time.
         observations: in the order of time.
         settings: how.
-        progress: told after each sweep.
+        progress: reported after each sweep.
     """
     steps = _Steps(progress, 0, 1, len(observations))
     found, seconds = _track_all(drive, observations, settings or TrackingSettings(), steps)
@@ -170,15 +170,15 @@ def _fusion(chosen: AlgorithmChoice, known: ProjectionSettings) -> DetectionAlgo
 def _observation(
     drive: DetectedDrive, moment: Moment, fuse: DetectionAlgorithm, lonely: DetectionAlgorithm
 ) -> Observation:
-    """What is seen at a moment; a sweep to which no picture belongs counts as it is."""
+    """What is seen at a moment; a sweep to which no image belongs counts as it is."""
     if moment.pairs:
         return Observation.of_pairs(moment.pairs_with_points(), moment.world_from_lidar, fuse=fuse)
     camera_id, camera = next(iter(drive.cameras.items()), (None, None))
-    lens = _NO_LENS if camera is None else camera.lens
+    camera_model = _NO_CAMERA_MODEL if camera is None else camera.camera_model
     none = Boxes2D.empty(moment.timestamp_ns)
-    fused = lonely(DetectionPair(moment.boxes_3d, none, lens, RigidTransform.identity()))
+    fused = lonely(DetectionPair(moment.boxes_3d, none, camera_model, RigidTransform.identity()))
     return Observation(moment.timestamp_ns, moment.world_from_lidar, {camera_id or "": fused})
 
 
-_NO_LENS = Camera("pinhole", 1, 1, 1.0, 1.0, 0.0, 0.0)
-"""Stands for a camera where there is none: nothing is found in its pictures, and nothing is expected."""
+_NO_CAMERA_MODEL = Camera("pinhole", 1, 1, 1.0, 1.0, 0.0, 0.0)
+"""Stands for a camera where there is none: nothing is found in its images, and nothing is expected."""

@@ -17,7 +17,7 @@ def track_lines(moments: Iterable[TrackedObjects]) -> Iterator[bytes]:
 
     Each is `{"timestamp_ns", "objects": [{"id", "class", "confidence", "center", "center_cov", "size_lwh", "size_cov",
     "yaw", "yaw_rate", "yaw_var", "velocity", "velocity_cov", "support", "boxes_2d": {camera: [x1, y1, x2, y2]}}]}`:
-    world frame, metres, seconds and radians, 3x3 covariances row by row, pixels counted from the picture's corner.
+    world frame, metres, seconds and radians, 3x3 covariances row by row, pixels counted from the image's corner.
     """
     for moment in moments:
         rows = [_object(moment, k) for k in range(len(moment))]
@@ -26,7 +26,7 @@ def track_lines(moments: Iterable[TrackedObjects]) -> Iterator[bytes]:
 
 def _object(moment: TrackedObjects, k: int) -> dict[str, Any]:
     covariance = moment.covariances[k]
-    told: dict[str, Any] = {
+    reported: dict[str, Any] = {
         "id": int(moment.ids[k]),
         "class": moment.labels[k],
         "confidence": float(moment.scores[k]),
@@ -38,10 +38,10 @@ def _object(moment: TrackedObjects, k: int) -> dict[str, Any]:
         "velocity": moment.velocities[k].tolist(),
         "support": Support(int(moment.supports[k])).name.lower(),
     }
-    told |= {name: covariance[block, block].reshape(-1).tolist() for name, block in _BLOCKS.items()}
-    told["boxes_2d"] = {
+    reported |= {name: covariance[block, block].reshape(-1).tolist() for name, block in _BLOCKS.items()}
+    reported["boxes_2d"] = {
         str(camera_id): corners[k].tolist()
         for camera_id, corners in moment.corners_xyxy.items()
         if np.isfinite(corners[k]).all()
     }
-    return told
+    return reported

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import msgspec
 
 from sceneloom.formats.loss import LossReport
-from sceneloom.scene.notices import Notice
+from sceneloom.scene.warnings import DataWarning
 
 
 class TrackedReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -16,9 +16,9 @@ class TrackedReport(msgspec.Struct, frozen=True, kw_only=True):
         file: where its objects are.
         frames: sweeps.
         tracks: objects, by class.
-        states: how often one was told.
+        states: how often one was reported.
         seconds: of the processor, for fusing and tracking.
-        notices: what was assumed or is missing.
+        warnings: what was assumed or is missing.
     """
 
     name: str
@@ -27,7 +27,7 @@ class TrackedReport(msgspec.Struct, frozen=True, kw_only=True):
     tracks: Mapping[str, int]
     states: int
     seconds: float
-    notices: tuple[Notice, ...] = ()
+    warnings: tuple[DataWarning, ...] = ()
 
     @property
     def ms_per_frame(self) -> float:
@@ -46,8 +46,8 @@ class TrackReport(msgspec.Struct, frozen=True, kw_only=True):
         ms_per_frame: what a sweep takes, over all of them [ms].
         seconds: the whole call.
         stages: how much of that by stage: reading, tracking, writing …
-        notices: of all of them.
-        losses: what the form has no place for.
+        warnings: of all of them.
+        losses: what the form has no field for.
     """
 
     source: str
@@ -56,6 +56,6 @@ class TrackReport(msgspec.Struct, frozen=True, kw_only=True):
     drives: tuple[TrackedReport, ...]
     ms_per_frame: float
     seconds: float
-    notices: tuple[Notice, ...] = ()
+    warnings: tuple[DataWarning, ...] = ()
     losses: LossReport = LossReport()
     stages: Mapping[str, float] = msgspec.field(default_factory=dict)

@@ -15,7 +15,7 @@ from sceneloom.tracking.drive import gathered
 COLUMNS = tuple(
     f.name for f in fields(TrackedObjects) if f.name not in ("timestamp_ns", "ids", "labels", "corners_xyxy")
 )
-"""The columns of states that tracks and objects of a moment share, without boxes in pictures."""
+"""The columns of states that tracks and objects of a moment share, without boxes in images."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,1 +1,1 @@
-"""What a report tells, in numbers: collected from the scene, kept apart from how it is drawn."""
+"""What a report reports, in numbers: collected from the scene, kept apart from how it is drawn."""

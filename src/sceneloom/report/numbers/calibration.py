@@ -1,4 +1,4 @@
-"""Whether cameras lie to the lidar as the drive says, as far as some pictures can tell that quickly."""
+"""Whether cameras lie to the lidar as the drive says, as far as some images can report that quickly."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier
 
 FRAMES = 6
-"""Pictures of each camera that are looked at; `sceneloom calibrate --check` takes more."""
+"""Images of each camera that are looked at; `sceneloom calibrate --check` takes more."""
 MOST_CAMERAS = 6
 """Cameras that are checked: each takes seconds."""
 
@@ -21,10 +21,10 @@ class CalibrationCheck(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         camera, lidar: whose calibration.
-        verdict: "good", "drifting", "wrong" or "cannot tell".
+        verdict: "good", "drifting", "wrong" or "cannot determine".
         reason: why, where that is known in one line.
         items: by part: rotation, translation, …
-        frames: pictures that were looked at.
+        frames: images that were looked at.
         distinctness, stated_distinctness: how far the best calibration, and the stated one, stand above chance, in
             chance's own deviations.
     """
@@ -42,14 +42,14 @@ class CalibrationCheck(msgspec.Struct, frozen=True, kw_only=True):
 def check_cameras(scene: Scene, *, frames: int = FRAMES) -> tuple[CalibrationCheck, ...]:
     """Check the first cameras of a scene against its first lidar; nothing where it has no lidar."""
     lidars = [lidar for lidar in scene.lidars if len(lidar.frames)]
-    cameras = [camera for camera in scene.cameras if len(camera.pictures)]
+    cameras = [camera for camera in scene.cameras if len(camera.images)]
     if not lidars or not cameras:
         return ()
     return tuple(_check(scene, camera.id, lidars[0].id, frames) for camera in cameras[:MOST_CAMERAS])
 
 
 def _check(scene: Scene, camera_id: Identifier, lidar_id: Identifier, frames: int) -> CalibrationCheck:
-    known = CalibrationCheck(camera=camera_id, lidar=lidar_id, verdict=Verdict.CANNOT_TELL.value)
+    known = CalibrationCheck(camera=camera_id, lidar=lidar_id, verdict=Verdict.UNDETERMINED.value)
     try:
         health = check_calibration(scene, camera_id, lidar_id, most=frames)
     except SceneloomError as error:

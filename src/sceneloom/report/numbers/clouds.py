@@ -34,7 +34,7 @@ class CloudCoverage(msgspec.Struct, frozen=True, kw_only=True):
         sectors: mean points of a sweep in each sector, counter-clockwise from straight ahead.
         reaches: how far 95 % of the points of each sector lie [m]; 0 where there are none.
         horizon_share: of the sectors, those with points.
-        nowhere_share: of the points, those that are not finite or at the sensor itself.
+        non_finite_share: of the points, those that are not finite or at the sensor itself.
         with_times, with_intensities, with_colours: whether points have them.
     """
 
@@ -56,14 +56,14 @@ class CloudCoverage(msgspec.Struct, frozen=True, kw_only=True):
     sectors: tuple[float, ...] = ()
     reaches: tuple[float, ...] = ()
     horizon_share: float = 0.0
-    nowhere_share: float = 0.0
+    non_finite_share: float = 0.0
     with_times: bool = False
     with_intensities: bool = False
     with_colours: bool = False
 
 
 @dataclass(slots=True)
-class CloudTally:
+class CloudStatistics:
     """Counts points of one sensor while its sweeps pass, in bounded memory."""
 
     counts: list[int] = field(default_factory=list)
@@ -117,7 +117,7 @@ class CloudTally:
     def coverage(self, sensor: Identifier, kind: str, *, of: int) -> CloudCoverage:
         """Give the averages; `of` so many sweeps in all."""
         sweeps = len(self.counts)
-        told = CloudCoverage(
+        reported = CloudCoverage(
             sensor=sensor,
             type=kind,
             sweeps=sweeps,
@@ -125,19 +125,19 @@ class CloudTally:
             points_mean=float(np.mean(self.counts)) if sweeps else 0.0,
             points_least=min(self.counts, default=0),
             points_most=max(self.counts, default=0),
-            nowhere_share=self.nowhere / max(sum(self.counts), 1),
+            non_finite_share=self.nowhere / max(sum(self.counts), 1),
             with_times=self.with_times,
             with_intensities=self.with_intensities,
             with_colours=self.with_colours,
         )
         if sweeps == 0 or not self._ranges.any():
-            return told
+            return reported
         by_range = self._by_direction.sum(axis=0)
         sectors = self._by_direction.reshape(SECTORS, _FINE // SECTORS, _STEPS).sum(axis=1)
         low, high = (_quantile(self._elevations, share) / 10.0 - 90.0 for share in (0.01, 0.99))
         last_ring = np.flatnonzero(self._rings)
         return msgspec.structs.replace(
-            told,
+            reported,
             range_counts=tuple((self._ranges / sweeps).round(2).tolist()),
             range_median=_STEP * _quantile(by_range, 0.5),
             range_95=_STEP * _quantile(by_range, _FAR_SHARE),

@@ -2,8 +2,8 @@
 
 import msgspec
 
-from sceneloom.formats.listing import list_formats, list_holdings
-from sceneloom.formats.loss import Fate
+from sceneloom.formats.listing import list_formats, list_supported_fields
+from sceneloom.formats.loss import Support
 from sceneloom.scene.counting import contents_of
 from sceneloom.scene.scene import Scene
 
@@ -13,13 +13,13 @@ class Conversion(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         format: its name.
-        fates: how many of the fields that the drive holds are kept, converted, approximated, dropped.
-        dropped: names of those that it has no place for.
+        supports: how many of the fields that the drive holds are kept, converted, approximated, dropped.
+        dropped: names of those that it has no field for.
         approximated: names of those that are replaced by something near.
     """
 
     format: str
-    fates: dict[str, int]
+    supports: dict[str, int]
     dropped: tuple[str, ...] = ()
     approximated: tuple[str, ...] = ()
 
@@ -33,11 +33,14 @@ def conversions_of(scene: Scene) -> tuple[Conversion, ...]:
 
 
 def _conversion(name: str, fields: list[str]) -> Conversion:
-    holdings = list_holdings(name)
-    fates = {field: holdings[field].fate if field in holdings else Fate.DROPPED for field in fields}
+    supported_fields = list_supported_fields(name)
+    supports = {
+        field: supported_fields[field].support if field in supported_fields else Support.DROPPED
+        for field in fields
+    }
     return Conversion(
         format=name,
-        fates={str(fate): sum(found is fate for found in fates.values()) for fate in Fate},
-        dropped=tuple(field for field, fate in fates.items() if fate is Fate.DROPPED),
-        approximated=tuple(field for field, fate in fates.items() if fate is Fate.APPROXIMATED),
+        supports={str(support): sum(found is support for found in supports.values()) for support in Support},
+        dropped=tuple(field for field, support in supports.items() if support is Support.DROPPED),
+        approximated=tuple(field for field, support in supports.items() if support is Support.APPROXIMATED),
     )

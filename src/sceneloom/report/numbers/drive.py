@@ -1,4 +1,4 @@
-"""All that a report tells of a drive, in one object that goes to JSON as it is."""
+"""All that a report reports a drive, in one object that goes to JSON as it is."""
 
 import msgspec
 
@@ -12,10 +12,10 @@ from sceneloom.report.numbers.metrics import Metrics
 from sceneloom.report.numbers.provenance import Provenance
 from sceneloom.report.numbers.surroundings import Coverage
 from sceneloom.report.numbers.timing import Timing
+from sceneloom.report.numbers.trajectories import Trajectories
 from sceneloom.report.numbers.verdict import Verdict
-from sceneloom.report.numbers.ways import Ways
-from sceneloom.scene.notices import Notice
 from sceneloom.scene.summary import SceneSummary
+from sceneloom.scene.warnings import DataWarning
 
 
 class DriveReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -23,19 +23,19 @@ class DriveReport(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         name: what the drive is called.
-        verdict: what is to be said of it first.
+        verdict: what is to be stated of it first.
         summary: what is in it.
         timing: its streams against each other.
-        ways: where the ego went.
+        trajectories: where the ego went.
         coverage: what its sensors see.
         calibration: whether cameras lie to the lidar as it says, a quick check.
         fusion: what fusing some sweeps gave; None where that was not possible, or not to be.
-        labels: what is said about it; None without annotations.
+        labels: what is stated about it; None without annotations.
         metrics: how far what was found is from the truth.
         validation: what the rules of `validate` found; None where they were not run.
         conversions: what each format that can be written would make of it.
         losses: what was lost when the drive was written, where a loss report was given.
-        notices: what was assumed, repaired or left out on reading it, and on finding its way.
+        warnings: what was assumed, repaired or left out on reading it, and on finding its trajectory.
         provenance: what this report was made of and by.
         sampling: what was looked at in part only, in words.
         left_out: why a part of the report is missing, by its name.
@@ -45,7 +45,7 @@ class DriveReport(msgspec.Struct, frozen=True, kw_only=True):
     verdict: Verdict
     summary: SceneSummary
     timing: Timing
-    ways: Ways
+    trajectories: Trajectories
     coverage: Coverage
     calibration: tuple[CalibrationCheck, ...]
     fusion: Fusion | None
@@ -54,7 +54,7 @@ class DriveReport(msgspec.Struct, frozen=True, kw_only=True):
     validation: ValidationReport | None
     conversions: tuple[Conversion, ...]
     losses: tuple[Loss, ...]
-    notices: tuple[Notice, ...]
+    warnings: tuple[DataWarning, ...]
     provenance: Provenance
     sampling: tuple[str, ...] = ()
     left_out: dict[str, str] = msgspec.field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""What fusing some sweeps gives: points in pictures, colours, and the pictures that show it."""
+"""What fusing some sweeps gives: points in images, colours, and the images that show it."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -8,14 +8,14 @@ import numpy as np
 
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.fusion.configuration import FusionConfiguration
-from sceneloom.pictures.drive_cloud import DriveCloud
-from sceneloom.pictures.sheets import iter_pictures
-from sceneloom.pipeline.fusing.report import CameraReport, CameraTally, FusionTally
+from sceneloom.images.drive_cloud import DriveCloud
+from sceneloom.images.sheets import iter_images
+from sceneloom.pipeline.aligned.scene import Aligned, align
+from sceneloom.pipeline.fusing.report import CameraReport, CameraStatistics, FusionStatistics
 from sceneloom.pipeline.play import Skips, build_system, play
-from sceneloom.pipeline.woven.scene import Woven, weave
-from sceneloom.report.album import Album
+from sceneloom.report.figures import Figures
 from sceneloom.report.numbers.sampling import with_some_sweeps
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import scene_period_ns
 from sceneloom.scene.types import Identifier
@@ -30,15 +30,15 @@ class Fusion(msgspec.Struct, frozen=True, kw_only=True):
     """What fusing gave.
 
     Attributes:
-        trajectory: name of the ego's way; None where every sensor has poses of its own.
+        trajectory: name of the ego trajectory; None where every sensor has poses of its own.
         sweeps: how many were fused, `of` how many the drive has.
         points: of these sweeps.
         coloured_percent: of them that got a colour.
         cameras: a report for each.
-        extrapolated: sweeps that needed poses beyond the way's ends.
+        extrapolated: sweeps that needed poses beyond the trajectory's ends.
         unfused: why others were not fused, with counts.
-        skipped: sweeps and pictures that could not be read, one line each.
-        time_differences_ms: by camera, how much later than its sweep's middle its picture is: the median [ms].
+        skipped: sweeps and images that could not be read, one line each.
+        time_differences_ms: by camera, how much later than its sweep's middle its image is: the median [ms].
     """
 
     trajectory: str | None
@@ -57,13 +57,13 @@ class Fusion(msgspec.Struct, frozen=True, kw_only=True):
 class _Gathered:
     """What is kept of the fused sweeps."""
 
-    tally: FusionTally
+    statistics: FusionStatistics
     cloud: DriveCloud
     shown: dict[Identifier, FusedFrame] = field(default_factory=dict)
     differences_ns: dict[str, list[int]] = field(default_factory=dict)
 
     def add(self, frame: FusedFrame, *, middle: int) -> None:
-        self.tally.add(frame)
+        self.statistics.add(frame)
         self.cloud.add(frame)
         for view in frame.views:
             away = view.timestamp_ns - frame.reference_ns
@@ -73,43 +73,43 @@ class _Gathered:
             self.shown[frame.lidar_id] = frame
 
 
-def fuse_some(scene: Scene, album: Album, *, sweeps: int = SWEEPS, lenient: bool = True) -> Fusion:
+def fuse_some(scene: Scene, figures: Figures, *, sweeps: int = SWEEPS, lenient: bool = True) -> Fusion:
     """Fuse some sweeps spread over the drive, and draw what came out.
 
     Args:
-        scene: with a way of the ego, or sensors that are placed in the world.
-        album: gets the pictures.
+        scene: with a ego trajectory, or sensors that are placed in the world.
+        figures: gets the images.
         sweeps: of each lidar, at most.
         lenient: pass over what cannot be read.
 
     Raises:
         PoseError: the sensors' motion is not known.
-        CalibrationError: a lens cannot be computed with.
-        DataError: a sweep or picture cannot be read, and that is not passed over.
+        CalibrationError: a camera model cannot be computed with.
+        DataError: a sweep or image cannot be read, and that is not passed over.
     """
-    woven = weave(scene)
-    few = with_some_sweeps(woven.scene, sweeps)
-    total = sum(len(lidar.frames) for lidar in woven.scene.lidars)
+    aligned = align(scene)
+    few = with_some_sweeps(aligned.scene, sweeps)
+    total = sum(len(lidar.frames) for lidar in aligned.scene.lidars)
     skips = Skips() if lenient else None
     gathered = _Gathered(
-        FusionTally({camera.id: CameraTally(len(camera.pictures)) for camera in scene.cameras}),
+        FusionStatistics({camera.id: CameraStatistics(len(camera.images)) for camera in scene.cameras}),
         DriveCloud(frozenset(range(sweeps))),
     )
     most = max((len(lidar.frames) for lidar in few.lidars), default=0)
-    for frame in _played(woven, few, skips):
+    for frame in _played(aligned, few, skips):
         gathered.add(frame, middle=min(sweeps, most) // 2)
-    path = None if woven.ego is None else woven.ego.path
-    _draw(gathered, album, path)
-    tally = gathered.tally
+    path = None if aligned.ego is None else aligned.ego.path
+    _draw(gathered, figures, path)
+    statistics = gathered.statistics
     return Fusion(
-        trajectory=None if woven.ego is None else woven.ego.name,
-        sweeps=tally.fused,
+        trajectory=None if aligned.ego is None else aligned.ego.name,
+        sweeps=statistics.fused,
         of=total,
-        points=tally.points,
-        coloured_percent=tally.coloured_percent,
-        cameras=tuple(camera.report(camera_id) for camera_id, camera in tally.cameras.items()),
-        extrapolated=tally.extrapolated,
-        unfused=tally.unfused,
+        points=statistics.points,
+        coloured_percent=statistics.coloured_percent,
+        cameras=tuple(camera.report(camera_id) for camera_id, camera in statistics.cameras.items()),
+        extrapolated=statistics.extrapolated,
+        unfused=statistics.unfused,
         skipped=() if skips is None else tuple(skips.reasons),
         time_differences_ms={
             key: float(np.median(values)) / 1e6 for key, values in gathered.differences_ns.items()
@@ -117,57 +117,57 @@ def fuse_some(scene: Scene, album: Album, *, sweeps: int = SWEEPS, lenient: bool
     )
 
 
-def _played(woven: Woven, few: Scene, skips: Skips | None) -> Iterator[FusedFrame]:
+def _played(aligned: Aligned, few: Scene, skips: Skips | None) -> Iterator[FusedFrame]:
     """Fuse the few sweeps by the pace of the whole drive."""
     system = build_system(
-        woven.scene, woven.ego, FusionConfiguration(pairing_tolerance_ns=scene_period_ns(woven.scene))
+        aligned.scene, aligned.ego, FusionConfiguration(pairing_tolerance_ns=scene_period_ns(aligned.scene))
     )
     if skips is not None:
         system.on_unreadable = skips.add
     yield from play(few, system, skips=skips)
 
 
-def _draw(gathered: _Gathered, album: Album, path: PosePath | None) -> None:
-    """Draw one sweep of each lidar with all its pictures, and all that were fused as one cloud."""
-    moving = None if path is None or path.endless else path
+def _draw(gathered: _Gathered, figures: Figures, path: Poses | None) -> None:
+    """Draw one sweep of each lidar with all its images, and all that were fused as one cloud."""
+    moving = None if path is None or path.static else path
     together = gathered.cloud.draw(moving)
     for frame in gathered.shown.values():
         shown = replace(frame, views=frame.views[:MOST_VIEWS])
-        drawings = iter_pictures(shown, frame.index, ego_poses=moving, show_hidden=True)
-        for number, (_, draw) in enumerate(drawings):
+        plots = iter_images(shown, frame.index, ego_poses=moving, show_hidden=True)
+        for number, (_, draw) in enumerate(plots):
             view, kind = _view_and_kind(shown, number)
             if view is not None or not together or len(gathered.shown) > 1:
                 section = "calibration" if kind == "overlay" else "fusion"
-                album.add(section, *_told(kind, frame, view), draw())
+                figures.add(section, *_reported(kind, frame, view), draw())
     for name, image in together.items():
         where = "from above" if name == "above" else "from behind the ego"
-        text = f"The cloud of {gathered.tally.fused} sweeps in the colours of the pictures, seen {where}"
-        album.add("fusion", f"The drive {where}", text, image)
+        text = f"The cloud of {gathered.statistics.fused} sweeps in the colours of the images, seen {where}"
+        figures.add("fusion", f"The drive {where}", text, image)
 
 
 def _view_and_kind(frame: FusedFrame, number: int) -> tuple[FusedView | None, str]:
-    """What picture `number` of a frame shows: two of each view come first, then two of the cloud."""
+    """What image `number` of a frame shows: two of each view come first, then two of the cloud."""
     beyond = number - 2 * len(frame.views)
     if beyond < 0:
         return frame.views[number // 2], ("overlay", "depth")[number % 2]
     return None, ("above", "perspective")[beyond]
 
 
-def _told(kind: str, frame: FusedFrame, view: FusedView | None) -> tuple[str, str]:
-    """Title and text of a picture."""
+def _reported(kind: str, frame: FusedFrame, view: FusedView | None) -> tuple[str, str]:
+    """Title and text of an image."""
     name = "" if view is None else str(view.camera_id)
     camera = f"camera {name}"
     points = f"{0 if view is None else int(view.visible.sum()):,} points of lidar {frame.lidar_id}"
-    cloud = f"One sweep of lidar {frame.lidar_id} in the colours of the pictures"
+    cloud = f"One sweep of lidar {frame.lidar_id} in the colours of the images"
     titles = {
-        "overlay": f"{name}: points over the picture",
+        "overlay": f"{name}: points over the image",
         "depth": f"{name}: depth image",
         "above": f"Lidar {frame.lidar_id} from above",
         "perspective": f"Lidar {frame.lidar_id} in perspective",
     }
     texts = {
-        "overlay": f"The picture of {camera}, its colours subdued, with {points} over it as discs, coloured by depth",
-        "depth": f"The depths that {points} give in the picture of {camera}, near to far by colour, dark without any",
+        "overlay": f"The image of {camera}, its colours subdued, with {points} over it as discs, coloured by depth",
+        "depth": f"The depths that {points} give in the image of {camera}, near to far by colour, dark without any",
         "above": f"{cloud}, as a map with a grid in metres",
         "perspective": f"{cloud}, seen from behind and above the ego",
     }

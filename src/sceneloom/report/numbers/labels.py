@@ -1,4 +1,4 @@
-"""What is said about a drive: objects by class, their sizes, ranges and tracks, points inside, what hides them."""
+"""What is stated about a drive: objects by class, their sizes, ranges and tracks, points inside, what hides them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -14,8 +14,8 @@ from sceneloom.scene.sample import Sample
 from sceneloom.scene.sample_boxes import BoxTable
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.span import time_span
+from sceneloom.visibility.observations import visibility
 from sceneloom.visibility.points import count_points
-from sceneloom.visibility.sights import sight
 
 MOMENTS = 12
 """Moments at which boxes are looked at, at most."""
@@ -51,15 +51,15 @@ class ClassNumbers(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         label: the class.
         objects: annotations.
-        key_frames: boxes that are said.
-        stationary: objects that are said to stand still.
+        key_frames: boxes that are stated.
+        stationary: objects that are stated to are stationary.
         length, width, height: of the objects, the middle one of each [m].
         seconds: how long objects are there [s]; of those that are not there all the time.
         ranges: distance from the sensor at the moments looked at [m].
         points: points of the lidars in a box at these moments.
         empty_share: of the boxes at these moments, those without any point.
-        hidden: which share of a box nearer boxes hide in pictures, over those in pictures.
-        in_pictures_share: of the boxes at these moments, those in at least one picture; None without cameras.
+        hidden: which share of a box nearer boxes hide in images, over those in images.
+        in_images_share: of the boxes at these moments, those in at least one image; None without cameras.
     """
 
     label: str
@@ -74,7 +74,7 @@ class ClassNumbers(msgspec.Struct, frozen=True, kw_only=True):
     points: Spread | None = None
     empty_share: float | None = None
     hidden: Spread | None = None
-    in_pictures_share: float | None = None
+    in_images_share: float | None = None
 
 
 class Labels(msgspec.Struct, frozen=True, kw_only=True):
@@ -84,11 +84,11 @@ class Labels(msgspec.Struct, frozen=True, kw_only=True):
         types: how many of each type.
         classes: of cuboids, the most frequent first.
         moments: at how many moments boxes were looked at, `of` how many.
-        over_time: (seconds after the first stamp, boxes that are there).
+        over_time: (seconds after the first timestamp, boxes that are there).
         range_edges, range_counts: boxes by distance at these moments; the last count is of those beyond.
         point_edges, point_counts: boxes by points inside; the last count is of those with more.
         attributes: names of attributes of annotations, with how many have them.
-        skipped: what could not be told, and why.
+        skipped: what could not be reported, and why.
     """
 
     types: dict[str, int]
@@ -125,7 +125,7 @@ def labels_of(scene: Scene, *, start_ns: int, moments: int = MOMENTS) -> Labels 
     """Look at the annotations of a scene; None where it has none.
 
     Args:
-        start_ns: the scene's first stamp [ns].
+        start_ns: the scene's first timestamp [ns].
         moments: so many are looked at more closely, at most.
     """
     if not scene.annotations:
@@ -136,14 +136,14 @@ def labels_of(scene: Scene, *, start_ns: int, moments: int = MOMENTS) -> Labels 
         types[str(annotation.type)] = types.get(str(annotation.type), 0) + 1
         for name in {attribute.name for attribute in getattr(annotation, "attributes", ())}:
             attributes[name] = attributes.get(name, 0) + 1
-    told = Labels(types=types, attributes=attributes)
+    reported = Labels(types=types, attributes=attributes)
     table = BoxTable(scene)
     if not table.annotations:
-        return told
+        return reported
     looks = _look(scene, table, moments)
     _count(scene, looks, moments)
     return msgspec.structs.replace(
-        told,
+        reported,
         classes=_classes(table, looks),
         moments=looks.moments,
         of=looks.of,
@@ -155,13 +155,13 @@ def labels_of(scene: Scene, *, start_ns: int, moments: int = MOMENTS) -> Labels 
 
 
 def _look(scene: Scene, table: BoxTable, moments: int) -> _Looks:
-    """See the boxes from the sensors at some moments: how far they are, which are in pictures, what hides them."""
+    """See the boxes from the sensors at some moments: how far they are, which are in images, what hides them."""
     looks = _Looks()
     try:
         samples = scene.samples(reference="lidar" if _has_sweeps(scene) else "camera")
     except OptionError:
         return looks
-    looks.of, looks.with_cameras = len(samples), any(len(camera.pictures) for camera in scene.cameras)
+    looks.of, looks.with_cameras = len(samples), any(len(camera.images) for camera in scene.cameras)
     for row in spread_rows(len(samples), moments).tolist():
         try:
             _add(looks, table, samples[row])
@@ -181,16 +181,16 @@ def _add(looks: _Looks, table: BoxTable, sample: Sample) -> None:
     looks.moments += 1
     if len(there) == 0:
         return
-    place = sample.poses.world_from_sensor.get(sample.reference_id)
+    location = sample.poses.world_from_sensor.get(sample.reference_id)
     ranges = np.full(len(there), np.nan)
-    if place is not None:
-        ranges = np.linalg.norm(boxes.centers_world - place.translation, axis=1)
+    if location is not None:
+        ranges = np.linalg.norm(boxes.centers_world - location.translation, axis=1)
     seen = np.zeros(len(there), np.bool_)
     for camera_id, world_from_camera in sample.world_from_camera.items():
-        if world_from_camera is None or sample.pictures.get(camera_id) is None:
+        if world_from_camera is None or sample.images.get(camera_id) is None:
             continue
         rows, shown = table.find(sample.times_ns[camera_id], sensor_id=camera_id)
-        found = sight(sample.cameras[camera_id], world_from_camera, shown, min_pixels=4.0)
+        found = visibility(sample.cameras[camera_id], world_from_camera, shown, min_pixels=4.0)
         seen[np.isin(there, rows[found.rows])] = True
         looks.hidden_rows += rows[found.rows].tolist()
         looks.hidden += found.occlusions.tolist()
@@ -272,7 +272,7 @@ def _class(
         points=Spread.of(points),
         empty_share=float((points == 0).mean()) if len(points) else None,
         hidden=Spread.of(columns.hidden[np.isin(columns.hidden_rows, rows)]),
-        in_pictures_share=float(columns.seen[at].mean()) if looks.with_cameras and at.any() else None,
+        in_images_share=float(columns.seen[at].mean()) if looks.with_cameras and at.any() else None,
     )
 
 
@@ -285,9 +285,9 @@ def _over_time(scene: Scene, table: BoxTable, start_ns: int) -> tuple[tuple[floa
     times = np.array([span[0] + (span[1] - span[0]) * k // (_MOST_TIMES - 1) for k in steps], np.int64)
     counts = np.zeros(len(times), np.int64)
     for annotation in table.annotations:
-        stamps = annotation.path.timestamps_ns
+        timestamps = annotation.path.timestamps_ns
         always = annotation.stationary is True
-        counts += always | ((times >= stamps[0]) & (times <= stamps[-1]))
+        counts += always | ((times >= timestamps[0]) & (times <= timestamps[-1]))
     return tuple(
         (round((t - start_ns) / 1e9, 4), n) for t, n in zip(times.tolist(), counts.tolist(), strict=True)
     )

@@ -9,7 +9,7 @@ from sceneloom.evaluate.report import TrajectoryReport
 from sceneloom.evaluate.tracking.comparison import TrackingReport, compare_tracks
 from sceneloom.evaluate.trajectory import evaluate_trajectory
 from sceneloom.motion.ego_motion import find_ego_motion
-from sceneloom.scene.poses import Trajectory, same_way
+from sceneloom.scene.poses import Trajectory, same_direction
 from sceneloom.scene.scene import Scene
 
 TRUTH = "groundTruth"
@@ -20,7 +20,7 @@ class Metrics(msgspec.Struct, frozen=True, kw_only=True):
     """Comparisons with the truth.
 
     Attributes:
-        trajectories: one per way that was held against a reference.
+        trajectories: one per trajectory that was held against a reference.
         tracks: objects of the drive held against those of the truth; None where there are none of both.
         skipped: what could not be compared, and why.
     """
@@ -33,11 +33,11 @@ class Metrics(msgspec.Struct, frozen=True, kw_only=True):
 def metrics_of(
     scene: Scene, *, source: Path | str | None, truth: Path | str | None, compare: tuple[str, ...] = ()
 ) -> Metrics:
-    """Compare the ways of a scene with its true one, and with a truth that lies elsewhere.
+    """Compare the trajectories of a scene with its true one, and with a truth that lies elsewhere.
 
     Args:
         source: where the drive lies, to be held against `truth`; None where it is in memory only.
-        truth: a trajectory, or a scene or KITTI's text with the true objects and way; None for none.
+        truth: a trajectory, or a scene or KITTI's text with the true objects and trajectory; None for none.
         compare: ways to be found and compared, too: "lidar", "gnss".
 
     Raises:
@@ -45,12 +45,14 @@ def metrics_of(
             and compared of `compare`.
     """
     collected = _Collected()
-    true_way = scene.trajectories.get(TRUTH)
-    reference = true_way if true_way is not None else next(iter(scene.trajectories.values()), None)
-    if true_way is not None:
-        for name, way in scene.trajectories.items():
-            if name != TRUTH and not same_way(way, true_way):
-                collected.compare(way, true_way)
+    true_trajectory = scene.trajectories.get(TRUTH)
+    reference = (
+        true_trajectory if true_trajectory is not None else next(iter(scene.trajectories.values()), None)
+    )
+    if true_trajectory is not None:
+        for name, trajectory in scene.trajectories.items():
+            if name != TRUTH and not same_direction(trajectory, true_trajectory):
+                collected.compare(trajectory, true_trajectory)
     for name in compare:
         collected.find_and_compare(scene, name, reference)
     if truth is not None:
@@ -61,7 +63,7 @@ def metrics_of(
 
 
 class _Collected:
-    """Comparisons so far; what cannot be compared is told, not raised, but for what was asked for by name."""
+    """Comparisons so far; what cannot be compared is reported, not raised, but for what was asked for by name."""
 
     def __init__(self) -> None:
         self.trajectories: list[TrajectoryReport] = []
@@ -88,14 +90,14 @@ class _Collected:
             raise DataError(scene.source, "", f"{problem}; leave `--compare {name}` out") from error
 
     def against(self, scene: Scene, source: Path | str | None, truth: Path | str) -> None:
-        """Hold the drive's way, and its objects, against a truth that may have one of both only."""
+        """Hold the drive's trajectory, and its objects, against a truth that may have one of both only."""
         refused: list[str] = []
         before = len(self.trajectories)
         if scene.trajectories:
-            told = len(self.skipped)
+            reported = len(self.skipped)
             self.compare(next(iter(scene.trajectories.values())), truth)
-            refused += self.skipped[told:]
-            del self.skipped[told:]
+            refused += self.skipped[reported:]
+            del self.skipped[reported:]
         if source is not None:
             try:
                 self.tracks = compare_tracks(source, truth)

@@ -28,11 +28,11 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
         made: when, in UTC, to the second.
         sceneloom, python, system: versions.
         packages: versions of what computes.
-        settings: those of the report that were said.
+        settings: those of the report that were stated.
         sha256: of what was read; None where it is in memory, or behind a URL.
         hashed: what the hash is of: "file", "folder", or "ends" for names, sizes, and first and last bytes.
         size_bytes: of what was read.
-        told: what the drive tells of how it came about, by name, as short texts.
+        reported: what the drive reports how it came about, by name, as short texts.
     """
 
     made: str
@@ -44,7 +44,7 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     sha256: str | None = None
     hashed: str | None = None
     size_bytes: int | None = None
-    told: dict[str, str] = msgspec.field(default_factory=dict)
+    reported: dict[str, str] = msgspec.field(default_factory=dict)
 
 
 def provenance_of(
@@ -54,7 +54,7 @@ def provenance_of(
 
     Args:
         path: the file or folder that was read; None for others.
-        settings: that were said, by name.
+        settings: that were stated, by name.
         made: when; None for now.
     """
     digest, hashed, size = (None, None, None) if path is None else hash_of(path)
@@ -68,7 +68,7 @@ def provenance_of(
         sha256=digest,
         hashed=hashed,
         size_bytes=size,
-        told=_told(scene),
+        reported=_reported(scene),
     )
 
 
@@ -116,7 +116,7 @@ def _parts(file: Path, size: int, *, whole: bool) -> Iterator[bytes]:
         yield content.read(_ENDS)
 
 
-def _told(scene: Scene) -> dict[str, str]:
+def _reported(scene: Scene) -> dict[str, str]:
     """Entries of a scene's metadata as texts, ours one by one, each cut off where it is long."""
     ours = scene.metadata.get("sceneloom")
     entries = {name: value for name, value in scene.metadata.items() if name != "sceneloom"}

@@ -36,7 +36,7 @@ def _frame_of(frames: LazyFrames[Frame], rows: tuple[int, ...], k: int) -> Frame
 
 
 def with_some_sweeps(scene: Scene, most: int) -> Scene:
-    """The scene with at most so many sweeps of each lidar, and of cameras the pictures within two sweeps of these."""
+    """The scene with at most so many sweeps of each lidar, and of cameras the images within two sweeps of these."""
     kept = {lidar.id: spread_rows(len(lidar.frames), most) for lidar in scene.lidars}
     spans = [
         (lidar.frames.timestamps_ns[kept[lidar.id]], 2 * sweep_period_ns(lidar)) for lidar in scene.lidars
@@ -46,15 +46,15 @@ def with_some_sweeps(scene: Scene, most: int) -> Scene:
         if isinstance(sensor, LidarSensor):
             return replace(sensor, frames=chosen_frames(sensor.frames, kept[sensor.id]))
         if isinstance(sensor, CameraSensor):
-            rows = _rows_around(sensor.pictures.timestamps_ns, spans)
-            return replace(sensor, pictures=chosen_frames(sensor.pictures, rows), video=None)
+            rows = _rows_around(sensor.images.timestamps_ns, spans)
+            return replace(sensor, images=chosen_frames(sensor.images, rows), video=None)
         return sensor
 
     return replace(scene, sensors=tuple(map(thinned, scene.sensors)))
 
 
 def _rows_around(times_ns: Int64Array, spans: list[tuple[Int64Array, int]]) -> Int64Array:
-    """Which of the times (N,) lie within reach of one of the sweeps; each span is (stamps, reach)."""
+    """Which of the times (N,) lie within reach of one of the sweeps; each span is (timestamps, reach)."""
     near = np.zeros(len(times_ns), np.bool_)
     for sweeps_ns, reach_ns in spans:
         for sweep_ns in sweeps_ns.tolist():

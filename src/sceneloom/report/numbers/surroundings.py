@@ -11,12 +11,12 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import unproject
 from sceneloom.errors import CalibrationError, DataError, SceneloomError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.report.numbers.clouds import CloudCoverage, CloudTally
+from sceneloom.report.numbers.clouds import CloudCoverage, CloudStatistics
 from sceneloom.report.numbers.sampling import spread_rows
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.ego import EgoMotion
-from sceneloom.scene.sample_places import choose_ego, place_of_points, places_of, poses_at
+from sceneloom.scene.sample_positions import choose_ego, frame_of_points, locations_of, poses_at
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier
 
@@ -24,10 +24,10 @@ SWEEPS = 12
 """Sweeps of each lidar and radar that are looked at, at most."""
 _RAYS = 65
 _MOVES = 0.5
-"""Between two looks the ego has to move so far for its motion to say where ahead is [m]."""
+"""Between two looks the ego has to move so far for its motion to state where ahead is [m]."""
 
 _AROUND_NS = 1_000_000_000
-"""Where ahead is, is told by the motion so long before and after the middle of the drive, at most [ns]."""
+"""Where ahead is, is reported by the motion so long before and after the middle of the drive, at most [ns]."""
 
 Surveying = LidarSensor | RadarSensor
 
@@ -37,12 +37,12 @@ class CameraView(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         sensor: the camera.
-        width, height: of its pictures [px].
-        model: of its lens.
+        width, height: of its images [px].
+        model: of its camera model.
         across_deg, upright_deg: angles of view along the middle row and column [deg].
         left_deg, right_deg: ends of the middle row, counter-clockwise from straight ahead [deg], `left_deg` the larger
             one; None where the mounting is not known.
-        heading_deg, pitch_deg: where the middle of the picture looks: counter-clockwise from ahead, up [deg].
+        heading_deg, pitch_deg: where the middle of the image looks: counter-clockwise from ahead, up [deg].
     """
 
     sensor: Identifier
@@ -78,7 +78,7 @@ class Coverage(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def coverage_of(scene: Scene, *, sweeps: int = SWEEPS, ego: EgoMotion | None = None) -> Coverage:
-    """Look at some sweeps of each lidar and radar, and at all lenses."""
+    """Look at some sweeps of each lidar and radar, and at all camera models."""
     survey = _Survey.of(scene, ego)
     surveying = [s for s in scene.sensors if isinstance(s, LidarSensor | RadarSensor)]
     clouds = tuple(survey.cloud(sensor, sweeps) for sensor in surveying)
@@ -114,12 +114,12 @@ class _Survey:
                 chosen = choose_ego(scene, None)
             except SceneloomError:
                 chosen = None
-        turns, ahead_by = _turns_to_level(scene, chosen)
-        return cls(scene, chosen, turns, ahead_by)
+        rotations, ahead_by = _rotations_to_level(scene, chosen)
+        return cls(scene, chosen, rotations, ahead_by)
 
     def cloud(self, sensor: Surveying, most: int) -> CloudCoverage:
-        tally = CloudTally()
-        turn = self.level_from_sensor.get(sensor.id, np.eye(3))
+        statistics = CloudStatistics()
+        rotation = self.level_from_sensor.get(sensor.id, np.eye(3))
         rows = spread_rows(len(sensor.frames), most)
         for row in rows.tolist():
             try:
@@ -132,16 +132,16 @@ class _Survey:
                 self.skipped.append(f"{sensor.id}: it is not known where its points are seen from")
                 break
             positions = sensor_from_points.apply(frame.points.positions)
-            tally.add(positions @ turn.T, frame.points if isinstance(sensor, LidarSensor) else None)
-        return tally.coverage(sensor.id, str(sensor.type), of=len(sensor.frames))
+            statistics.add(positions @ rotation.T, frame.points if isinstance(sensor, LidarSensor) else None)
+        return statistics.coverage(sensor.id, str(sensor.type), of=len(sensor.frames))
 
     def _sensor_from_points(self, sensor: Surveying, time_ns: int) -> RigidTransform | None:
         if sensor.points_frame == "sensor":
             return RigidTransform.identity()
         if sensor.points_frame == "ego" and sensor.mount is not None:
             return sensor.mount.inverse()
-        points = place_of_points(self.scene, sensor, self.ego)
-        own = places_of(self.scene, [sensor], self.ego)[sensor.id]
+        points = frame_of_points(self.scene, sensor, self.ego)
+        own = locations_of(self.scene, [sensor], self.ego)[sensor.id]
         of_points, of_sensor = (
             pose.world_from_sensor for pose in poses_at([(points, time_ns), (own, time_ns)])
         )
@@ -157,12 +157,12 @@ class _Survey:
         except CalibrationError:
             return known
         known = msgspec.structs.replace(known, across_deg=_bend(across), upright_deg=_bend(upright))
-        turn = self.level_from_sensor.get(sensor.id)
-        if turn is None or len(across) < 2:
+        rotation = self.level_from_sensor.get(sensor.id)
+        if rotation is None or len(across) < 2:
             return known
-        level = across @ turn.T
+        level = across @ rotation.T
         angles = np.degrees(np.unwrap(np.arctan2(level[:, 1], level[:, 0])))
-        ahead = turn @ _middle(camera)
+        ahead = rotation @ _middle(camera)
         return msgspec.structs.replace(
             known,
             left_deg=float(angles.max()),
@@ -195,13 +195,13 @@ def _bend(rays: Float64Array) -> float | None:
     return float(np.degrees(np.arccos(cosines)).sum())
 
 
-def _turns_to_level(scene: Scene, ego: EgoMotion | None) -> tuple[dict[Identifier, Float64Array], str]:
+def _rotations_to_level(scene: Scene, ego: EgoMotion | None) -> tuple[dict[Identifier, Float64Array], str]:
     """(3, 3) rotations from each sensor's frame into a level one that looks ahead, and how ahead is known."""
     sensors = [s for s in scene.sensors if isinstance(s, LidarSensor | RadarSensor | CameraSensor)]
-    places = places_of(scene, sensors, ego)
+    locations = locations_of(scene, sensors, ego)
     times = _times(scene, ego)
     poses = {
-        sensor.id: [pose.world_from_sensor for pose in poses_at([(places[sensor.id], t) for t in times])]
+        sensor.id: [pose.world_from_sensor for pose in poses_at([(locations[sensor.id], t) for t in times])]
         for sensor in sensors
     }
     world = {key: [p for p in found if p is not None] for key, found in poses.items()}
@@ -210,9 +210,9 @@ def _turns_to_level(scene: Scene, ego: EgoMotion | None) -> tuple[dict[Identifie
         ahead, known_by = _ahead_in_world(scene, world, middle)
         # each sensor is levelled where it stood: all looked at the same moment lie alike to one another
         level_from_world = _looking(ahead, np.array([0.0, 0.0, 1.0]))
-        turned = {key: level_from_world @ rotation for key, rotation in middle.items()}
-        return _joined(turned, {s.id: places[s.id].mount for s in sensors}), known_by
-    mounts = {s.id: places[s.id].mount for s in sensors}
+        rotated = {key: level_from_world @ rotation for key, rotation in middle.items()}
+        return _joined(rotated, {s.id: locations[s.id].mount for s in sensors}), known_by
+    mounts = {s.id: locations[s.id].mount for s in sensors}
     known = {key: mount.rotation for key, mount in mounts.items() if mount is not None}
     ahead, known_by = np.array([1.0, 0.0, 0.0]), "axes"
     first = next((camera for camera in scene.cameras if camera.id in known), None)
@@ -223,36 +223,36 @@ def _turns_to_level(scene: Scene, ego: EgoMotion | None) -> tuple[dict[Identifie
 
 
 def _joined(
-    turned: dict[Identifier, Float64Array], mounts: Mapping[Identifier, RigidTransform | None]
+    rotated: dict[Identifier, Float64Array], mounts: Mapping[Identifier, RigidTransform | None]
 ) -> dict[Identifier, Float64Array]:
     """Add sensors that have a mounting, but no pose at the moments looked at, through one that has both."""
-    both = next((key for key in turned if mounts.get(key) is not None), None)
+    both = next((key for key in rotated if mounts.get(key) is not None), None)
     if both is None:
-        return turned
+        return rotated
     mount = mounts[both]
     if mount is None:
-        return turned
-    level_from_ego = turned[both] @ mount.rotation.T
+        return rotated
+    level_from_ego = rotated[both] @ mount.rotation.T
     for key, other in mounts.items():
-        if key not in turned and other is not None:
-            turned[key] = level_from_ego @ other.rotation
-    return turned
+        if key not in rotated and other is not None:
+            rotated[key] = level_from_ego @ other.rotation
+    return rotated
 
 
 def _times(scene: Scene, ego: EgoMotion | None) -> list[int]:
     """The middle of the time in which poses are known, and a moment before and after it [ns]."""
-    stamps: Sequence[int] = ()
-    if ego is not None and not ego.path.endless:
-        stamps = ego.path.timestamps_ns.tolist()
+    timestamps: Sequence[int] = ()
+    if ego is not None and not ego.path.static:
+        timestamps = ego.path.timestamps_ns.tolist()
     else:
         for sensor in scene.sensors:
             path = getattr(sensor, "poses", None)
-            if path is not None and not path.endless and len(path.timestamps_ns) > len(stamps):
-                stamps = path.timestamps_ns.tolist()
-    if not len(stamps):
+            if path is not None and not path.static and len(path.timestamps_ns) > len(timestamps):
+                timestamps = path.timestamps_ns.tolist()
+    if not len(timestamps):
         return [0]
-    half_ns = min(_AROUND_NS, round(0.45 * (stamps[-1] - stamps[0])))
-    middle_ns = (stamps[0] + stamps[-1]) // 2
+    half_ns = min(_AROUND_NS, round(0.45 * (timestamps[-1] - timestamps[0])))
+    middle_ns = (timestamps[0] + timestamps[-1]) // 2
     return [middle_ns - half_ns, middle_ns, middle_ns + half_ns]
 
 

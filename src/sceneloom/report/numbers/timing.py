@@ -15,7 +15,7 @@ from sceneloom.scene.summary import GAP_FACTOR, Gap, gaps_of
 from sceneloom.scene.types import Identifier
 
 MOST_GAPS = 20
-"""Gaps of a stream that are told one by one: the longest."""
+"""Gaps of a stream that are reported one by one: the longest."""
 MOST_BINS = 40
 _WIDEST_BIN = 3.0
 """Intervals beyond so many usual ones fall into the last bin."""
@@ -34,7 +34,7 @@ class IntervalBins(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Phase(msgspec.Struct, frozen=True, kw_only=True):
-    """How a stream's stamps lie to the nearest ones of the stream that the others are paired with [ms].
+    """How a stream's timestamps lie to the nearest ones of the stream that the others are paired with [ms].
 
     Attributes:
         reference: id of that stream's sensor.
@@ -50,12 +50,12 @@ class Phase(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class StreamTiming(msgspec.Struct, frozen=True, kw_only=True):
-    """One stream of stamps: a sensor, or one stream of an inertial unit.
+    """One stream of timestamps: a sensor, or one stream of an inertial unit.
 
     Attributes:
         sensor, type: the sensor.
         stream: name of the stream within the sensor, empty where there is one only.
-        count: stamps.
+        count: timestamps.
         start, stop: first and last one, seconds after the scene's first; None without any.
         rate_hz: one over the usual interval.
         period_ms: the usual interval: the median [ms].
@@ -63,7 +63,7 @@ class StreamTiming(msgspec.Struct, frozen=True, kw_only=True):
         longest_ms: the longest interval [ms].
         gap_count: intervals longer than 1.5 usual ones.
         gaps: the longest of them, in order of time.
-        missing: how many stamps seem to be missing in the gaps, by the usual interval.
+        missing: how many timestamps seem to be missing in the gaps, by the usual interval.
         missing_share: of those that should be there.
         repeated, backwards: intervals of nothing, and below nothing.
         bins: how long the intervals are; None for fewer than two.
@@ -100,9 +100,9 @@ class Timing(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         streams: all of them.
-        overlap: when all streams with more than one stamp give something, seconds after the scene's first stamp; None
-            where there is no such time.
-        overlap_share: of the time from the first stamp to the last.
+        overlap: when all streams with more than one timestamp give something, seconds after the scene's first
+            timestamp; None where there is no such time.
+        overlap_share: of the time from the first timestamp to the last.
     """
 
     streams: tuple[StreamTiming, ...]
@@ -111,10 +111,10 @@ class Timing(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def timing_of(scene: Scene, *, start_ns: int) -> Timing:
-    """Look at the stamps of all streams; no frame is read.
+    """Look at the timestamps of all streams; no frame is read.
 
     Args:
-        start_ns: the scene's first stamp [ns].
+        start_ns: the scene's first timestamp [ns].
     """
     reference = _reference(scene)
     reference_ns = None if reference is None else frame_times(reference)
@@ -133,7 +133,7 @@ def timing_of(scene: Scene, *, start_ns: int) -> Timing:
 def stream_timing(
     sensor: Identifier, kind: str, times_ns: Int64Array, *, start_ns: int, stream: str = ""
 ) -> StreamTiming:
-    """Look at the stamps (N,) [ns] of one stream, in the order in which they stand."""
+    """Look at the timestamps (N,) [ns] of one stream, in the order in which they stand."""
     if len(times_ns) == 0:
         return StreamTiming(sensor=sensor, type=kind, stream=stream, count=0)
     known = StreamTiming(
@@ -186,7 +186,7 @@ def _is_timeless(sensor: Sensor) -> bool:
 def _reference(scene: Scene) -> LidarSensor | CameraSensor | None:
     """The stream that others are paired with: the first lidar that has sweeps, else the first camera."""
     lidar = next((lidar for lidar in scene.lidars if len(lidar.frames)), None)
-    return lidar or next((camera for camera in scene.cameras if len(camera.pictures)), None)
+    return lidar or next((camera for camera in scene.cameras if len(camera.images)), None)
 
 
 def _phase(reference: Identifier, times_ns: Int64Array, reference_ns: Int64Array) -> Phase | None:

@@ -1,4 +1,4 @@
-"""What is to be said of a drive first: whether it is in order, and what to do about the most important findings."""
+"""What is to be stated of a drive first: whether it is in order, and what to do about the most important findings."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -13,17 +13,17 @@ from sceneloom.report.numbers.labels import Labels
 from sceneloom.report.numbers.metrics import Metrics
 from sceneloom.report.numbers.surroundings import Coverage
 from sceneloom.report.numbers.timing import StreamTiming, Timing
-from sceneloom.report.numbers.ways import Ways
+from sceneloom.report.numbers.trajectories import Trajectories
 from sceneloom.scene.findings import Severity
 from sceneloom.scene.summary import SceneSummary
 
 MISSING_SHARE = 0.01
-"""Streams that lack more than this share of their stamps are told first."""
+"""Streams that lack more than this share of their timestamps are reported first."""
 JITTER_SHARE = 0.15
-"""Of the usual interval; more is told."""
+"""Of the usual interval; more is reported."""
 OVERLAP_SHARE = 0.8
 """All streams together should cover this share of the drive."""
-_LEAST_STAMPS = 10
+_LEAST_TIMESTAMPS = 10
 
 
 class Advice(msgspec.Struct, frozen=True, kw_only=True):
@@ -32,9 +32,9 @@ class Advice(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         severity: how bad it is.
         title: what it is, in one line.
-        detail: numbers and places.
+        detail: numbers and locations.
         remedy: what to do.
-        section: the part of the report that tells more.
+        section: the part of the report that reports more.
     """
 
     severity: Severity
@@ -45,7 +45,7 @@ class Advice(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Verdict(msgspec.Struct, frozen=True, kw_only=True):
-    """What is to be said first.
+    """What is to be stated first.
 
     Attributes:
         state: "sound", "look" where a person should look at something, "faulty".
@@ -66,7 +66,7 @@ class Evidence:
 
     summary: SceneSummary
     timing: Timing
-    ways: Ways
+    trajectories: Trajectories
     coverage: Coverage
     calibration: Sequence[CalibrationCheck]
     fusion: Fusion | None
@@ -86,7 +86,7 @@ def verdict_of(evidence: Evidence) -> Verdict:
     return Verdict(
         state=state,
         sentence=_sentence(state, count),
-        contents=contents_of(evidence.summary, evidence.ways),
+        contents=contents_of(evidence.summary, evidence.trajectories),
         advices=tuple(advices),
     )
 
@@ -101,31 +101,31 @@ def _sentence(state: str, count: dict[Severity, int]) -> str:
     return "In order: nothing was found that needs a person."
 
 
-def contents_of(summary: SceneSummary, ways: Ways) -> str:
-    """Say what is in a drive."""
+def contents_of(summary: SceneSummary, trajectories: Trajectories) -> str:
+    """Report what is in a drive."""
     kinds: dict[str, list[int]] = {}
     for sensor in summary.sensors:
         kinds.setdefault(sensor.type.replace("_", " "), []).append(sensor.count)
-    units = {"lidar": "sweeps", "camera": "pictures", "radar": "frames", "depth camera": "images"}
+    units = {"lidar": "sweeps", "camera": "images", "radar": "frames", "depth camera": "images"}
     parts = [
         f"{len(counts)} {_plural(kind, len(counts))} ({sum(counts):,} {units.get(kind, 'samples')})"
         for kind, counts in kinds.items()
     ]
     sensors = ", ".join(parts) if parts else "no sensors"
-    told = f"{summary.duration:.1f} s in the format {summary.format}: {sensors}."
-    if ways.ways:
-        way = ways.ways[0]
-        found = ", found from the drive for this report" if way.found_now else ""
-        told += f" The ego went {way.metres:.1f} m by “{way.name}”{found}."
+    reported = f"{summary.duration:.1f} s in the format {summary.format}: {sensors}."
+    if trajectories.trajectories:
+        trajectory = trajectories.trajectories[0]
+        found = ", found from the drive for this report" if trajectory.found_now else ""
+        reported += f" The ego went {trajectory.metres:.1f} m by “{trajectory.name}”{found}."
     else:
-        told += " The way of the ego is not known."
+        reported += " The ego trajectory is not known."
     if summary.annotations:
-        told += (
+        reported += (
             " Annotations: "
             + ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in summary.annotations.items())
             + "."
         )
-    return told
+    return reported
 
 
 def _from_validation(evidence: Evidence) -> Iterator[Advice]:
@@ -146,14 +146,15 @@ def _from_validation(evidence: Evidence) -> Iterator[Advice]:
 
 def _from_timing(evidence: Evidence) -> Iterator[Advice]:
     for stream in evidence.timing.streams:
-        if stream.missing and stream.missing_share > MISSING_SHARE and stream.count >= _LEAST_STAMPS:
+        if stream.missing and stream.missing_share > MISSING_SHARE and stream.count >= _LEAST_TIMESTAMPS:
             yield _gap_advice(stream)
         if stream.jitter_ms and stream.period_ms and stream.jitter_ms > JITTER_SHARE * stream.period_ms:
             yield Advice(
                 severity=Severity.HINT,
                 title=f"{stream.name} is uneven",
                 detail=f"its intervals of {stream.period_ms:.1f} ms vary by {stream.jitter_ms:.1f} ms",
-                remedy="Take stamps where the sensor measures, not where its data arrive; `sceneloom sync` tells more.",
+                remedy="Take timestamps where the sensor measures, not where its data arrive; `sceneloom sync` "
+                "reports more.",
                 section="timing",
             )
     several = sum(stream.count > 1 for stream in evidence.timing.streams) > 1
@@ -210,18 +211,18 @@ def _from_fusion(evidence: Evidence) -> Iterator[Advice]:
             section="fusion",
         )
     for camera in fusion.cameras:
-        if camera.paired and camera.in_picture_percent == 0.0:
+        if camera.paired and camera.in_image_percent == 0.0:
             yield Advice(
                 severity=Severity.ERROR,
-                title=f"No point falls into the pictures of {camera.camera}",
+                title=f"No point falls into the images of {camera.camera}",
                 detail="either it looks where the lidar does not, or its mounting is not what the drive says",
                 remedy="Compare its direction with section Coverage; `sceneloom calibrate DRIVE --conventions` helps.",
                 section="calibration",
             )
-        elif camera.pictures and not camera.paired:
+        elif camera.images and not camera.paired:
             yield Advice(
                 severity=Severity.WARNING,
-                title=f"No picture of {camera.camera} goes with a sweep",
+                title=f"No image of {camera.camera} goes with a sweep",
                 detail=f"{camera.unpaired} sweeps without one in time, {camera.unposed} beyond the trajectory",
                 remedy="Look at the offsets in section Timing; `sceneloom sync` finds clocks that are off.",
                 section="timing",
@@ -268,14 +269,14 @@ def _from_labels(evidence: Evidence) -> Iterator[Advice]:
         )
 
 
-def _from_ways(evidence: Evidence) -> Iterator[Advice]:
-    for way in evidence.ways.ways[:1]:
-        if way.seconds > 1.0 and way.standing_share > 0.95:
+def _from_trajectories(evidence: Evidence) -> Iterator[Advice]:
+    for trajectory in evidence.trajectories.trajectories[:1]:
+        if trajectory.seconds > 1.0 and trajectory.stationary_share > 0.95:
             yield Advice(
                 severity=Severity.HINT,
-                title="The ego stands still",
-                detail=f"{way.standing_share:.0%} of the time below 0.2 m/s",
-                remedy="Nothing is wrong with that; but clocks and mountings cannot be told by motion.",
+                title="The ego is stationary",
+                detail=f"{trajectory.stationary_share:.0%} of the time below 0.2 m/s",
+                remedy="Nothing is wrong with that; but clocks and mountings cannot be reported by motion.",
                 section="trajectory",
             )
 
@@ -287,7 +288,7 @@ RULES: tuple[Callable[[Evidence], Iterator[Advice]], ...] = (
     _from_timing,
     _from_coverage,
     _from_labels,
-    _from_ways,
+    _from_trajectories,
 )
 """What looks for something worth telling first."""
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sceneloom.report.album import Photo
+from sceneloom.report.figures import Photo
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Table:
     """Rows of texts, the first of each its head.
 
     Attributes:
-        caption: what it tells.
+        caption: what it reports.
         columns: as many as each row has cells.
         rows: the cells.
         folded: whether it is opened only on demand.
@@ -62,15 +62,15 @@ class Block:
         heading: its own heading.
         badge: a word before it, and how that looks: "error", "warning", "hint" or "good".
         lines: paragraphs.
-        drawings, photos, tables: what it shows.
+        plots, photos, tables: what it shows.
         listed: lines that are opened on demand, under the title `list_title`.
-        faint: whether the paragraphs are remarks.
+        faint: whether the paragraphs are notes.
     """
 
     heading: str = ""
     badge: tuple[str, str] | None = None
     lines: Sequence[str] = ()
-    drawings: Sequence[Drawing] = ()
+    plots: Sequence[Drawing] = ()
     photos: Sequence[Photo] = ()
     tables: Sequence[Table] = ()
     list_title: str = ""
@@ -86,7 +86,7 @@ class Section:
         key: its anchor.
         name: its heading.
         missing: why it lacks something that might be there.
-        absent: what the drive does not have, so that there is nothing to tell; a sentence.
+        absent: what the drive does not have, so that there is nothing to report; a sentence.
         facts: names and values that come first.
         blocks: what it consists of.
     """

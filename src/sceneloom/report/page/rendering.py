@@ -1,4 +1,4 @@
-"""From numbers and pictures to one page of HTML that holds everything."""
+"""From numbers and images to one page of HTML that holds everything."""
 
 from base64 import b64encode
 from collections.abc import Iterator
@@ -8,8 +8,7 @@ from importlib.util import find_spec
 from typing import Any
 
 from sceneloom.errors import MissingExtraError, how_to_install
-from sceneloom.report.album import Album, Photo
-from sceneloom.report.drawings import plain
+from sceneloom.report.figures import Figures, Photo
 from sceneloom.report.numbers.drive import DriveReport
 from sceneloom.report.numbers.verdict import Advice
 from sceneloom.report.page.content import Drawing, Section
@@ -19,15 +18,16 @@ from sceneloom.report.page.sections.coverage import coverage_section
 from sceneloom.report.page.sections.drive import drive_section
 from sceneloom.report.page.sections.findings import findings_section
 from sceneloom.report.page.sections.fusion import fusion_section
-from sceneloom.report.page.sections.notices import notices_section
 from sceneloom.report.page.sections.source import source_section
 from sceneloom.report.page.sections.timing import timing_section
 from sceneloom.report.page.sections.trajectory import trajectory_section
 from sceneloom.report.page.sections.truth import truth_section
+from sceneloom.report.page.sections.warnings import warnings_section
+from sceneloom.report.plots import plain
 from sceneloom.scene.findings import Severity
 
 MOST_ADVICES = 8
-"""Told at the top of the page; the others are folded."""
+"""Reported at the top of the page; the others are folded."""
 MARKS = {"sound": "✔", "look": "▲", "faulty": "✖"}
 
 
@@ -46,7 +46,7 @@ def check_extra() -> Any:
     return jinja2
 
 
-def render_page(report: DriveReport, album: Album) -> str:
+def render_page(report: DriveReport, figures: Figures) -> str:
     """Put a report into its page.
 
     Raises:
@@ -66,7 +66,7 @@ def render_page(report: DriveReport, album: Album) -> str:
     page: str = environment.get_template("report.html.j2").render(
         report=report,
         style=_resource("style.css"),
-        sections=list(sections_of(report, album)),
+        sections=list(sections_of(report, figures)),
         marks=MARKS,
         advices=shown,
         more_advices=further,
@@ -74,25 +74,25 @@ def render_page(report: DriveReport, album: Album) -> str:
     return page
 
 
-def sections_of(report: DriveReport, album: Album) -> Iterator[Section]:
+def sections_of(report: DriveReport, figures: Figures) -> Iterator[Section]:
     """The sections of a page in their order."""
     yield drive_section(report)
     yield timing_section(report)
     yield trajectory_section(report)
-    yield calibration_section(report, album)
+    yield calibration_section(report, figures)
     yield coverage_section(report)
-    yield fusion_section(report, album)
-    yield annotations_section(report, album)
+    yield fusion_section(report, figures)
+    yield annotations_section(report, figures)
     truth = truth_section(report)
     if truth is not None:
         yield truth
     yield findings_section(report)
-    yield notices_section(report)
+    yield warnings_section(report)
     yield source_section(report)
 
 
 def _advices(report: DriveReport) -> tuple[list[Advice], list[Advice]]:
-    """Those told first, and the others; hints are told first only where there are few."""
+    """Those reported first, and the others; hints are reported first only where there are few."""
     advices = list(report.verdict.advices)
     urgent = [advice for advice in advices if advice.severity is not Severity.HINT]
     first = (urgent or advices)[:MOST_ADVICES] if len(advices) > MOST_ADVICES else advices

@@ -1,6 +1,6 @@
 """Numbers as a person reads them."""
 
-from sceneloom.scene.notices import Notice
+from sceneloom.scene.warnings import DataWarning
 
 NOTHING = "–"
 
@@ -47,6 +47,6 @@ def times(value: int) -> str:
     return f" ({value:,} times)" if value > 1 else ""
 
 
-def notice_text(notice: Notice) -> str:
-    """A notice in one line."""
-    return joined(str(notice.kind), notice.place, notice.message) + times(notice.count)
+def warning_text(warning: DataWarning) -> str:
+    """A warning in one line."""
+    return joined(str(warning.kind), warning.location, warning.message) + times(warning.count)

@@ -1,1 +1,1 @@
-"""What people and programs say about a scene: every annotation of the Sensor Fusion Scene format, and attributes."""
+"""What people and programs state about a scene: every annotation of the Sensor Fusion Scene format, and attributes."""

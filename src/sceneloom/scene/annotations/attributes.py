@@ -1,4 +1,4 @@
-"""Attributes: what is said about a scene, a sensor or an annotation, over time."""
+"""Attributes: what is stated about a scene, a sensor or an annotation, over time."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,12 +15,12 @@ class AttributePath:
     """The values of one attribute; each holds until the next.
 
     Attributes:
-        name: what is said.
-        values: one per time stamp: text, a number, or a tuple of texts; whatever else a file has is kept as it is.
+        name: what is stated.
+        values: one per timestamp: text, a number, or a tuple of texts; whatever else a file has is kept as it is.
         timestamps_ns: (N,) int64 [ns], or None where the file gives none. Files may have more or fewer of them than
-            values; both are kept, and `validate` tells it.
+            values; both are kept, and `validate` reports it.
         sensor_id: of the only sensor that it holds for, or None.
-        static: whether it holds at all times; None where not said.
+        static: whether it holds at all times; None where not stated.
         point_index: of the only point of a points annotation that it holds for, or None.
         extras: further fields of the file, by name.
 
@@ -41,5 +41,5 @@ class AttributePath:
     @property
     def is_timed(self) -> bool:
         """Whether each value has its own time."""
-        stamps = self.timestamps_ns
-        return stamps is not None and not self.static and len(stamps) == len(self.values)
+        timestamps = self.timestamps_ns
+        return timestamps is not None and not self.static and len(timestamps) == len(self.values)

@@ -1,4 +1,4 @@
-"""Boxes drawn into pictures."""
+"""Boxes drawn into images."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,11 +13,11 @@ from sceneloom.scene.types import NO_FIELDS, Identifier
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoxPath:
-    """A box in a picture over time.
+    """A box in an image over time.
 
     Attributes:
         timestamps_ns: (N,) int64 [ns].
-        values: (N, 4) float64 [px], rows `left top width height` in the corner convention: the picture's corner is
+        values: (N, 4) float64 [px], rows `left top width height` in the corner convention: the image's corner is
             (0, 0).
         extras: further fields of the file, by name.
 
@@ -35,7 +35,7 @@ class BoxPath:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Box2DAnnotation:
-    """An object as a box in the pictures of one camera; fields as in `CuboidAnnotation`.
+    """An object as a box in the images of one camera; fields as in `CuboidAnnotation`.
 
     Attributes:
         sensor_id: the camera.

@@ -1,4 +1,4 @@
-"""What is to be applied to a scene: corrections of its places, and of its cameras."""
+"""What is to be applied to a scene: corrections of its locations, and of its cameras."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.types import NO_FIELDS, Identifier
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalizationAdjustment:
-    """Poses A(t) that mend a scene's localisation, or lead from ego to world: p' = A(t) p.
+    """Poses A(t) that repair a scene's localisation, or lead from ego to world: p' = A(t) p.
 
     Attributes:
         id: unique among the scene's annotations.
@@ -25,7 +25,7 @@ class LocalizationAdjustment:
     """
 
     id: Identifier
-    poses: PosePath
+    poses: Poses
     parent_id: Identifier | None = None
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
@@ -40,13 +40,13 @@ class LocalizationAdjustment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraCalibration:
-    """What mends a camera: world_from_camera' = world_from_camera D(t), another lens, other times.
+    """What repairs a camera: world_from_camera' = world_from_camera D(t), another camera model, other times.
 
     Attributes:
         id: unique among the scene's annotations.
         sensor_id: the camera.
         poses: D(t), `camera_from_calibrated_camera`, or None; a single pose holds at all times.
-        intrinsics: the calibrated lens, or None.
+        intrinsics: the calibrated camera model, or None.
         time_offset_ns: to be added to the camera's times [ns], or None.
         parent_id: id of the parent annotation, or None.
         extras: every other field of the file, by name; those of `poses` and `intrinsics` under these names.
@@ -56,7 +56,7 @@ class CameraCalibration:
 
     id: Identifier
     sensor_id: Identifier
-    poses: PosePath | None = None
+    poses: Poses | None = None
     intrinsics: Camera | None = None
     time_offset_ns: int | float | None = None
     parent_id: Identifier | None = None
@@ -73,7 +73,7 @@ class CameraCalibration:
 
 
 def effect_of(correction: LocalizationAdjustment | CameraCalibration) -> str:
-    """Say what a correction changes, in figures."""
+    """Report what a correction changes, in figures."""
     if isinstance(correction, LocalizationAdjustment):
         return f"all poses and points in the world change, {_size(correction.poses)}"
     parts = []
@@ -86,12 +86,15 @@ def effect_of(correction: LocalizationAdjustment | CameraCalibration) -> str:
     return f"camera {correction.sensor_id!r}: {'; '.join(parts) or 'nothing changes'}"
 
 
-def _size(poses: PosePath) -> str:
+def _size(poses: Poses) -> str:
     farthest = float(np.linalg.norm(poses.positions, axis=1).max())
     cosine = np.clip(np.abs(poses.quaternions_xyzw[:, 3]), 0.0, 1.0)
     return f"by at most {farthest:.3g} m and {float(np.degrees(2.0 * np.arccos(cosine)).max()):.3g} deg"
 
 
-def _held(poses: PosePath) -> PosePath:
-    """A file cannot say of a single pose that it holds at one time only, and nothing could be corrected by it then."""
-    return replace(poses, endless=True) if len(poses.timestamps_ns) == 1 else poses
+def _held(poses: Poses) -> Poses:
+    """A file cannot state of a single pose that it holds at one time only.
+
+    And nothing could be corrected by it then.
+    """
+    return replace(poses, static=True) if len(poses.timestamps_ns) == 1 else poses

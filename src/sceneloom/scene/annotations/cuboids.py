@@ -96,10 +96,10 @@ class Projection:
 
     Attributes:
         sensor_id: the camera.
-        timestamps_ns: (N,) int64 [ns], of its pictures.
+        timestamps_ns: (N,) int64 [ns], of its images.
         boxes: (N, 4) float64 [px], rows `x y width height` in the corner convention; a row of NaN where the box could
             not be projected or was deleted; None where the file says nothing.
-        confirmed: N times whether a person confirmed it (None where one of them is not said), or None.
+        confirmed: N times whether a person confirmed it (None where one of them is not stated), or None.
         cuboids: (N, 9) float64 as in `CuboidPath`, rows of NaN for null, or None.
         extras: further fields of the file, by name.
     """
@@ -126,9 +126,9 @@ class CuboidAnnotation:
         id: unique among the scene's annotations.
         path: the box over time.
         label: the object's class, or None.
-        stationary: whether the object stands still; None where not said.
+        stationary: whether the object is stationary; None where not stated.
         parent_id: id of the parent annotation, or None.
-        attributes: what is said about it.
+        attributes: what is stated about it.
         activations: when sensors see it, one entry per sensor.
         projections: where cameras see it, one entry per camera.
         extras: every other field of the file, by name.

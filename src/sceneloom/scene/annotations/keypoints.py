@@ -34,8 +34,8 @@ class PointPath:
         hold_array(self, "values", (count, None), np.float64)
 
 
-def places_of(values: Float64Array) -> Float64Array:
-    """Cut the rows of a point path, (M, 3 V), into the places of its V points, (M, V, 3)."""
+def locations_of(values: Float64Array) -> Float64Array:
+    """Cut the rows of a point path, (M, 3 V), into the locations of its V points, (M, V, 3)."""
     return values.reshape(len(values), values.shape[1] // 3, 3)
 
 
@@ -45,10 +45,10 @@ class PointProjection:
 
     Attributes:
         sensor_id: the camera.
-        timestamps_ns: (N,) int64 [ns], of its pictures.
+        timestamps_ns: (N,) int64 [ns], of its images.
         points: (N, 2) float64 [px] in the corner convention; a row of NaN where the point could not be projected or
             was deleted; None where the file says nothing.
-        confirmed: N times whether a person confirmed it (None where one of them is not said), or None.
+        confirmed: N times whether a person confirmed it (None where one of them is not stated), or None.
         positions: (N, 3) float64 [m], rows of NaN for null, or None.
         extras: further fields of the file, by name.
     """

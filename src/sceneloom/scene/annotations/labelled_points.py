@@ -38,7 +38,7 @@ class LabeledPointsAnnotation:
 
     Attributes:
         labeled_points: by sensor and frame.
-        is_instance: whether it is one object and not a class; None where not said.
+        is_instance: whether it is one object and not a class; None where not stated.
         type: `labeled_points`, or `point_segmentation`, Scale's other word for it.
 
     Source: "Labeled Points Annotation" of the SFS description.

@@ -56,7 +56,7 @@ class LinkAnnotation:
     Attributes:
         from_id: the annotation that it leads from.
         to_id: the one that it leads to.
-        is_bidirectional: whether it holds both ways; None where not said.
+        is_bidirectional: whether it holds both ways; None where not stated.
         sensor_id: the only sensor that it is for, or None.
     """
 

@@ -1,4 +1,4 @@
-"""Lines, areas and points, in pictures and in space."""
+"""Lines, areas and points, in images and in space."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -30,7 +30,7 @@ class ShapeType(StrEnum):
 DIMENSIONS: Mapping[ShapeType, int] = MappingProxyType(
     {kind: 2 if kind.value.endswith("_2d") else 3 for kind in ShapeType}
 )
-"""How many numbers a vertex has: pixels in a picture, or a place in the world."""
+"""How many numbers a vertex has: pixels in an image, or a location in the world."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,8 +39,8 @@ class VertexPath:
 
     Attributes:
         timestamps_ns: (N,) int64 [ns].
-        vertices: N arrays (V, D) float64, V of each its own: pixels in the corner convention [px] (D = 2), or places in
-            the scene's world [m] (D = 3).
+        vertices: N arrays (V, D) float64, V of each its own: pixels in the corner convention [px] (D = 2), or locations
+            in the scene's world [m] (D = 3).
         extras: further fields of the file, by name.
 
     Source: "AnnotationPath" of the SFS description, whose rows are these vertices one after another.
@@ -65,8 +65,8 @@ class ShapeAnnotation:
     Attributes:
         type: which shape.
         path: its vertices over time.
-        sensor_id: the camera of a shape in pictures (then required), or the only sensor that one in space is for.
-        is_closed: whether the last vertex of a `polyline` is joined to the first; None where not said.
+        sensor_id: the camera of a shape in images (then required), or the only sensor that one in space is for.
+        is_closed: whether the last vertex of a `polyline` is joined to the first; None where not stated.
     """
 
     id: Identifier
@@ -85,9 +85,9 @@ class ShapeAnnotation:
         for k, vertices in enumerate(self.path.vertices):
             check_array(f"path.vertices[{k}]", vertices, (None, columns), np.float64)
         if columns == 2 and self.sensor_id is None:
-            raise ArrayError(f"sensor_id: missing; a {self.type} is drawn in the pictures of a camera")
+            raise ArrayError(f"sensor_id: missing; a {self.type} is drawn in the images of a camera")
 
     @property
     def dimensions(self) -> int:
-        """2 in pictures, 3 in the world."""
+        """2 in images, 3 in the world."""
         return DIMENSIONS[self.type]

@@ -57,7 +57,7 @@ class Peer:
     def calibrate(
         self, *, camera_id: int = scene.CAMERA_ID, lidar_id: int = scene.LIDAR_ID, **changed: Any
     ) -> int:
-        """Send a calibration, that of the scene but for what is said; the status."""
+        """Send a calibration, that of the scene but for what is stated; the status."""
         return self.calibrate_with(scene.calibration(**changed), camera_id=camera_id, lidar_id=lidar_id)
 
     def calibrate_with(
@@ -213,6 +213,6 @@ def plain_value(message: Any) -> Any:
     return int(value) if kind == "bool_value" else value
 
 
-def told(message: Message) -> str:
+def reported(message: Message) -> str:
     """A message in one line."""
     return " ".join(str(message).split())

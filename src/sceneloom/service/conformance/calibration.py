@@ -1,4 +1,4 @@
-"""Figures 1 and 2, clause 6.1: the calibration data of table 3, seen by where points come to lie in the picture."""
+"""Figures 1 and 2, clause 6.1: the calibration data of table 3, seen by where points come to lie in the image."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -43,7 +43,7 @@ def _refused(bench: Bench, *cases: dict[str, Any]) -> Iterator[Seen]:
 
 
 @CHECKS.row(
-    3, "image_size", "two whole numbers above 0: width, height; a picture of another size does not fit"
+    3, "image_size", "two whole numbers above 0: width, height; an image of another size does not fit"
 )
 def _image_size(bench: Bench) -> Iterator[Seen]:
     yield from _refused(
@@ -52,7 +52,7 @@ def _image_size(bench: Bench) -> Iterator[Seen]:
     peer = bench.peer()
     peer.calibrate(image_size=(scene.HEIGHT, scene.WIDTH))
     status = peer.send(scene.image())
-    yield same("Send of a picture 64 x 48 after image_size (48, 64)", "status 0", f"status {status}")
+    yield same("Send of an image 64 x 48 after image_size (48, 64)", "status 0", f"status {status}")
 
 
 @CHECKS.row(3, "distortion_coeffs", "k1 k2 p1 p2 k3 of the pinhole model; all 0 where they are left out")
@@ -86,7 +86,9 @@ def _distorted(point: tuple[float, float], coefficients: tuple[float, ...]) -> t
     return scene.FOCAL * u + scene.MIDDLE[0], scene.FOCAL * v + scene.MIDDLE[1]
 
 
-@CHECKS.row(3, "intrinsic_matrix", "3x3, row after row: focal lengths and middle say which pixel a ray meets")
+@CHECKS.row(
+    3, "intrinsic_matrix", "3x3, row after row: focal lengths and middle state which pixel a ray meets"
+)
 def _intrinsic(bench: Bench) -> Iterator[Seen]:
     f, (cx, cy) = scene.FOCAL, scene.MIDDLE
     yield from _refused(
@@ -158,7 +160,7 @@ def _example(bench: Bench) -> Iterator[Seen]:
     yield same("SetCalibration as in the examples of table 3", "taken", "taken" if status else "refused")
     point = np.array([8.0, 0.0, 0.0], np.float32)
     x, y, z = rotation @ point + translation
-    # so near the middle of the picture the distortion is below a hundredth of a pixel
+    # so near the middle of the image the distortion is below a hundredth of a pixel
     expected = [(round(matrix[0] * x / z + matrix[2]), round(matrix[4] * y / z + matrix[5]))]
     pixels = np.zeros((480, 640, 3), np.uint8)
     peer.send(scene.image(height=480, width=640, data=pixels.tobytes()))
@@ -174,7 +176,7 @@ def _replaced(bench: Bench) -> Iterator[Seen]:
     first = _pixels(peer)
     peer.calibrate(intrinsic_matrix=(64.0, 0, 34.0, 0, 64.0, 25.0, 0, 0, 1))
     later = 100_000_000
-    peer.send(scene.image(2, later + scene.PICTURE_LATER_NS))
+    peer.send(scene.image(2, later + scene.IMAGE_LATER_NS))
     peer.send(scene.cloud(2, later))
     moved = sorted((column + 2, row + 1) for column, row in _EXPECTED)
     yield same("a pair, a middle 2 px right and 1 px down, a pair: pixels of the first", _EXPECTED, first)

@@ -1,4 +1,4 @@
-"""What a check of the kit is: a number, the place of the standard that it stands for, and what it looks at."""
+"""What a check of the kit is: a number, the position of the standard that it stands for, and what it looks at."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ class Basis(StrEnum):
     TEXT = "text"
     """The words of the standard."""
     READING = "reading"
-    """Our reading of a place that the standard leaves open; docs/db34t-4101.md says which."""
+    """Our reading of a location that the standard leaves open; docs/db34t-4101.md says which."""
     EXTENSION = "extension"
     """The service's own calls and fields, which the standard does not have."""
 
@@ -41,7 +41,7 @@ class Seen:
 
 
 Look = Callable[["Bench"], Iterator[Seen]]
-"""What a check does: talks to the server, and tells one thing after the other."""
+"""What a check does: talks to the server, and reports one thing after the other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class Check:
 
     Attributes:
         id: clause and number ("5.4-3"), table and row ("T6-7"), or an extension's number ("X-2").
-        place: of the standard, in words.
+        location: of the standard, in words.
         title: what has to be so.
         basis: what it rests on.
         quote: what stands there, in English and Chinese.
@@ -58,7 +58,7 @@ class Check:
     """
 
     id: str
-    place: str
+    location: str
     title: str
     basis: Basis
     quote: Quote
@@ -90,16 +90,16 @@ class Catalogue:
             f"T{table}-{row_number}", f"table {table}, row {row_number} ({name})", title, basis, quote
         )
 
-    def extension(self, number: int, place: str, title: str) -> Callable[[Look], Look]:
+    def extension(self, number: int, location: str, title: str) -> Callable[[Look], Look]:
         """Declare what looks at something that the standard does not have."""
         quote = Quote("not in the standard", "本文件未规定")
-        return self._declare(f"X-{number}", place, title, Basis.EXTENSION, quote)
+        return self._declare(f"X-{number}", location, title, Basis.EXTENSION, quote)
 
     def _declare(
-        self, number: str, place: str, title: str, basis: Basis, quote: Quote
+        self, number: str, location: str, title: str, basis: Basis, quote: Quote
     ) -> Callable[[Look], Look]:
         def declared(look: Look) -> Look:
-            self.checks.append(Check(number, place, title, basis, quote, look))
+            self.checks.append(Check(number, location, title, basis, quote, look))
             return look
 
         return declared
@@ -121,7 +121,7 @@ def same(sent: str, expected: Any, found: Any) -> Seen:
 
 
 def true(sent: str, expected: str, found: Any, *, agrees: bool) -> Seen:
-    """See whether something holds that is said in words."""
+    """See whether something holds that is stated in words."""
     return Seen(sent, expected, short(found), agrees)
 
 

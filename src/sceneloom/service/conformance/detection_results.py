@@ -38,25 +38,25 @@ def _confidence(bench: Bench) -> Iterator[Seen]:
 @CHECKS.row(10, "timestamp", "the sweep's time, exact to the nanosecond", basis=Basis.READING)
 def _timestamp(bench: Bench) -> Iterator[Seen]:
     for found in bench.once(fused_boxes).detections:
-        said = (found.timestamp.s, found.timestamp.ns)
-        yield same(f"{_SENT}: timestamp (s, ns)", (scene.SECONDS, scene.NANOSECONDS), said)
+        stated = (found.timestamp.s, found.timestamp.ns)
+        yield same(f"{_SENT}: timestamp (s, ns)", (scene.SECONDS, scene.NANOSECONDS), stated)
 
 
-@CHECKS.row(10, "class", "the class that both detectors say, and that of the one who saw it alone")
+@CHECKS.row(10, "class", "the class that both detectors state, and that of the one who saw it alone")
 def _class(bench: Bench) -> Iterator[Seen]:
     result = bench.once(fused_boxes)
     for box in _BOXES:
         yield same(f"{_SENT}: class of the {box.name}", box.name, getattr(detection_of(result, box), "class"))
 
 
-def _place(name: str) -> Look:
+def _location(name: str) -> Look:
     axis = "XYZ".index(name)
 
     def look(bench: Bench) -> Iterator[Seen]:
         result = bench.once(fused_boxes)
         for box in _BOXES:
             found = getattr(detection_of(result, box), name)
-            # what the picture adds may move a middle within what its covariance allows, a few decimetres
+            # what the image adds may move a middle within what its covariance allows, a few decimetres
             yield near(f"{_SENT}: {name} of the {box.name}", box.center[axis], found, 0.25)
 
     return look
@@ -95,7 +95,7 @@ def _is_covariance(sent: str, numbers: list[float]) -> Seen:
 
 
 for _name in "XYZ":
-    CHECKS.row(10, _name, f"{_name} of the middle, in the lidar's frame")(_place(_name))
+    CHECKS.row(10, _name, f"{_name} of the middle, in the lidar's frame")(_location(_name))
 for _name in ("length", "width", "height"):
     CHECKS.row(10, _name, f"the {_name} of the box")(_size(_name))
 for _name in ("center_cov", "size_cov"):
@@ -134,12 +134,12 @@ def _corner(name: str) -> Look:
 
 
 for _name in ("x1", "y1", "x2", "y2"):
-    CHECKS.row(10, _name, f"{_name} of the box in the picture: of the 2D box, else of the projected 3D box")(
+    CHECKS.row(10, _name, f"{_name} of the box in the image: of the 2D box, else of the projected 3D box")(
         _corner(_name)
     )
 
 
-@CHECKS.clause("4.2-1", "4.2", "a box in space and the box that it makes in the picture become one detection")
+@CHECKS.clause("4.2-1", "4.2", "a box in space and the box that it makes in the image become one detection")
 def _one(bench: Bench) -> Iterator[Seen]:
     found = [_center(box) for box in bench.once(fused_boxes).detections]
     count = sum(max(abs(a - b) for a, b in zip(c, scene.MATCHED.center, strict=True)) < 1.0 for c in found)
@@ -156,28 +156,28 @@ def _alone(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
     peer.send(scene.boxes_2d(boxes=[]))
     peer.send(scene.boxes_3d())
-    yield same("two boxes in space, none in the picture: detections", 2, len(peer.result(1).detections))
+    yield same("two boxes in space, none in the image: detections", 2, len(peer.result(1).detections))
     peer = bench.ready()
     peer.send(scene.boxes_2d())
     peer.send(scene.boxes_3d(boxes=[]))
     detections = peer.result(1).detections
-    yield same("a box in the picture, none in space: detections", 1, len(detections))
+    yield same("a box in the image, none in space: detections", 1, len(detections))
 
 
 @CHECKS.clause(
     "6.8-1",
     "6.8",
-    "of an object that the picture does not show x1, y1, x2 and y2 are 0: its outline is empty",
+    "of an object that the image does not show x1, y1, x2 and y2 are 0: its outline is empty",
     basis=Basis.READING,
 )
 def _not_shown(bench: Bench) -> Iterator[Seen]:
-    for place, X, Y in (("behind the camera", -16.0, 2.0), ("beside its view", 5.0, 60.0)):
+    for location, X, Y in (("behind the camera", -16.0, 2.0), ("beside its view", 5.0, 60.0)):
         peer = bench.ready()
         peer.send(scene.boxes_2d(boxes=[]))
         peer.send(scene.boxes_3d(boxes=[scene.box_3d(scene.MATCHED, X=X, Y=Y)]))
         found = peer.result(1).detections
         corners = [(box.x1, box.y1, box.x2, box.y2) for box in found]
-        yield same(f"a box {place}, Get: x1, y1, x2, y2", [(0, 0, 0, 0)], corners)
+        yield same(f"a box {location}, Get: x1, y1, x2, y2", [(0, 0, 0, 0)], corners)
 
 
 _ROWS = "T10-"

@@ -94,7 +94,7 @@ class Examination:
 
 
 def chosen(ids: Iterable[str]) -> tuple[Check, ...]:
-    """The checks with these ids, or whose clause or table they name ("5.4", "T9"); all where none are said.
+    """The checks with these ids, or whose clause or table they name ("5.4", "T9"); all where none are stated.
 
     Raises:
         OptionError: there is none of that name.
@@ -123,8 +123,8 @@ def examine(
     Args:
         transport: carries the calls.
         address: of the server, for the report.
-        only: ids of checks, or of clauses and tables; all where none are said.
-        progress: told how many checks are done, and of how many.
+        only: ids of checks, or of clauses and tables; all where none are stated.
+        progress: reported how many checks are done, and of how many.
 
     Raises:
         OptionError: there is no such check.

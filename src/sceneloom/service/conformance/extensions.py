@@ -25,7 +25,7 @@ from sceneloom.service.conformance.sensor_results import columns_of
 
 CHECKS = Catalogue("Extensions")
 
-_TABLE_2 = [check.place.split("(")[1][:-1] for check in PROPERTIES.checks if check.id.startswith("T2")]
+_TABLE_2 = [check.location.split("(")[1][:-1] for check in PROPERTIES.checks if check.id.startswith("T2")]
 
 
 @CHECKS.extension(
@@ -120,7 +120,7 @@ def _subscribed(bench: Bench) -> Iterator[Seen]:
 
 
 @CHECKS.extension(
-    7, "SendStream", "a stream of records is taken like one by one; what was refused is told by number"
+    7, "SendStream", "a stream of records is taken like one by one; what was refused is known by number"
 )
 def _streamed(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
@@ -183,9 +183,9 @@ def _camera_frame(bench: Bench) -> Iterator[Seen]:
     yield near("distance of points from where the calibration puts them [m]", 0.0, error, 1e-5)
 
 
-@CHECKS.extension(12, "tables 9 and 10, field 103", "a result also says when its picture was taken")
-def _picture_time(bench: Bench) -> Iterator[Seen]:
-    expected = scene.in_ns(scene.stamp(scene.PICTURE_LATER_NS))
+@CHECKS.extension(12, "tables 9 and 10, field 103", "a result also says when its image was taken")
+def _image_time(bench: Bench) -> Iterator[Seen]:
+    expected = scene.in_ns(scene.timestamp(scene.IMAGE_LATER_NS))
     for make in (fused_pair, fused_boxes):
         yield same(
             "a pair, Get: image_timestamp [ns]", expected, scene.in_ns(bench.once(make).image_timestamp)
@@ -205,7 +205,7 @@ def _boxes_named(bench: Bench) -> Iterator[Seen]:
 
 
 @CHECKS.extension(
-    14, "FusedDetections, fields 2 to 6", "detections say of which picture and which sweep they are"
+    14, "FusedDetections, fields 2 to 6", "detections state of which image and which sweep they are"
 )
 def _pair_named(bench: Bench) -> Iterator[Seen]:
     found = bench.once(fused_boxes)
@@ -216,15 +216,15 @@ def _pair_named(bench: Bench) -> Iterator[Seen]:
         found.lidar_id,
         scene.in_ns(found.timestamp),
     )
-    expected = (1, 1, scene.CAMERA_ID, scene.LIDAR_ID, scene.in_ns(scene.stamp()))
+    expected = (1, 1, scene.CAMERA_ID, scene.LIDAR_ID, scene.in_ns(scene.timestamp()))
     yield same("image_seq, points_seq, camera_id, lidar_id, timestamp", expected, numbers)
 
 
 @CHECKS.extension(
-    15, "SendMotion", "where the vehicle moves between sweep and picture, points are seen from where it is"
+    15, "SendMotion", "where the vehicle moves between sweep and image, points are seen from where it is"
 )
 def _motion(bench: Bench) -> Iterator[Seen]:
-    # 2 m forward from the sweep to the picture: a point 10 m before the camera is then 8 m before it
+    # 2 m forward from the sweep to the image: a point 10 m before the camera is then 8 m before it
     yield same("without motion: motion_compensated", 0, int(bench.once(fused_pair).motion_compensated))
     later = 50_000_000
     for compensated in (1, 0):
@@ -246,7 +246,9 @@ def _motion(bench: Bench) -> Iterator[Seen]:
 
 def _pose(offset_ns: int, forward: float) -> fusion_pb2.Pose:
     return fusion_pb2.Pose(
-        timestamp=scene.stamp(offset_ns), position=(forward, 0.0, 0.0), quaternion_xyzw=(0.0, 0.0, 0.0, 1.0)
+        timestamp=scene.timestamp(offset_ns),
+        position=(forward, 0.0, 0.0),
+        quaternion_xyzw=(0.0, 0.0, 0.0, 1.0),
     )
 
 
@@ -265,7 +267,7 @@ def _several(bench: Bench) -> Iterator[Seen]:
     found = [peer.result(SENSOR_DATA) for _ in range(4)]
     pairs = sorted((record.camera_id, record.lidar_id) for record in found)
     yield same(
-        "a picture of cameras 7, 8, a sweep of lidars 3, 4: pairs", [(7, 3), (7, 4), (8, 3), (8, 4)], pairs
+        "an image of cameras 7, 8, a sweep of lidars 3, 4: pairs", [(7, 3), (7, 4), (8, 3), (8, 4)], pairs
     )
 
 
@@ -274,7 +276,7 @@ def _flushed(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
     peer.send(scene.image(1, -2_000_000))
     peer.send(scene.cloud())
-    yield same("a picture, a sweep 2 ms later, Flush", 1, peer.call("Flush").status)
+    yield same("an image, a sweep 2 ms later, Flush", 1, peer.call("Flush").status)
     found = peer.fetch(SENSOR_DATA, wait_ms=0).WhichOneof("result")
     yield same("Get without waiting", "sensor_data", found)
 
@@ -289,7 +291,7 @@ def _counted(bench: Bench) -> Iterator[Seen]:
     received = (counts.get("received.image"), counts.get("received.points"))
     yield same("two pairs: received.image, received.points", (2, 2), received)
     refused = sum(count for name, count in counts.items() if name.startswith("refused."))
-    yield same("one faulty picture: all of refused.…", 1, refused)
+    yield same("one faulty image: all of refused.…", 1, refused)
 
 
 @CHECKS.extension(19, "table 7, field 100", "velocity_vector: the velocity along all three axes comes back")

@@ -13,15 +13,15 @@ PERIOD_NS = 100_000_000
 
 
 def send_pairs(peer: Peer, numbers: range) -> None:
-    """Send pairs of a picture and a sweep, a period apart."""
+    """Send pairs of an image and a sweep, a period apart."""
     for k in numbers:
-        peer.send(scene.image(k, k * PERIOD_NS + scene.PICTURE_LATER_NS))
+        peer.send(scene.image(k, k * PERIOD_NS + scene.IMAGE_LATER_NS))
         peer.send(scene.cloud(k, k * PERIOD_NS))
 
 
 def _send_boxes(peer: Peer, numbers: range) -> None:
     for k in numbers:
-        peer.send(scene.boxes_2d(k, k * PERIOD_NS + scene.PICTURE_LATER_NS))
+        peer.send(scene.boxes_2d(k, k * PERIOD_NS + scene.IMAGE_LATER_NS))
         peer.send(scene.boxes_3d(k, k * PERIOD_NS))
 
 

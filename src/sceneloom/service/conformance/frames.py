@@ -1,4 +1,4 @@
-"""Table 2, rows 2 to 4, applied to the data: frames that are turned or left-handed give the same fusion."""
+"""Table 2, rows 2 to 4, applied to the data: frames that are rotated or left-handed give the same fusion."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -23,7 +23,7 @@ def _square(rows: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
     return matrix
 
 
-_TURNED_LIDAR = _square([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+_ROTATED_LIDAR = _square([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
 """Of a lidar with y forward, x right, z up: takes points out of x forward, y left, z up."""
 
 _MIRRORED_LIDAR = _square([[1, 0, 0], [0, -1, 0], [0, 0, 1]])
@@ -32,7 +32,7 @@ _MIRRORED_LIDAR = _square([[1, 0, 0], [0, -1, 0], [0, 0, 1]])
 _MIRRORED_CAMERA = _square([[1, 0, 0], [0, -1, 0], [0, 0, 1]])
 """Of a left-handed camera with x right, y up, z forward."""
 
-_TURNED_CAMERA = _square([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+_ROTATED_CAMERA = _square([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 """Of a camera with x forward, y left, z up."""
 
 
@@ -63,7 +63,7 @@ def _boxes(peer: Peer, sent: str, lidar: np.ndarray[Any, Any]) -> Iterator[Seen]
     peer.send(scene.boxes_2d())
     peer.send(scene.boxes_3d(boxes=[scene.box_3d(box)]))
     detections = peer.result(DETECTIONS).detections
-    yield same(f"{sent}, a box in space and in the picture: detections", 1, len(detections))
+    yield same(f"{sent}, a box in space and in the image: detections", 1, len(detections))
     found = detections[0]
     error = float(np.abs(np.array([found.X, found.Y, found.Z]) - center).max())
     yield near(f"{sent}: distance of its middle from where it was sent [m]", 0.0, error, 0.25)
@@ -90,13 +90,13 @@ def _chirality(bench: Bench) -> Iterator[Seen]:
 @CHECKS.clause("5.2-2", "5.2", "camera_coordinate: a camera whose x points forward", basis=Basis.READING)
 def _camera(bench: Bench) -> Iterator[Seen]:
     properties = {"camera_coordinate": [0, -1, 2], "lidar_coordinate": _STANDARD_LIDAR}
-    yield from _look(bench, properties, _TURNED_CAMERA, np.eye(4))
+    yield from _look(bench, properties, _ROTATED_CAMERA, np.eye(4))
 
 
 @CHECKS.clause("5.2-3", "5.2", "lidar_coordinate: a lidar whose y points forward", basis=Basis.READING)
 def _lidar(bench: Bench) -> Iterator[Seen]:
     properties = {"camera_coordinate": _STANDARD_CAMERA, "lidar_coordinate": [1, 0, 2]}
-    yield from _look(bench, properties, np.eye(4), _TURNED_LIDAR)
+    yield from _look(bench, properties, np.eye(4), _ROTATED_LIDAR)
 
 
 @CHECKS.clause(

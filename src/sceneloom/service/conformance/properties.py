@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
-from sceneloom.service.conformance.bench import Bench, told
+from sceneloom.service.conformance.bench import Bench, reported
 from sceneloom.service.conformance.catalogue import Basis, Catalogue, Look, Seen, same, true
 from sceneloom.service.conformance.transport import CallFailedError
 
@@ -153,7 +153,7 @@ def _got(bench: Bench) -> Iterator[Seen]:
 def _unknown(bench: Bench) -> Iterator[Seen]:
     sent = "GetProperty of an unknown name"
     try:
-        found = told(bench.peer().get("conformance_unknown"))
+        found = reported(bench.peer().get("conformance_unknown"))
     except CallFailedError as error:
         yield same(sent, "error NOT_FOUND", f"error {error.code}")
         return

@@ -1,4 +1,4 @@
-"""What the standard says at the places that the checks stand for: Chinese as it is printed, English as we read it.
+"""What the standard says at the locations that the checks stand for: Chinese as it is printed, English as we read it.
 
 Source: DB34/T 4101-2022, clauses 5.1 to 5.7 and 6.1 to 6.8, tables 1 to 10. The English of tables 3 to 10 is in
 `fusion.messages.tables`.
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 
 class Quote(NamedTuple):
-    """What stands at one place.
+    """What stands at one location.
 
     Attributes:
         english: translated.
@@ -24,7 +24,7 @@ class Quote(NamedTuple):
 CLAUSES: Mapping[str, Quote] = MappingProxyType(
     {
         "4.1": Quote(
-            "sensor data fusion takes the lidar's point clouds and the camera's pictures, the calibration data, "
+            "sensor data fusion takes the lidar's point clouds and the camera's images, the calibration data, "
             "and the "
             "mode that the configuration data give, and puts out fused data",
             "分别从激光雷达和摄像头接收激光点云数据和图像数据,从标定数据获取标定信息,"
@@ -32,7 +32,7 @@ CLAUSES: Mapping[str, Quote] = MappingProxyType(
             "进行融合,输出融合数据",
         ),
         "4.2": Quote(
-            "detection fusion takes the two-dimensional boxes of pictures and the three-dimensional boxes of point "
+            "detection fusion takes the two-dimensional boxes of images and the three-dimensional boxes of point "
             "clouds, the calibration data, and the mode that the configuration data give, and puts out fused "
             "detections",
             "分别获取图像目标检测二维包围框和点云目标检测三维包围框,从标定数据获取标定信息,"
@@ -271,4 +271,4 @@ ROWS: Mapping[int, Mapping[str, str]] = MappingProxyType(
         },
     }
 )
-"""Tables 3 to 10: description, type and remark of each row."""
+"""Tables 3 to 10: description, type and note of each row."""

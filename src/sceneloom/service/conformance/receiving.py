@@ -13,12 +13,12 @@ CHECKS = Catalogue("Receiving, pairs and order (clause 5.6)")
 _PERIOD_NS = 100_000_000
 
 
-@CHECKS.clause("5.6-1", "5.6.1", "raw data, pictures, clouds, 3D boxes and 2D boxes are taken")
+@CHECKS.clause("5.6-1", "5.6.1", "raw data, images, clouds, 3D boxes and 2D boxes are taken")
 def _kinds(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
     peer.set("sensors", RAW_SENSORS)
     requests = (
-        scene.raw(scene.picture().tobytes()),
+        scene.raw(scene.drawn_image().tobytes()),
         scene.image(2),
         scene.cloud(),
         scene.boxes_3d(),
@@ -38,8 +38,8 @@ def _nothing(bench: Bench) -> Iterator[Seen]:
 @CHECKS.clause("5.6-3", "5.6.3", "sending returns 1, and 0 where the data are not taken")
 def _status(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
-    yield same("Send of a picture", 1, peer.send(scene.image()))
-    yield same("Send of a picture of 0 rows", 0, peer.send(scene.image(2, height=0)))
+    yield same("Send of an image", 1, peer.send(scene.image()))
+    yield same("Send of an image of 0 rows", 0, peer.send(scene.image(2, height=0)))
 
 
 @CHECKS.clause("5.6-4", "5.6.1", "data of a sensor without a calibration are refused", basis=Basis.READING)
@@ -67,11 +67,11 @@ def _bare(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
     peer.set(
         "pairing_timeout_ms", 10_000
-    )  # nothing but the next number closes a frame, however slow the way is
-    later = _PERIOD_NS + scene.PICTURE_LATER_NS
+    )  # nothing but the next number closes a frame, however slow the trajectory is
+    later = _PERIOD_NS + scene.IMAGE_LATER_NS
     for box in (scene.box_2d(), scene.box_2d(2, later)):
         yield same(
-            f"Send box_2d of picture {box.image_seq}",
+            f"Send box_2d of image {box.image_seq}",
             "taken",
             _taken(peer, fusion_pb2.SendRequest(box_2d=box)),
         )
@@ -106,20 +106,20 @@ def _wrap(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
     numbers = [2**31 - 1, 2**31, 2**32 - 2, 2**32 - 1, 0, 1]
     for k, number in enumerate(numbers):
-        peer.send(scene.image(number, k * _PERIOD_NS + scene.PICTURE_LATER_NS))
+        peer.send(scene.image(number, k * _PERIOD_NS + scene.IMAGE_LATER_NS))
         peer.send(scene.cloud(number, k * _PERIOD_NS))
     found = [peer.result(SENSOR_DATA) for _ in numbers]
     yield same(f"pairs with seq {numbers}, Get: points_seq", numbers, [record.points_seq for record in found])
     yield same(f"pairs with seq {numbers}, Get: image_seq", numbers, [record.image_seq for record in found])
 
 
-@CHECKS.clause("5.6-9", "5.6.1", "a sweep gets the picture nearest in time", basis=Basis.READING)
+@CHECKS.clause("5.6-9", "5.6.1", "a sweep gets the image nearest in time", basis=Basis.READING)
 def _nearest(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
     for seq, offset_ns in ((1, -30_000_000), (2, 10_000_000), (3, 60_000_000)):
         peer.send(scene.image(seq, offset_ns))
     peer.send(scene.cloud(9))
-    sent = "pictures 1, 2, 3 taken 30 ms before, 10 and 60 ms after a sweep, Get: image_seq"
+    sent = "images 1, 2, 3 taken 30 ms before, 10 and 60 ms after a sweep, Get: image_seq"
     yield same(sent, 2, peer.result(SENSOR_DATA).image_seq)
 
 
@@ -134,7 +134,7 @@ def _out_of_order(bench: Bench) -> Iterator[Seen]:
     peer.send(scene.cloud(2, _PERIOD_NS))
     found = [peer.result(SENSOR_DATA) for _ in range(2)]
     yield same(
-        "pictures 2, 1, then sweeps 1, 2, Get: (points_seq, image_seq)",
+        "images 2, 1, then sweeps 1, 2, Get: (points_seq, image_seq)",
         [(1, 1), (2, 2)],
         [(record.points_seq, record.image_seq) for record in found],
     )

@@ -52,7 +52,7 @@ def _plain(finding: Finding) -> dict[str, Any]:
         "id": check.id,
         "verdict": str(finding.verdict),
         "basis": str(check.basis),
-        "place": check.place,
+        "location": check.location,
         "title": check.title,
         "english": check.quote.english,
         "chinese": check.quote.chinese,
@@ -75,11 +75,11 @@ def _markdown_lines(examination: Examination) -> Iterator[str]:
     yield ""
     yield _summary(examination)
     yield ""
-    yield "| check | verdict | basis | place | what has to be so |"
+    yield "| check | verdict | basis | location | what has to be so |"
     yield "| --- | --- | --- | --- | --- |"
     for finding in examination.findings:
         check = finding.check
-        cells = (check.id, str(finding.verdict), str(check.basis), check.place, check.title)
+        cells = (check.id, str(finding.verdict), str(check.basis), check.location, check.title)
         yield _table_row(cells)
     for finding in examination.findings:
         if finding.failures:
@@ -103,8 +103,8 @@ def _failed_in_markdown(finding: Finding) -> Iterator[str]:
 
 def _table_row(cells: Iterable[str]) -> str:
     """A row of a table, whatever a server wrote into its cells."""
-    told = (" ".join(escape(cell, quote=False).replace("|", "&#124;").split()) for cell in cells)
-    return f"| {' | '.join(told)} |"
+    reported = (" ".join(escape(cell, quote=False).replace("|", "&#124;").split()) for cell in cells)
+    return f"| {' | '.join(reported)} |"
 
 
 def as_html(examination: Examination) -> str:
@@ -136,15 +136,15 @@ def _html_of(finding: Finding) -> str:
     opened = " open" if finding.failures else ""
     return (
         f'<details class="{finding.verdict}"{opened}><summary>{check.id} {finding.verdict}: {escape(check.title)}'
-        f"</summary><blockquote>{escape(check.place)} ({check.basis})<br>{escape(check.quote.english)}"
+        f"</summary><blockquote>{escape(check.location)} ({check.basis})<br>{escape(check.quote.english)}"
         f'<br><span lang="zh">{escape(check.quote.chinese)}</span></blockquote>'
         f"<table><tr><th>sent<th>expected<th>found</tr>{rows}</table></details>"
     )
 
 
 def _summary(examination: Examination) -> str:
-    told = ", ".join(f"{count} {verdict}" for verdict, count in examination.counts.items())
-    return f"{len(examination.findings)} checks: {told}"
+    reported = ", ".join(f"{count} {verdict}" for verdict, count in examination.counts.items())
+    return f"{len(examination.findings)} checks: {reported}"
 
 
 FORMS: Mapping[str, Callable[[Examination], str]] = {

@@ -1,8 +1,8 @@
-"""The kit's own scene, whose fusion can be said in closed form: nothing here is computed by the code that is checked.
+"""The kit's own scene, whose fusion can be stated in closed form: nothing here is computed by the code that is checked.
 
 A pinhole camera of 64 x 48 pixels, f = 64 px, middle (32, 24), looks forward. It is mounted a little off the lidar.
 Points lie where the rays of some pixels' centres reach depths that binary fractions hold, so that pixel, depth and
-colour of each are known exactly. The picture's colours tell every pixel and every channel from the others.
+colour of each are known exactly. The image's colours report every pixel and every channel from the others.
 """
 
 from collections.abc import Sequence
@@ -21,8 +21,8 @@ CAMERA_ID, LIDAR_ID = 7, 3
 SECONDS, NANOSECONDS = 1595682678, 715705367
 """The standard's own example; as a float of 64 bits it is off by 57 ns."""
 
-PICTURE_LATER_NS = 1_234_567
-"""How much after its sweep a picture is taken."""
+IMAGE_LATER_NS = 1_234_567
+"""How much after its sweep an image is taken."""
 
 CAMERA_FROM_LIDAR = np.array(
     [[0.0, -1.0, 0.0, 0.25], [0.0, 0.0, -1.0, -0.5], [1.0, 0.0, 0.0, -0.125], [0.0, 0.0, 0.0, 1.0]]
@@ -33,7 +33,7 @@ INTRINSIC = (FOCAL, 0.0, MIDDLE[0], 0.0, FOCAL, MIDDLE[1], 0.0, 0.0, 1.0)
 
 
 class SeenPoint(NamedTuple):
-    """A point that the picture shows.
+    """A point that the image shows.
 
     Attributes:
         column, row: of the pixel whose centre it is seen at.
@@ -46,7 +46,7 @@ class SeenPoint(NamedTuple):
 
 
 SEEN = (SeenPoint(44, 14, 8.0), SeenPoint(16, 34, 16.0), SeenPoint(10, 8, 4.0))
-"""The points that the picture shows, far from one another in it."""
+"""The points that the image shows, far from one another in it."""
 
 UNSEEN_CAMERA = ((1.0, 1.0, -4.0), (40.0, 0.0, 8.0))
 """Points in the camera's frame that it does not show: behind it, and beside its view [m]."""
@@ -74,26 +74,26 @@ def points_lidar() -> NDArray[np.float32]:
     return lidar_from_camera(points_camera()).astype(np.float32)
 
 
-def picture() -> NDArray[np.uint8]:
-    """The picture, (48, 64, 3) uint8: red tells the column, green the row, blue both."""
+def drawn_image() -> NDArray[np.uint8]:
+    """The image, (48, 64, 3) uint8: red reports the column, green the row, blue both."""
     rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH]
     return np.stack([3 * columns, 5 * rows, 1 + columns + 2 * rows], axis=2).astype(np.uint8)
 
 
 def color_at(point: SeenPoint) -> tuple[int, int, int]:
     """The colour of a seen point."""
-    red, green, blue = picture()[point.row, point.column].tolist()
+    red, green, blue = drawn_image()[point.row, point.column].tolist()
     return red, green, blue
 
 
-def stamp(offset_ns: int = 0) -> fusion_pb2.Timestamp:
-    """The time stamp of the scene, so much later."""
+def timestamp(offset_ns: int = 0) -> fusion_pb2.Timestamp:
+    """The timestamp of the scene, so much later."""
     s, ns = divmod(SECONDS * 10**9 + NANOSECONDS + offset_ns, 10**9)
     return fusion_pb2.Timestamp(s=s, ns=ns)
 
 
 def in_ns(timestamp: Any) -> int:
-    """A time stamp in nanoseconds."""
+    """A timestamp in nanoseconds."""
     return int(timestamp.s) * 10**9 + int(timestamp.ns)
 
 
@@ -121,17 +121,17 @@ def calibration(**changed: Any) -> fusion_pb2.Calibration:
     return fusion_pb2.Calibration(**fields | changed)
 
 
-def image(seq: int = 1, offset_ns: int = PICTURE_LATER_NS, **changed: Any) -> fusion_pb2.SendRequest:
-    """A request with the picture, table 5."""
+def image(seq: int = 1, offset_ns: int = IMAGE_LATER_NS, **changed: Any) -> fusion_pb2.SendRequest:
+    """A request with the image, table 5."""
     fields: dict[str, Any] = {
         "sensor_id": CAMERA_ID,
-        "timestamp": stamp(offset_ns),
+        "timestamp": timestamp(offset_ns),
         "seq": seq,
         "height": HEIGHT,
         "width": WIDTH,
         "encoding": "rgb8",
         "channel": 3,
-        "data": picture().tobytes(),
+        "data": drawn_image().tobytes(),
     }
     return fusion_pb2.SendRequest(image=fusion_pb2.ImageData(**fields | changed))
 
@@ -143,7 +143,7 @@ def cloud(
     values = points_lidar() if points is None else points
     fields: dict[str, Any] = {
         "sensor_id": LIDAR_ID,
-        "timestamp": stamp(offset_ns),
+        "timestamp": timestamp(offset_ns),
         "seq": seq,
         "number": len(values),
         "fields": ("x", "y", "z"),
@@ -158,7 +158,7 @@ def raw(data: bytes, seq: int = 1, offset_ns: int = 0, **changed: Any) -> fusion
     """A request with raw data, table 4."""
     fields: dict[str, Any] = {
         "sensor_id": CAMERA_ID,
-        "timestamp": stamp(offset_ns),
+        "timestamp": timestamp(offset_ns),
         "seq": seq,
         "length": len(data),
         "data": data,
@@ -189,10 +189,10 @@ class SentBox(NamedTuple):
 
 
 MATCHED = SentBox(-11, "Car", 0.75, (16.0, 2.0, -0.5), (4.5, 1.75, 1.5), (3.0, -4.0, 0.0), -2.5)
-"""A box that the picture's detector found, too; it reverses."""
+"""A box that the image's detector found, too; it reverses."""
 
 ALONE = SentBox(12, "Pedestrian", 0.625, (12.0, -3.0, -0.25), (0.75, 0.5, 1.75), (0.0, 2.0, 0.0), 1.25)
-"""A box that the picture shows, and its detector did not find."""
+"""A box that the image shows, and its detector did not find."""
 
 MATCHED_2D_ID = 2_000_000_007
 
@@ -208,9 +208,9 @@ def corners_lidar(box: SentBox) -> NDArray[np.float64]:
 
 
 def outline(box: SentBox) -> tuple[int, int, int, int]:
-    """The pixels' edges around a box in the picture: left, top, right, bottom, rounded outwards."""
+    """The pixels' edges around a box in the image: left, top, right, bottom, rounded outwards."""
     seen = corners_lidar(box) @ CAMERA_FROM_LIDAR[:3, :3].T + CAMERA_FROM_LIDAR[:3, 3]
-    # edges of pixels are counted from the picture's corner, half a pixel before the first one's centre
+    # edges of pixels are counted from the image's corner, half a pixel before the first one's centre
     edges = FOCAL * seen[:, :2] / seen[:, 2:] + MIDDLE + 0.5
     low, high = np.floor(edges.min(axis=0)), np.ceil(edges.max(axis=0))
     left, top = np.maximum(low, 0).astype(int).tolist()
@@ -226,7 +226,7 @@ def box_3d(box: SentBox, seq: int = 1, offset_ns: int = 0, **changed: Any) -> fu
         "class": box.name,
         "points_seq": seq,
         "confidence": box.confidence,
-        "timestamp": stamp(offset_ns),
+        "timestamp": timestamp(offset_ns),
         "X": X,
         "Y": Y,
         "Z": Z,
@@ -239,7 +239,7 @@ def box_3d(box: SentBox, seq: int = 1, offset_ns: int = 0, **changed: Any) -> fu
     return fusion_pb2.Box3d(**fields | changed)
 
 
-def box_2d(seq: int = 1, offset_ns: int = PICTURE_LATER_NS, **changed: Any) -> fusion_pb2.Box2d:
+def box_2d(seq: int = 1, offset_ns: int = IMAGE_LATER_NS, **changed: Any) -> fusion_pb2.Box2d:
     """A message of table 8: the outline of the matched box."""
     x1, y1, x2, y2 = outline(MATCHED)
     fields: dict[str, Any] = {
@@ -247,7 +247,7 @@ def box_2d(seq: int = 1, offset_ns: int = PICTURE_LATER_NS, **changed: Any) -> f
         "class": MATCHED.name,
         "image_seq": seq,
         "confidence": 0.75,
-        "timestamp": stamp(offset_ns),
+        "timestamp": timestamp(offset_ns),
         "x1": x1,
         "y1": y1,
         "x2": x2,
@@ -259,19 +259,19 @@ def box_2d(seq: int = 1, offset_ns: int = PICTURE_LATER_NS, **changed: Any) -> f
 def boxes_3d(
     seq: int = 1, offset_ns: int = 0, boxes: Sequence[fusion_pb2.Box3d] | None = None, **changed: Any
 ) -> fusion_pb2.SendRequest:
-    """A request with the boxes of a sweep; both boxes where none are said."""
+    """A request with the boxes of a sweep; both boxes where none are stated."""
     listed = [box_3d(box, seq, offset_ns) for box in (MATCHED, ALONE)] if boxes is None else boxes
-    fields: dict[str, Any] = {"sensor_id": LIDAR_ID, "seq": seq, "timestamp": stamp(offset_ns)}
+    fields: dict[str, Any] = {"sensor_id": LIDAR_ID, "seq": seq, "timestamp": timestamp(offset_ns)}
     return fusion_pb2.SendRequest(boxes_3d=fusion_pb2.Boxes3d(boxes=listed, **fields | changed))
 
 
 def boxes_2d(
     seq: int = 1,
-    offset_ns: int = PICTURE_LATER_NS,
+    offset_ns: int = IMAGE_LATER_NS,
     boxes: Sequence[fusion_pb2.Box2d] | None = None,
     **changed: Any,
 ) -> fusion_pb2.SendRequest:
-    """A request with the boxes of a picture; the one box where none are said."""
+    """A request with the boxes of an image; the one box where none are stated."""
     listed = [box_2d(seq, offset_ns)] if boxes is None else boxes
-    fields: dict[str, Any] = {"sensor_id": CAMERA_ID, "seq": seq, "timestamp": stamp(offset_ns)}
+    fields: dict[str, Any] = {"sensor_id": CAMERA_ID, "seq": seq, "timestamp": timestamp(offset_ns)}
     return fusion_pb2.SendRequest(boxes_2d=fusion_pb2.Boxes2d(boxes=listed, **fields | changed))

@@ -1,4 +1,4 @@
-"""Clause 6.7, table 9: the fused sensor data of the kit's scene, against what closed forms say."""
+"""Clause 6.7, table 9: the fused sensor data of the kit's scene, against what closed forms state."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -49,7 +49,7 @@ for _name in _EXPECTED:
     CHECKS.row(9, _name, f"{_name} is that of the pair", basis=_basis)(_look(_name))
 
 
-@CHECKS.row(9, "image_data", "the picture's pixels, width * height * image_channel values in their order")
+@CHECKS.row(9, "image_data", "the image's pixels, width * height * image_channel values in their order")
 def _image_data(bench: Bench) -> Iterator[Seen]:
     record = bench.once(fused_pair)
     size = record.width * record.height * record.image_channel
@@ -61,8 +61,8 @@ def _image_data(bench: Bench) -> Iterator[Seen]:
         yield same(
             f"{_SENT}: image_data at column {point.column}, row {point.row}", scene.color_at(point), color
         )
-    equal = np.array_equal(pixels, scene.picture())
-    yield true(f"{_SENT}: image_data", "the picture", "the picture" if equal else "another", agrees=equal)
+    equal = np.array_equal(pixels, scene.drawn_image())
+    yield true(f"{_SENT}: image_data", "the image", "the image" if equal else "another", agrees=equal)
 
 
 @CHECKS.row(
@@ -116,7 +116,7 @@ def columns_of(record: Any, names: tuple[str, ...]) -> np.ndarray[Any, np.dtype[
 
 
 @CHECKS.clause(
-    "4.1-3", "4.1", "points that the picture shows get its colours there (r, g, b)", basis=Basis.READING
+    "4.1-3", "4.1", "points that the image shows get its colours there (r, g, b)", basis=Basis.READING
 )
 def _colors(bench: Bench) -> Iterator[Seen]:
     record = bench.once(fused_pair)
@@ -140,24 +140,24 @@ def _layout(bench: Bench) -> Iterator[Seen]:
         rows = np.full((len(scene.points_lidar()), len(sent)), scale, np.float32)
         rows[:, [sent.index(axis) for axis in "xyz"]] = scene.points_lidar()
         later = 100_000_000 * seq
-        peer.send(scene.image(seq + 1, scene.PICTURE_LATER_NS + later))
+        peer.send(scene.image(seq + 1, scene.IMAGE_LATER_NS + later))
         peer.send(scene.cloud(seq + 1, later, rows, fields=sent, fields_number=len(sent)))
         record = peer.result(0)
         yield same(f"points with {name}, Get: point_fields", expected, list(record.point_fields))
         kept = columns_of(record, ("reflectivity", "echo"))
         agrees = bool((kept == np.float32(scale)).all())
-        told = "as sent" if agrees else kept.tolist()
-        yield true(f"points with {name}, Get: reflectivity, echo", "as sent", told, agrees=agrees)
+        reported = "as sent" if agrees else kept.tolist()
+        yield true(f"points with {name}, Get: reflectivity, echo", "as sent", reported, agrees=agrees)
         found = columns_of(record, ("r", "g", "b"))
         colors = [[float(level) for level in scene.color_at(point)] for point in scene.SEEN]
         yield same(f"points with {name}, Get: r, g, b of those seen", colors, found[: len(colors)].tolist())
 
 
 @CHECKS.clause(
-    "6.7-2", "6.7", "a picture comes back as it was sent: encoding, channels and data", basis=Basis.READING
+    "6.7-2", "6.7", "an image comes back as it was sent: encoding, channels and data", basis=Basis.READING
 )
 def _encodings(bench: Bench) -> Iterator[Seen]:
-    red, green, blue = np.moveaxis(scene.picture(), 2, 0)
+    red, green, blue = np.moveaxis(scene.drawn_image(), 2, 0)
     clear = np.full_like(red, 200)
     for encoding, channels in (
         ("mono8", (green,)),
@@ -171,17 +171,17 @@ def _encodings(bench: Bench) -> Iterator[Seen]:
         peer.send(scene.cloud())
         record = peer.result(0)
         yield same(
-            f"the scene's picture in {encoding}, Get: encoding, image_channel",
+            f"the scene's image in {encoding}, Get: encoding, image_channel",
             (encoding, len(channels)),
             (record.encoding, record.image_channel),
         )
         agrees = record.image_data == data
         found = "as sent" if agrees else "others"
-        yield true(f"the scene's picture in {encoding}, Get: image_data", "as sent", found, agrees=agrees)
+        yield true(f"the scene's image in {encoding}, Get: image_data", "as sent", found, agrees=agrees)
 
 
 @CHECKS.clause(
-    "6.7-3", "6.7", "points that the picture does not show have r, g, b = 128, 128, 128", basis=Basis.READING
+    "6.7-3", "6.7", "points that the image does not show have r, g, b = 128, 128, 128", basis=Basis.READING
 )
 def _unseen(bench: Bench) -> Iterator[Seen]:
     found = columns_of(bench.once(fused_pair), ("r", "g", "b"))[len(scene.SEEN) :]

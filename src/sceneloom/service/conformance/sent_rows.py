@@ -9,22 +9,22 @@ import numpy as np
 from sceneloom.fusion.messages.tables import TABLES
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.service.conformance import scene
-from sceneloom.service.conformance.bench import Bench, Peer, told
+from sceneloom.service.conformance.bench import Bench, Peer, reported
 from sceneloom.service.conformance.catalogue import Basis, Catalogue, Look, Seen, near, same, true
 from sceneloom.service.conformance.sensor_results import columns_of
 
 CHECKS = Catalogue("What is sent (clauses 6.2 to 6.6, tables 4 to 8)")
 
 _FLOATS = (float("nan"), float("inf"))
-_STAMPS = (None, fusion_pb2.Timestamp(s=1, ns=10**9), fusion_pb2.Timestamp(s=1, ns=2**32 - 1))
-"""No time stamp, and such whose nanoseconds make a second or more."""
+_TIMESTAMPS = (None, fusion_pb2.Timestamp(s=1, ns=10**9), fusion_pb2.Timestamp(s=1, ns=2**32 - 1))
+"""No timestamp, and such whose nanoseconds make a second or more."""
 
 RAW_SENSORS = (
     f'{{"{scene.CAMERA_ID}": {{"kind": "camera", "raw": "rgb8"}}, "{scene.LIDAR_ID}": {{"kind": "lidar"}}}}'
 )
 """The property `sensors` for raw data that are pixels."""
 
-_PIXELS = scene.picture().tobytes()
+_PIXELS = scene.drawn_image().tobytes()
 _POINTS = scene.points_lidar()
 
 Case = tuple[Any, Any]
@@ -32,7 +32,7 @@ Case = tuple[Any, Any]
 
 _IMAGE_ROWS: Mapping[str, Case] = {
     "sensor_id": ((scene.CAMERA_ID,), (scene.CAMERA_ID + 256, 2**32 - 1)),
-    "timestamp": ((scene.stamp(), fusion_pb2.Timestamp(s=0, ns=0)), _STAMPS),
+    "timestamp": ((scene.timestamp(), fusion_pb2.Timestamp(s=0, ns=0)), _TIMESTAMPS),
     "seq": ((0, 2**31, 2**32 - 1), ()),
     "height": ((scene.HEIGHT,), (0, scene.HEIGHT - 1, scene.HEIGHT + 1, 2**31)),
     "width": ((scene.WIDTH,), (0, scene.WIDTH - 1, scene.WIDTH + 1, 2**31)),
@@ -43,7 +43,7 @@ _IMAGE_ROWS: Mapping[str, Case] = {
 
 _CLOUD_ROWS: Mapping[str, Case] = {
     "sensor_id": ((scene.LIDAR_ID,), (scene.LIDAR_ID + 256, 2**32 - 1)),
-    "timestamp": ((scene.stamp(), fusion_pb2.Timestamp(s=0, ns=0)), _STAMPS),
+    "timestamp": ((scene.timestamp(), fusion_pb2.Timestamp(s=0, ns=0)), _TIMESTAMPS),
     "seq": ((0, 2**31, 2**32 - 1), ()),
     "number": ((len(_POINTS),), (0, len(_POINTS) - 1, len(_POINTS) + 1, 2**32 - 1)),
     "fields": (
@@ -62,13 +62,13 @@ _CLOUD_ROWS: Mapping[str, Case] = {
 
 _RAW_ROWS: Mapping[str, Case] = {
     "sensor_id": ((scene.CAMERA_ID,), (scene.CAMERA_ID + 256, scene.CAMERA_ID + 1)),
-    "timestamp": ((scene.stamp(), fusion_pb2.Timestamp(s=0, ns=0)), _STAMPS),
+    "timestamp": ((scene.timestamp(), fusion_pb2.Timestamp(s=0, ns=0)), _TIMESTAMPS),
     "seq": ((0, 2**31, 2**32 - 1), ()),
     "length": ((len(_PIXELS),), (0, len(_PIXELS) - 1, len(_PIXELS) + 1)),
     "data": ((_PIXELS,), (b"", _PIXELS[:-1])),
 }
 
-_PLACE: Case = ((-100.0, 0.0), _FLOATS)
+_LOCATION: Case = ((-100.0, 0.0), _FLOATS)
 _SIZE: Case = ((0.25,), (0.0, -1.0, *_FLOATS))
 _CONFIDENCE: Case = ((0.0, 1.0), (-0.125, 1.125, *_FLOATS))
 
@@ -77,8 +77,8 @@ _BOX_3D_ROWS: Mapping[str, Case] = {
     "class": (("Car", "Zamboni", "自行车"), ("",)),
     "points_seq": ((1,), (2,)),
     "confidence": _CONFIDENCE,
-    "timestamp": ((scene.stamp(),), (*_STAMPS[1:], scene.stamp(1))),
-    **dict.fromkeys("XYZ", _PLACE),
+    "timestamp": ((scene.timestamp(),), (*_TIMESTAMPS[1:], scene.timestamp(1))),
+    **dict.fromkeys("XYZ", _LOCATION),
     **dict.fromkeys(("length", "width", "height"), _SIZE),
     "direction": (((2.0, 3.0, 0.0),), ((0.0, 0.0, 0.0), (1.0, 0.0), (), (math.nan, 1.0, 0.0))),
     "velocity": ((-3.5, 0.0), _FLOATS),
@@ -89,7 +89,7 @@ _BOX_2D_ROWS: Mapping[str, Case] = {
     "class": (("Car", "Zamboni", "自行车"), ("",)),
     "image_seq": ((1,), (2,)),
     "confidence": _CONFIDENCE,
-    "timestamp": ((scene.stamp(),), (*_STAMPS[1:], scene.stamp(1))),
+    "timestamp": ((scene.timestamp(),), (*_TIMESTAMPS[1:], scene.timestamp(1))),
     "x1": ((0,), (scene.WIDTH,)),
     "y1": ((0,), (scene.HEIGHT,)),
     "x2": ((scene.WIDTH,), (0, 8)),
@@ -161,7 +161,7 @@ def _look(table: int, name: str) -> Look:
 def _shown(value: Any) -> str:
     if isinstance(value, bytes):
         return f"{len(value)} bytes"
-    return told(value) if hasattr(value, "DESCRIPTOR") else repr(value)
+    return reported(value) if hasattr(value, "DESCRIPTOR") else repr(value)
 
 
 for _number, (_rows, _) in _TABLES.items():
@@ -176,10 +176,10 @@ for _number, (_rows, _) in _TABLES.items():
         )(_look(_number, _name))
 
 
-@CHECKS.clause("6.2-1", "6.2", "raw data that are pixels are fused as a picture is", basis=Basis.READING)
+@CHECKS.clause("6.2-1", "6.2", "raw data that are pixels are fused as an image is", basis=Basis.READING)
 def _raw_pixels(bench: Bench) -> Iterator[Seen]:
     peer = _ready(bench, 4)
-    peer.send(scene.raw(_PIXELS, offset_ns=scene.PICTURE_LATER_NS))
+    peer.send(scene.raw(_PIXELS, offset_ns=scene.IMAGE_LATER_NS))
     peer.send(scene.cloud())
     record = peer.result(0)
     yield true(
@@ -191,17 +191,17 @@ def _raw_pixels(bench: Bench) -> Iterator[Seen]:
 
 
 @CHECKS.clause(
-    "6.3-1", "6.3", "a picture in bgr8 gives the points the colours that it has in rgb8", basis=Basis.READING
+    "6.3-1", "6.3", "an image in bgr8 gives the points the colours that it has in rgb8", basis=Basis.READING
 )
 def _blue_first(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
-    blue_first = scene.picture()[:, :, ::-1].tobytes()
+    blue_first = scene.drawn_image()[:, :, ::-1].tobytes()
     peer.send(scene.image(encoding="bgr8", data=blue_first))
     peer.send(scene.cloud())
     found = columns_of(peer.result(0), ("r", "g", "b"))
     for k, point in enumerate(scene.SEEN):
         expected = [float(level) for level in scene.color_at(point)]
-        yield same(f"the scene's picture in bgr8, Get: r, g, b of point {k}", expected, found[k].tolist())
+        yield same(f"the scene's image in bgr8, Get: r, g, b of point {k}", expected, found[k].tolist())
 
 
 @CHECKS.clause("6.4-1", "6.4", "beam and ring are of mechanical lidars only")
@@ -239,7 +239,7 @@ def _missing_returns(bench: Bench) -> Iterator[Seen]:
 @CHECKS.clause(
     "6.5-1",
     "6.5",
-    "a box whose direction is vertical does not say how it lies, and is refused",
+    "a box whose direction is vertical does not state how it lies, and is refused",
     basis=Basis.READING,
 )
 def _vertical(bench: Bench) -> Iterator[Seen]:

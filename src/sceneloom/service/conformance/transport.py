@@ -33,7 +33,7 @@ class NobodyAnswersError(SceneloomError):
 
 
 class CallFailedError(SceneloomError):
-    """A call ended with an error in place of an answer.
+    """A call ended with an error instead of an answer.
 
     Attributes:
         code: as gRPC calls it, such as NOT_FOUND.
@@ -110,13 +110,15 @@ class Doors:
             DataError: a file holds no certificate, or no key of it.
             OSError: a file cannot be read.
         """
-        options = [(f"grpc.max_{way}_message_length", LARGEST_MESSAGE) for way in ("send", "receive")]
+        options = [
+            (f"grpc.max_{trajectory}_message_length", LARGEST_MESSAGE) for trajectory in ("send", "receive")
+        ]
         if self.ca is not None:
             chain, key = (None, None) if self.certificate is None else read_pair(*self.certificate)
             credentials = grpc.ssl_channel_credentials(read_certificates(self.ca), key, chain)
             return grpc.secure_channel(address, credentials, options)
         if self.token_file is not None and not _is_here(address):
-            raise OptionError(f"{address}: a token over a connection that is not encrypted; say --ca, too")
+            raise OptionError(f"{address}: a token over a connection that is not encrypted; state --ca, too")
         return grpc.insecure_channel(address, options)
 
 
@@ -152,18 +154,18 @@ class GrpcTransport:
             grpc.channel_ready_future(channel).result(timeout=PATIENCE_S / 3)
         except grpc.FutureTimeoutError:
             channel.close()
-            told = (
+            reported = (
                 "no server answers there; is it running, and are both sides with or both without TLS (--ca)?"
             )
-            raise NobodyAnswersError(f"{address}: {told}") from None
+            raise NobodyAnswersError(f"{address}: {reported}") from None
         transport = cls(channel, metadata=doors.metadata())
         try:
             transport.call("CloseSession", fusion_pb2.CloseSessionRequest(session="conformance-knocks"))
         except CallFailedError as error:
             if error.code in _SHUT:
                 channel.close()
-                told = "say the token that it was started with (--token-file)"
-                raise NobodyAnswersError(f"{address}: {error.code}: {error.details}; {told}") from None
+                reported = "state the token that it was started with (--token-file)"
+                raise NobodyAnswersError(f"{address}: {error.code}: {error.details}; {reported}") from None
         return transport
 
     def __enter__(self) -> Self:
@@ -185,7 +187,7 @@ class GrpcTransport:
         try:
             yield from self._stubs["Subscribe"](request, timeout=PATIENCE_S, metadata=self._metadata)
         except grpc.RpcError as error:
-            raise _told(error) from error
+            raise _reported(error) from error
 
     def health(self, service: str) -> str:
         """Ask the health service how a service is, by its full name, or "" for all: SERVING and so on.
@@ -201,7 +203,7 @@ class GrpcTransport:
         try:
             reply = call(request, timeout=PATIENCE_S, metadata=self._metadata)
         except grpc.RpcError as error:
-            raise _told(error) from error
+            raise _reported(error) from error
         name: str = health_pb2.HealthCheckResponse.ServingStatus.Name(reply.status)
         return name
 
@@ -230,7 +232,7 @@ class GrpcTransport:
             try:
                 replies = list(call(iter([request]), timeout=PATIENCE_S, metadata=self._metadata))
             except grpc.RpcError as error:
-                failed = _told(error)
+                failed = _reported(error)
                 if failed.code != "UNIMPLEMENTED":
                     break
             else:
@@ -241,7 +243,7 @@ class GrpcTransport:
         try:
             return self._stubs[method](request, timeout=PATIENCE_S, metadata=self._metadata)
         except grpc.RpcError as error:
-            raise _told(error) from error
+            raise _reported(error) from error
 
 
 def _stub(channel: grpc.Channel, method: Any) -> Any:
@@ -254,7 +256,7 @@ def _stub(channel: grpc.Channel, method: Any) -> Any:
     )
 
 
-def _told(error: Any) -> CallFailedError:
+def _reported(error: Any) -> CallFailedError:
     return CallFailedError(error.code().name, details_of(error))
 
 

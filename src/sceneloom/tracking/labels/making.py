@@ -1,9 +1,9 @@
 """Tracks as annotations that a labelling tool can take over.
 
-Each object gets an `object` annotation, to which its cuboid and the detector's boxes in pictures belong; riders are
+Each object gets an `object` annotation, to which its cuboid and the detector's boxes in images belong; riders are
 linked with what they ride. A cuboid has the fewest keyframes whose interpolation, as readers of `.sfs` do it, keeps
-within tolerances; what stands still has one, and holds at all times. What looks wrong is told in the attribute `review`
-and, the worst first, in the scene's metadata.
+within tolerances; what is stationary has one, and holds at all times. What looks wrong is reported in the attribute
+`review` and, the worst first, in the scene's metadata.
 """
 
 from collections.abc import Iterable, Sequence
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.editing.record import skipped, with_notices, with_ours
+from sceneloom.editing.record import skipped, with_ours, with_warnings
 from sceneloom.errors import CalibrationError, PoseError
 from sceneloom.scene.angles import CuboidAngles
 from sceneloom.scene.annotations.annotation import Annotation
@@ -22,18 +22,18 @@ from sceneloom.scene.annotations.relations import LinkAnnotation, ObjectAnnotati
 from sceneloom.scene.annotations_frame import annotations_frame, not_in_world
 from sceneloom.scene.clouds import RadarSensor
 from sceneloom.scene.ego import EgoMotion
-from sceneloom.scene.notices import Notice
-from sceneloom.scene.sample_places import choose_ego
+from sceneloom.scene.sample_positions import choose_ego
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.tracks import Support, Track, Tracks
 from sceneloom.scene.types import Coordinates
+from sceneloom.scene.warnings import DataWarning
 from sceneloom.tracking.labels.paths import LabelPath, boxed, boxed_part, label_path
-from sceneloom.tracking.labels.pictured import boxes_in_pictures
+from sceneloom.tracking.labels.pictured import boxes_in_images
 from sceneloom.tracking.labels.quality import Flag, FlagKind, flag, flags_of, overlap_flags
 from sceneloom.tracking.labels.radar import RadarEvidence, hear
-from sceneloom.tracking.labels.riding import riders
+from sceneloom.tracking.labels.reported import attributes_of
+from sceneloom.tracking.labels.rider_association import riders
 from sceneloom.tracking.labels.settings import LabelSettings
-from sceneloom.tracking.labels.told import attributes_of
 from sceneloom.version import __version__
 from sceneloom.visibility.counted import with_activations, with_counts
 from sceneloom.visibility.points import PointCounts, count_points
@@ -54,15 +54,15 @@ class Labelled:
         scene: with annotations of the objects behind those that it had.
         flags: what a person should look at, the most urgent first.
         objects: how many objects are labelled.
-        standing: how many of them stand still.
+        stationary: how many of them are stationary.
         states: how many states their tracks have.
-        keyframes: how many keyframes tell them.
+        keyframes: how many keyframes report them.
     """
 
     scene: Scene
     flags: tuple[Flag, ...]
     objects: int
-    standing: int
+    stationary: int
     states: int
     keyframes: int
 
@@ -74,16 +74,17 @@ def label_tracks(
     settings: LabelSettings = DEFAULTS,
     trajectory: str | EgoMotion | None = None,
 ) -> Labelled:
-    """Turn tracks into annotations of a scene, with what its sensors say of them.
+    """Rotate tracks into annotations of a scene, with what its sensors state of them.
 
-    What a scene lacks is left out with a notice: projections without known places of cameras, points without those of
+    What a scene lacks is left out with a warning: projections without known locations of cameras, points without those
+        of
     lidars, speeds without those of radars.
 
     Args:
         scene: whose world the tracks are in; one without sensors is enough.
         tracks: the objects.
         settings: how labels are made.
-        trajectory: name of the ego's way, as for `Scene.samples`.
+        trajectory: name of the ego trajectory, as for `Scene.samples`.
 
     Raises:
         OptionError: there is no such trajectory, the scene's annotations are in the ego's frame, or one of them has the
@@ -93,12 +94,12 @@ def label_tracks(
     if scene.annotations and annotations_frame(scene) is not Coordinates.WORLD:
         raise not_in_world(scene.source)
     kept = [part for track in tracks if (part := boxed_part(track)) and _is_wanted(part, settings)]
-    ego, notices = choose_ego(scene, trajectory), list[Notice]()
+    ego, warnings = choose_ego(scene, trajectory), list[DataWarning]()
     pairs = list(riders(kept)) if settings.links else []
     paths = [label_path(track, settings) for track in kept]
     cuboids = [_cuboid(track, path, scene, settings) for track, path in zip(kept, paths, strict=True)]
-    seen, counts = _seen_by_sensors(replace(scene, annotations=tuple(cuboids)), settings, ego, notices)
-    heard = _heard(scene, kept, settings, ego, notices)
+    seen, counts = _seen_by_sensors(replace(scene, annotations=tuple(cuboids)), settings, ego, warnings)
+    heard = _heard(scene, kept, settings, ego, warnings)
     together = {frozenset((person.id, bike.id)) for person, bike in pairs}
     flags = [one for track in kept for one in flags_of(track)]
     flags += [*overlap_flags(kept, together), *heard.flags, *_empty(kept, counts)]
@@ -111,7 +112,7 @@ def label_tracks(
     labelled = with_ours(labelled, **{**_angles(scene), LABELS: _record(flags, settings, len(kept))})
     keyframes = sum(len(cuboid.path.timestamps_ns) for cuboid in cuboids)
     return Labelled(
-        with_notices(labelled, notices),
+        with_warnings(labelled, warnings),
         tuple(flags),
         len(kept),
         sum(path.stands for path in paths),
@@ -155,15 +156,15 @@ def _annotations(
 ) -> list[Annotation]:
     """The object of a track, and what belongs to it."""
     kinds = [str(one.kind) for one in flags if one.track == track.id]
-    told = attributes_of(track, settings.source, kinds)
+    reported = attributes_of(track, settings.source, kinds)
     boxes: Sequence[Box2DAnnotation] = ()
     if settings.boxes_2d:
         gap_ns = round(settings.longest_gap * 1e9)
         boxes = list(
-            boxes_in_pictures(scene, track, object_id(track), f"box-{track.id}", longest_gap_ns=gap_ns)
+            boxes_in_images(scene, track, object_id(track), f"box-{track.id}", longest_gap_ns=gap_ns)
         )
     about = heard.attributes.get(track.id, ())
-    whole = replace(cuboid, attributes=(*told, *about, *cuboid.attributes))
+    whole = replace(cuboid, attributes=(*reported, *about, *cuboid.attributes))
     return [ObjectAnnotation(object_id(track), label=track.label), whole, *boxes]
 
 
@@ -173,25 +174,25 @@ def _link(person: Track, bike: Track) -> LinkAnnotation:
 
 
 def _seen_by_sensors(
-    scene: Scene, settings: LabelSettings, ego: EgoMotion | None, notices: list[Notice]
+    scene: Scene, settings: LabelSettings, ego: EgoMotion | None, warnings: list[DataWarning]
 ) -> tuple[list[CuboidAnnotation], PointCounts | None]:
-    """The cuboids of a scene with what its cameras and lidars say of them, and the points in them."""
+    """The cuboids of a scene with what its cameras and lidars state of them, and the points in them."""
     counts = None
-    if settings.projections and any(len(camera.pictures) for camera in scene.cameras):
+    if settings.projections and any(len(camera.images) for camera in scene.cameras):
         try:
-            known = len(scene.notices)
+            known = len(scene.warnings)
             scene = project_cuboids(scene, trajectory=ego, activations=True)
-            notices += scene.notices[known:]
+            warnings += scene.warnings[known:]
         except (PoseError, CalibrationError) as error:
-            notices.append(
-                skipped("labels-not-projected", "annotations", f"cuboids are in no picture: {error}")
+            warnings.append(
+                skipped("labels-not-projected", "annotations", f"cuboids are in no image: {error}")
             )
     if settings.points and scene.lidars:
         try:
             counts = count_points(scene, moment="points", trajectory=ego, activations=False)
             scene = with_activations(with_counts(scene, counts), counts)
         except PoseError as error:
-            notices.append(skipped("labels-not-counted", "annotations", f"points were not counted: {error}"))
+            warnings.append(skipped("labels-not-counted", "annotations", f"points were not counted: {error}"))
     return [each for each in scene.annotations if isinstance(each, CuboidAnnotation)], counts
 
 
@@ -200,14 +201,14 @@ def _heard(
     tracks: Sequence[Track],
     settings: LabelSettings,
     ego: EgoMotion | None,
-    notices: list[Notice],
+    warnings: list[DataWarning],
 ) -> RadarEvidence:
     if not settings.radar or not any(isinstance(sensor, RadarSensor) for sensor in scene.sensors):
         return _NO_EVIDENCE
     try:
         return hear(scene, tracks, ego)
     except PoseError as error:
-        notices.append(skipped("labels-not-heard", "annotations", f"radars were not asked: {error}"))
+        warnings.append(skipped("labels-not-heard", "annotations", f"radars were not asked: {error}"))
         return _NO_EVIDENCE
 
 

@@ -12,7 +12,7 @@ from sceneloom.scene.annotations.cuboids import CuboidPath
 from sceneloom.scene.tracks import Support, Track
 from sceneloom.tracking.labels.settings import LabelSettings
 
-BOXED = (Support.BOTH, Support.SWEEP, Support.PICTURE)
+BOXED = (Support.BOTH, Support.SWEEP, Support.IMAGE)
 """States that rest on a box of a detector."""
 _MEASURED = (Support.BOTH, Support.SWEEP)
 _ROUNDING = 1e-9
@@ -29,8 +29,8 @@ class LabelPath:
 
     Attributes:
         timestamps_ns: (K,) int64 [ns], of the track's states from the first to the last that rests on a box.
-        boxes: (K, 7) float64, centre and size [m] and heading [rad], which goes on beyond half turns.
-        stands: whether it stands still.
+        boxes: (K, 7) float64, centre and size [m] and heading [rad], which goes on beyond half rotations.
+        stands: whether it is stationary.
     """
 
     timestamps_ns: Int64Array
@@ -55,7 +55,7 @@ class LabelPath:
         values = np.zeros((len(rows), 9))
         values[:, :3], values[:, 3:6] = boxes[:, 3:6], boxes[:, :3]
         unit = degrees(1.0) if angles.unit == CuboidAngles().unit else 1.0
-        # of boxes that are turned about z alone, the order of the rotations does not matter
+        # of boxes that are rotated about z alone, the order of the rotations does not matter
         values[:, 8] = boxes[:, 6] * unit
         return CuboidPath(self.timestamps_ns[rows], values)
 
@@ -93,14 +93,14 @@ def label_path(track: Track, settings: LabelSettings) -> LabelPath:
 
     Args:
         track: from its first box to its last.
-        settings: whether sizes are made constant and standing objects found.
+        settings: whether sizes are made constant and stationary objects found.
     """
     yaws = np.unwrap(track.yaws)
     boxes = np.column_stack([track.centers, track.sizes_lwh, yaws])
     weights = _weights(track)
     if settings.constant_sizes:
         boxes[:, 3:6] = weighted_medians(track.sizes_lwh, weights[:, 3:6])
-    if not (settings.standing and stands(track, settings)):
+    if not (settings.stationary and stands(track, settings)):
         return LabelPath(track.timestamps_ns, boxes, stands=False)
     boxes[:, :3] = weighted_medians(track.centers, weights[:, :3])
     boxes[:, 3:6] = weighted_medians(track.sizes_lwh, weights[:, 3:6])
@@ -109,21 +109,24 @@ def label_path(track: Track, settings: LabelSettings) -> LabelPath:
 
 
 def stands(track: Track, settings: LabelSettings) -> bool:
-    """Say whether an object stands still: never far from its usual place, and not getting on from there.
+    """Report whether an object is stationary: never far from its usual location, and not getting on from there.
 
-    It may get on as fast as the settings say, or as its speed is uncertain by one deviation.
+    It may get on as fast as the settings state, or as its speed is uncertain by one deviation.
     """
     rows = np.flatnonzero(np.isin(track.supports, _MEASURED))
     if len(rows) < 2:
         return False
-    places, times = track.centers[rows, :2], (track.timestamps_ns[rows] - track.timestamps_ns[rows[0]]) * 1e-9
-    away = np.linalg.norm(places - np.median(places, axis=0), axis=1)
-    if float(away.max()) > settings.standing_spread:
+    locations, times = (
+        track.centers[rows, :2],
+        (track.timestamps_ns[rows] - track.timestamps_ns[rows[0]]) * 1e-9,
+    )
+    away = np.linalg.norm(locations - np.median(locations, axis=0), axis=1)
+    if float(away.max()) > settings.stationary_spread:
         return False
-    slopes = np.polynomial.polynomial.polyfit(times, places, 1)[1]
+    slopes = np.polynomial.polynomial.polyfit(times, locations, 1)[1]
     known = np.trace(track.covariances[rows, 7:9, 7:9], axis1=1, axis2=2) / 2.0
     unsure = min(float(np.sqrt(max(float(np.median(known)), 0.0))), _MOST_UNSURE)
-    return float(np.hypot(*slopes)) <= max(settings.standing_speed, unsure)
+    return float(np.hypot(*slopes)) <= max(settings.stationary_speed, unsure)
 
 
 def _weights(track: Track) -> Float64Array:
@@ -145,10 +148,10 @@ def weighted_medians(values: Float64Array, weights: Float64Array) -> Float64Arra
 
 
 def usual_heading(yaws: Float64Array, weights: Float64Array) -> float:
-    """The heading that most of (K,) headings [rad] agree with, those that are half a turn off counting against it.
+    """The heading that most of (K,) headings [rad] agree with, those that are half a switch off counting against it.
 
-    The axis is the mean of doubled angles, for which a heading and its opposite are the same; the way along it is what
-    the larger weight says.
+    The axis is the mean of doubled angles, for which a heading and its opposite are the same; the trajectory along it
+    is what the larger weight says.
 
     Source: Mardia and Jupp 2000, "Directional Statistics", ch. 2, for means of axes.
     """

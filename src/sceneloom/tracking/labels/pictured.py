@@ -1,4 +1,4 @@
-"""The detector's boxes in pictures as annotations."""
+"""The detector's boxes in images as annotations."""
 
 from collections.abc import Iterator
 
@@ -16,14 +16,14 @@ _DECIMALS = 2
 """Of pixels that are written."""
 
 
-def boxes_in_pictures(
+def boxes_in_images(
     scene: Scene, track: Track, parent_id: Identifier, stem: str, *, longest_gap_ns: int
 ) -> Iterator[Box2DAnnotation]:
-    """Give the boxes that the detector found of an object in pictures, by camera, at the times of these pictures.
+    """Give the boxes that the detector found of an object in images, by camera, at the times of these images.
 
     Args:
-        scene: whose cameras have the pictures. Of a camera without pictures the times are those of the track.
-        track: with boxes in pictures.
+        scene: whose cameras have the images. Of a camera without images the times are those of the track.
+        track: with boxes in images.
         parent_id: of the object.
         stem: how ids begin.
         longest_gap_ns: after a longer time without a box another annotation begins [ns].
@@ -35,7 +35,7 @@ def boxes_in_pictures(
         )
         if len(rows) == 0 or key_of(camera_id) not in cameras:
             continue
-        times, chosen = _at_pictures(cameras[key_of(camera_id)], track.timestamps_ns[rows])
+        times, chosen = _at_images(cameras[key_of(camera_id)], track.timestamps_ns[rows])
         breaks = np.flatnonzero(np.diff(times) > longest_gap_ns) + 1
         for part, own in enumerate(np.split(np.arange(len(times)), breaks)):
             tail = f"-{part + 1}" if len(breaks) else ""
@@ -53,16 +53,16 @@ def _left_top_width_height(corners_xyxy: Float64Array) -> Float64Array:
     return np.column_stack([rounded[:, :2], rounded[:, 2:] - rounded[:, :2]])
 
 
-def _at_pictures(camera: CameraSensor, times_ns: Int64Array) -> tuple[Int64Array, Int64Array]:
-    """The times of the pictures nearest to some times, each once, and which of these they are nearest to."""
-    stamps = camera.pictures.timestamps_ns
-    if len(stamps) == 0:
+def _at_images(camera: CameraSensor, times_ns: Int64Array) -> tuple[Int64Array, Int64Array]:
+    """The times of the images nearest to some times, each once, and which of these they are nearest to."""
+    timestamps = camera.images.timestamps_ns
+    if len(timestamps) == 0:
         return times_ns, np.arange(len(times_ns))
-    after = np.clip(np.searchsorted(stamps, times_ns), 1, max(len(stamps) - 1, 1))
-    after = np.minimum(after, len(stamps) - 1)
+    after = np.clip(np.searchsorted(timestamps, times_ns), 1, max(len(timestamps) - 1, 1))
+    after = np.minimum(after, len(timestamps) - 1)
     before = np.maximum(after - 1, 0)
-    nearest = np.where(times_ns - stamps[before] <= stamps[after] - times_ns, before, after)
-    away = np.abs(stamps[nearest] - times_ns)
-    near = np.flatnonzero(away <= max(usual_period_ns(stamps), 1))
-    found, first = np.unique(stamps[nearest[near]], return_index=True)
+    nearest = np.where(times_ns - timestamps[before] <= timestamps[after] - times_ns, before, after)
+    away = np.abs(timestamps[nearest] - times_ns)
+    near = np.flatnonzero(away <= max(usual_period_ns(timestamps), 1))
+    found, first = np.unique(timestamps[nearest[near]], return_index=True)
     return found, near[first]

@@ -21,22 +21,22 @@ class FlagKind(StrEnum):
     """It probably does not exist."""
     SPARSE = "sparse support"
     """Much of it rests on no box at all."""
-    PICTURE_ONLY = "picture only"
+    IMAGE_ONLY = "image only"
     """No sweep ever had a box of it, so that its distance is a guess."""
     JITTER = "jitter"
-    """Its place jumps to and fro."""
+    """Its location jumps to and fro."""
     JUMP = "jump"
     """It gets from one state to the next faster than its speed says."""
     SIZE = "size change"
     """Its size changes."""
     YAW_FLIP = "yaw flip"
-    """Its heading turns about from one state to the next."""
+    """Its heading rotates about from one state to the next."""
     YAW_JITTER = "yaw jitter"
     """Its heading jumps to and fro."""
     AGAINST_MOTION = "heads against motion"
     """It drives, but not where it heads."""
     OVERLAP = "overlap"
-    """Another object is in the same place."""
+    """Another object is in the same location."""
     EMPTY = "empty boxes"
     """Sweeps that found it have no points in its cuboid."""
     RADAR = "radar disagrees"
@@ -47,7 +47,7 @@ LIMITS: Mapping[FlagKind, float] = {
     FlagKind.SHORT: 5.0,
     FlagKind.UNSURE: 0.5,
     FlagKind.SPARSE: 0.5,
-    FlagKind.PICTURE_ONLY: 0.5,
+    FlagKind.IMAGE_ONLY: 0.5,
     FlagKind.JITTER: 0.25,
     FlagKind.JUMP: 1.5,
     FlagKind.SIZE: 0.25,
@@ -108,7 +108,7 @@ def flags_of(track: Track) -> list[Flag]:
         *flag(track, FlagKind.SPARSE, 1.0 - len(rows) / len(track), _longest_gap(rows)),
     ]
     if not np.isin(track.supports, (Support.BOTH, Support.SWEEP)).any():
-        found += flag(track, FlagKind.PICTURE_ONLY, 1.0, 0)
+        found += flag(track, FlagKind.IMAGE_ONLY, 1.0, 0)
     return [*found, *_of_sizes(track), *_of_motion(track), *_of_heading(track)]
 
 
@@ -139,10 +139,10 @@ def _of_motion(track: Track) -> Iterator[Flag]:
 
 
 def _of_heading(track: Track) -> Iterator[Flag]:
-    turns = np.abs(_shortest(np.diff(track.yaws)))
-    if len(turns):
-        yield from flag(track, FlagKind.YAW_FLIP, float(turns.max()), int(turns.argmax()) + 1)
-    if len(turns) > 1 and turns.max() <= LIMITS[FlagKind.YAW_FLIP]:
+    rotations = np.abs(_shortest(np.diff(track.yaws)))
+    if len(rotations):
+        yield from flag(track, FlagKind.YAW_FLIP, float(rotations.max()), int(rotations.argmax()) + 1)
+    if len(rotations) > 1 and rotations.max() <= LIMITS[FlagKind.YAW_FLIP]:
         bends = np.abs(_off_lines(track, np.unwrap(track.yaws)[:, None])[:, 0])
         yield from flag(
             track, FlagKind.YAW_JITTER, float(np.quantile(bends, _MIDDLING)), int(bends.argmax()) + 1
@@ -163,12 +163,12 @@ def _off_lines(track: Track, values: Float64Array) -> Float64Array:
 
 
 def _shortest(angles: Float64Array) -> Float64Array:
-    turned: Float64Array = (angles + pi) % (2.0 * pi) - pi
-    return turned
+    rotated: Float64Array = (angles + pi) % (2.0 * pi) - pi
+    return rotated
 
 
 def overlap_flags(tracks: Iterable[Track], together: Collection[frozenset[int]] = ()) -> list[Flag]:
-    """Find objects that are in the same place at the same time: the less sure one of each two is flagged.
+    """Find objects that are in the same location at the same time: the less sure one of each two is flagged.
 
     Args:
         tracks: all of them.

@@ -1,6 +1,6 @@
-"""What radars say of labelled objects: how many of their returns come from each, and how fast it comes nearer.
+"""What radars state of labelled objects: how many of their returns come from each, and how fast it comes nearer.
 
-A return has its place, the line of sight d that leads to it, and the speed s along it against the radar itself. With
+A return has its location, the line of sight d that leads to it, and the speed s along it against the radar itself. With
 the radar's own velocity v the object's speed over ground along the same line is s + d · v, which is compared with
 d · u of the track's velocity u.
 """
@@ -16,7 +16,7 @@ from sceneloom.scene.annotations.attributes import AttributePath
 from sceneloom.scene.clouds import RadarFrame, RadarSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.sample_places import WORLD
+from sceneloom.scene.sample_positions import WORLD
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import points_source, sensor_source
 from sceneloom.scene.span import scene_period_ns
@@ -28,7 +28,7 @@ RETURNS, RADIAL_VELOCITY = "radar_returns", "radial_velocity"
 """Names of attributes: how many returns of a frame come from it; its speed over ground away from the radar [m/s]."""
 
 _MARGIN = np.array([0.4, 0.4, 2.0])
-"""A return so near outside a box is of it [m]: radars tell the height badly."""
+"""A return so near outside a box is of it [m]: radars report the height badly."""
 _STEP_NS = 20_000_000
 """The radar's own velocity is that of so long before to so long after [ns]."""
 _DECIMALS = 2
@@ -73,53 +73,53 @@ def hear(scene: Scene, tracks: Sequence[Track], ego: EgoMotion | None) -> RadarE
             for number, heard in _heard(scene, radar, tracks, ego).items():
                 attributes.setdefault(tracks[number].id, []).extend(_attributes(radar.id, heard))
                 flags += _contradiction(tracks[number], heard)
-    return RadarEvidence({number: tuple(told) for number, told in attributes.items()}, tuple(flags))
+    return RadarEvidence({number: tuple(reported) for number, reported in attributes.items()}, tuple(flags))
 
 
 def _attributes(radar_id: Identifier, heard: _Heard) -> list[AttributePath]:
     times = np.array(heard.times_ns, np.int64)
     timed = np.flatnonzero(np.isfinite(heard.speeds))
-    told = [AttributePath(RETURNS, tuple(heard.counts), times, sensor_id=radar_id)]
+    reported = [AttributePath(RETURNS, tuple(heard.counts), times, sensor_id=radar_id)]
     if len(timed):
         speeds = tuple(round(heard.speeds[k], _DECIMALS) for k in timed.tolist())
-        told.append(AttributePath(RADIAL_VELOCITY, speeds, times[timed], sensor_id=radar_id))
-    return told
+        reported.append(AttributePath(RADIAL_VELOCITY, speeds, times[timed], sensor_id=radar_id))
+    return reported
 
 
 def _contradiction(track: Track, heard: _Heard) -> list[Flag]:
     misfits = np.abs(heard.misfits)
-    told = np.flatnonzero(np.isfinite(misfits))
-    if len(told) < _LEAST_FRAMES:
+    reported = np.flatnonzero(np.isfinite(misfits))
+    if len(reported) < _LEAST_FRAMES:
         return []
-    worst = heard.times_ns[int(told[misfits[told].argmax()])]
+    worst = heard.times_ns[int(reported[misfits[reported].argmax()])]
     row = int(np.abs(track.timestamps_ns - worst).argmin())
-    return list(flag(track, FlagKind.RADAR, float(np.median(misfits[told])), row))
+    return list(flag(track, FlagKind.RADAR, float(np.median(misfits[reported])), row))
 
 
 def _heard(
     scene: Scene, radar: RadarSensor, tracks: Sequence[Track], ego: EgoMotion | None
 ) -> dict[int, _Heard]:
     reach_ns = scene_period_ns(scene)
-    place = points_source(scene, radar, ego, reach_ns=reach_ns) or WORLD
+    location = points_source(scene, radar, ego, reach_ns=reach_ns) or WORLD
     own = sensor_source(scene, radar, ego, reach_ns=reach_ns)
     spans = np.array([track.timestamps_ns[[0, -1]] for track in tracks], np.int64).reshape(-1, 2)
     found: dict[int, _Heard] = {}
     for frame in radar.frames:
         there = np.flatnonzero((spans[:, 0] <= frame.timestamp_ns) & (frame.timestamp_ns <= spans[:, 1]))
-        returns = _returns(frame, place, own) if len(there) else None
+        returns = _returns(frame, location, own) if len(there) else None
         if returns is not None:
             for number in there.tolist():
                 _listen(found.setdefault(number, _Heard()), tracks[number], frame.timestamp_ns, returns)
     return {number: heard for number, heard in found.items() if heard.times_ns}
 
 
-def _returns(frame: RadarFrame, place: PoseSource, own: PoseSource) -> Float64Array | None:
-    """Place (N, 3), line of sight (N, 3) and speed over ground (N,) of the returns in the world, side by side.
+def _returns(frame: RadarFrame, location: PoseSource, own: PoseSource) -> Float64Array | None:
+    """Location (N, 3), line of sight (N, 3) and speed over ground (N,) of the returns in the world, side by side.
 
     Speeds are NaN where the radar gives none; None where it is not known where it was.
     """
     time_ns, points = frame.timestamp_ns, frame.points
-    pose = place.at(np.array([time_ns], np.int64))
+    pose = location.at(np.array([time_ns], np.int64))
     around = own.at(np.array([time_ns - _STEP_NS, time_ns, time_ns + _STEP_NS], np.int64)).positions
     if not (np.isfinite(pose.positions).all() and np.isfinite(around[1]).all()):
         return None
@@ -127,12 +127,12 @@ def _returns(frame: RadarFrame, place: PoseSource, own: PoseSource) -> Float64Ar
     if len(ends) < 2:
         return None
     velocity = (around[ends[-1]] - around[ends[0]]) / ((ends[-1] - ends[0]) * _STEP_NS * 1e-9)
-    turn = pose.quaternions_xyzw[0]
-    places = rotate_vectors(turn, points.positions.astype(np.float64)) + pose.positions[0]
+    rotation = pose.quaternions_xyzw[0]
+    locations = rotate_vectors(rotation, points.positions.astype(np.float64)) + pose.positions[0]
     if points.directions is None or points.lengths is None:
-        return np.column_stack([places, np.full((len(places), 4), np.nan)])
-    lines = rotate_vectors(turn, points.directions.astype(np.float64))
-    return np.column_stack([places, lines, points.lengths + lines @ velocity])
+        return np.column_stack([locations, np.full((len(locations), 4), np.nan)])
+    lines = rotate_vectors(rotation, points.directions.astype(np.float64))
+    return np.column_stack([locations, lines, points.lengths + lines @ velocity])
 
 
 def _listen(heard: _Heard, track: Track, time_ns: int, returns: Float64Array) -> None:

@@ -15,17 +15,17 @@ class LabelSettings:
         tolerance_m: what interpolation between keyframes may be off in place, and in size [m].
         tolerance_deg: what it may be off in heading [deg].
         constant_sizes: whether each object gets one size.
-        standing: whether what stands still is found, and given one pose.
-        standing_spread: what stands is never farther than this from its usual place [m].
-        standing_speed: nor does it get on faster than this from its first to its last state [m/s], or than its speed is
-            uncertain.
+        stationary: whether what is stationary is found, and given one pose.
+        stationary_spread: what stands is never farther than this from its usual location [m].
+        stationary_speed: nor does it get on faster than this from its first to its last state [m/s], or than its speed
+            is uncertain.
         least_states: objects that fewer boxes of detectors support are left out.
         least_score: objects that are never surer than this are left out, 0 to 1.
-        boxes_2d: whether the detector's boxes in pictures become annotations.
-        longest_gap: a box in pictures that was not found for longer is another annotation [s].
-        projections: whether cameras tell where they see the cuboids, and when.
-        points: whether lidars tell how many points the cuboids hold, and when.
-        radar: whether radars tell which cuboids they meet, and how fast these come nearer.
+        boxes_2d: whether the detector's boxes in images become annotations.
+        longest_gap: a box in images that was not found for longer is another annotation [s].
+        projections: whether cameras report where they see the cuboids, and when.
+        points: whether lidars report how many points the cuboids hold, and when.
+        radar: whether radars report which cuboids they meet, and how fast these come nearer.
         links: whether riders are linked with what they ride.
         source: where the tracks come from, for those who read the labels.
 
@@ -36,9 +36,9 @@ class LabelSettings:
     tolerance_m: float = 0.05
     tolerance_deg: float = 1.0
     constant_sizes: bool = True
-    standing: bool = True
-    standing_spread: float = 0.6
-    standing_speed: float = 0.25
+    stationary: bool = True
+    stationary_spread: float = 0.6
+    stationary_speed: float = 0.25
     least_states: int = 2
     least_score: float = 0.0
     boxes_2d: bool = True

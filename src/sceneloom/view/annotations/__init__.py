@@ -1,1 +1,1 @@
-"""Annotations of every type, at the moments of the sweeps and pictures that they are about."""
+"""Annotations of every type, at the moments of the sweeps and images that they are about."""

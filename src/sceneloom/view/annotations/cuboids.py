@@ -1,4 +1,4 @@
-"""Cuboids with the way that each has come."""
+"""Cuboids with the trajectory that each has come."""
 
 from dataclasses import dataclass, replace
 from itertools import compress
@@ -15,7 +15,7 @@ from sceneloom.view.sdk import sdk
 from sceneloom.view.stream import fits
 
 HISTORY_NS = 3_000_000_000
-"""So much of an object's way trails behind it [ns]."""
+"""So much of an object's trajectory trails behind it [ns]."""
 TRAIL_WIDTH = -1.5
 """Negative widths are points of the screen, not metres."""
 _MOVED = 0.5
@@ -24,7 +24,7 @@ _POINTS_OF_TRAIL = 24
 
 
 EDGES = "majorwireframe"
-"""Boxes are drawn as their edges: what is in them stays in sight."""
+"""Boxes are drawn as their edges: what is in them stays in view."""
 
 
 def edges_only() -> Any:
@@ -39,7 +39,7 @@ class CuboidLayer:
     Attributes:
         group: the cuboids and their entity.
         angles: how their angles are meant.
-        origin: (3,) float64 [m], what is taken off places.
+        origin: (3,) float64 [m], what is taken off locations.
     """
 
     group: Group
@@ -92,43 +92,45 @@ class CuboidLayer:
 
 def _held(poses: CuboidPoses, origin: Float64Array) -> BoolArray:
     """Which moments the viewer can hold, (M,)."""
-    turned = fits(poses.quaternions_xyzw)
-    return np.asarray(fits(poses.centers_world - origin) & fits(poses.sizes_lwh) & turned, np.bool_)
+    rotated = fits(poses.quaternions_xyzw)
+    return np.asarray(fits(poses.centers_world - origin) & fits(poses.sizes_lwh) & rotated, np.bool_)
 
 
 def _moves(annotation: CuboidAnnotation) -> bool:
-    places = annotation.path.values[:, 3:6]
-    finite = places[np.isfinite(places).all(axis=1)]
+    locations = annotation.path.values[:, 3:6]
+    finite = locations[np.isfinite(locations).all(axis=1)]
     return len(finite) > 1 and bool(np.ptp(finite, axis=0).max() > _MOVED)
 
 
-def trail(stamps_ns: Int64Array, places: Float64Array, time_ns: int) -> Float64Array:
-    """The last part (K, 3) [m] of a way up to a time [ns], thinned to what shows.
+def trail(timestamps_ns: Int64Array, locations: Float64Array, time_ns: int) -> Float64Array:
+    """The last part (K, 3) [m] of a trajectory up to a time [ns], thinned to what shows.
 
     Args:
-        stamps_ns: (N,) int64 [ns], ascending.
-        places: (N, 3) [m].
+        timestamps_ns: (N,) int64 [ns], ascending.
+        locations: (N, 3) [m].
         time_ns: the end.
     """
-    start, stop = np.searchsorted(stamps_ns, [time_ns - HISTORY_NS, time_ns + 1])
+    start, stop = np.searchsorted(timestamps_ns, [time_ns - HISTORY_NS, time_ns + 1])
     count = min(_POINTS_OF_TRAIL, int(stop - start))
     rows = np.unique(np.linspace(start, stop - 1, max(count, 0)).astype(np.int64))
-    part = places[rows]
+    part = locations[rows]
     return part[np.isfinite(part).all(axis=1)]
 
 
 def stands(annotation: CuboidAnnotation) -> bool:
-    """Whether a cuboid is there at all times in one place, with attributes that do not change."""
+    """Whether a cuboid is there at all times in one location, with attributes that do not change."""
     fixed = all(not attribute.is_timed for attribute in annotation.attributes)
     return bool(annotation.stationary) and len(annotation.path.timestamps_ns) == 1 and fixed
 
 
-def show_standing(group: Group, angles: CuboidAngles, origin: Float64Array) -> None:
+def show_stationary(group: Group, angles: CuboidAngles, origin: Float64Array) -> None:
     """Show cuboids that stand."""
-    stamps = [one.path.timestamps_ns[:1] for one in group.annotations]
-    poses = [cuboid_poses(one, t, angles=angles) for one, t in zip(group.annotations, stamps, strict=True)]
+    timestamps = [one.path.timestamps_ns[:1] for one in group.annotations]
+    poses = [
+        cuboid_poses(one, t, angles=angles) for one, t in zip(group.annotations, timestamps, strict=True)
+    ]
     held = [bool(_held(p, origin).all()) for p in poses]
-    group.stream.leave_out("standing cuboids", held.count(False))
+    group.stream.leave_out("stationary cuboids", held.count(False))
     group = replace(group, annotations=tuple(compress(group.annotations, held)))
     poses = list(compress(poses, held))
     if not poses:
@@ -143,4 +145,4 @@ def show_standing(group: Group, angles: CuboidAngles, origin: Float64Array) -> N
         fill_mode=EDGES,
     )
     group.stream.static(group.path, boxes, group.lasting_details())
-    group.stream.count("standing cuboids", len(poses))
+    group.stream.count("stationary cuboids", len(poses))

@@ -17,8 +17,8 @@ from sceneloom.scene.annotations_frame import annotations_frame
 from sceneloom.scene.at import active_at
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Coordinates, Identifier, key_of
-from sceneloom.view.annotations.cuboids import CuboidLayer, show_standing, stands
-from sceneloom.view.annotations.in_pictures import (
+from sceneloom.view.annotations.cuboids import CuboidLayer, show_stationary, stands
+from sceneloom.view.annotations.in_images import (
     BoxLayer,
     PointProjectionLayer,
     ProjectionLayer,
@@ -30,8 +30,8 @@ from sceneloom.view.annotations.relations import LinkLayer, link_texts
 from sceneloom.view.annotations.rows import Group, Layer, grouped, label_of
 from sceneloom.view.clouds import WORLD
 from sceneloom.view.colours import colour_of_name, one_packed
-from sceneloom.view.pictures import picture_path
-from sceneloom.view.places import Places
+from sceneloom.view.images import image_path
+from sceneloom.view.locations import Locations
 from sceneloom.view.stream import Stream
 
 EGO, ANNOTATIONS = "ego", "annotations"
@@ -41,17 +41,17 @@ _AT_ONCE = 128
 
 @dataclass(slots=True, eq=False)
 class AnnotationLayers:
-    """Annotations in space, and in the pictures of each camera.
+    """Annotations in space, and in the images of each camera.
 
     Attributes:
-        in_space: logged at the moments of sweeps, and at the stamps of their own paths.
-        in_pictures: by camera, logged at the times of its pictures and at the stamps of their own paths.
-        stamps_ns: of the paths of annotations in space, (N,) int64 [ns], ascending.
+        in_space: logged at the moments of sweeps, and at the timestamps of their own paths.
+        in_images: by camera, logged at the times of its images and at the timestamps of their own paths.
+        timestamps_ns: of the paths of annotations in space, (N,) int64 [ns], ascending.
     """
 
     in_space: tuple[Layer, ...]
-    in_pictures: dict[Identifier, tuple[Layer, ...]]
-    stamps_ns: Int64Array
+    in_images: dict[Identifier, tuple[Layer, ...]]
+    timestamps_ns: Int64Array
     _waiting: list[int] = field(default_factory=list)
     _done_until: int = 0
 
@@ -68,20 +68,22 @@ class AnnotationLayers:
             self._log_space(None)
 
     def _log_space(self, until_ns: int | None) -> None:
-        """Log the moments that wait, and the stamps up to the last of them; None: all that are left."""
+        """Log the moments that wait, and the timestamps up to the last of them; None: all that are left."""
         start = self._done_until
         stop = (
-            len(self.stamps_ns)
+            len(self.timestamps_ns)
             if until_ns is None
-            else int(np.searchsorted(self.stamps_ns, until_ns, "right"))
+            else int(np.searchsorted(self.timestamps_ns, until_ns, "right"))
         )
-        moments = np.unique(np.concatenate([self.stamps_ns[start:stop], np.array(self._waiting, np.int64)]))
+        moments = np.unique(
+            np.concatenate([self.timestamps_ns[start:stop], np.array(self._waiting, np.int64)])
+        )
         self._done_until, self._waiting = max(start, stop), []
         _log_in_parts(self.in_space, moments)
 
-    def log_in_pictures(self, camera_id: Identifier, times_ns: Int64Array) -> None:
-        """Log all that is drawn into the pictures of a camera, taken at times (N,) [ns]."""
-        _log_in_parts(self.in_pictures.get(camera_id, ()), times_ns)
+    def log_in_images(self, camera_id: Identifier, times_ns: Int64Array) -> None:
+        """Log all that is drawn into the images of a camera, taken at times (N,) [ns]."""
+        _log_in_parts(self.in_images.get(camera_id, ()), times_ns)
 
 
 def _log_in_parts(layers: Sequence[Layer], times_ns: Int64Array) -> None:
@@ -90,15 +92,15 @@ def _log_in_parts(layers: Sequence[Layer], times_ns: Int64Array) -> None:
             layer.log(times_ns[start : start + _AT_ONCE])
 
 
-def annotation_layers(stream: Stream, places: Places, scene: Scene) -> AnnotationLayers:
+def annotation_layers(stream: Stream, locations: Locations, scene: Scene) -> AnnotationLayers:
     """Make the layers of a scene, and log what holds at all times."""
-    maker = _Maker(stream, places, scene)
+    maker = _Maker(stream, locations, scene)
     in_space = [*maker.cuboids(), *maker.shapes(), *maker.points(), *maker.links()]
-    stamps = [path.timestamps_ns for path in _paths_in_space(scene.annotations)]
+    timestamps = [path.timestamps_ns for path in _paths_in_space(scene.annotations)]
     return AnnotationLayers(
         tuple(in_space),
         {camera.id: tuple(maker.drawn(camera.id)) for camera in scene.cameras},
-        np.unique(np.concatenate([np.zeros(0, np.int64), *stamps])),
+        np.unique(np.concatenate([np.zeros(0, np.int64), *timestamps])),
     )
 
 
@@ -115,13 +117,13 @@ def _paths_in_space(annotations: Iterable[Annotation]) -> Iterable[CuboidPath | 
 class _Maker:
     """Makes layers: one for each class of each kind."""
 
-    def __init__(self, stream: Stream, places: Places, scene: Scene) -> None:
+    def __init__(self, stream: Stream, locations: Locations, scene: Scene) -> None:
         self._stream, self._scene = stream, scene
         self._angles = CuboidAngles.of(scene)
         self._links = link_texts(scene.annotations)
         on_ego = annotations_frame(scene) is Coordinates.EGO
         self._base = stream.path(WORLD, EGO, ANNOTATIONS) if on_ego else stream.path(WORLD, ANNOTATIONS)
-        self._origin: Float64Array = np.zeros(3) if on_ego else places.origin_world
+        self._origin: Float64Array = np.zeros(3) if on_ego else locations.origin_world
 
     def _group(self, base: str, label: str, members: Sequence[Annotation]) -> Group:
         colour = one_packed(colour_of_name(label))
@@ -137,11 +139,11 @@ class _Maker:
         ]
         for label, members in grouped(found, label_of).items():
             base = f"{self._base}/cuboids"
-            standing = [one for one in members if stands(one)]
+            stationary = [one for one in members if stands(one)]
             passing = [one for one in members if not stands(one)]
-            if standing:
-                group = self._group(base, label, standing)
-                show_standing(_within(group, "standing"), self._angles, self._origin)
+            if stationary:
+                group = self._group(base, label, stationary)
+                show_stationary(_within(group, "stationary"), self._angles, self._origin)
             if passing:
                 yield CuboidLayer(self._group(base, label, passing), self._angles, self._origin)
 
@@ -160,7 +162,7 @@ class _Maker:
             yield PointsLayer(self._group(f"{self._base}/points", label, members), self._origin)
 
     def links(self) -> Iterable[Layer]:
-        """Links between what has places."""
+        """Links between what has locations."""
         found = [one for one in self._scene.annotations if isinstance(one, LinkAnnotation)]
         ends = {key_of(one.id): one for one in self._scene.annotations}
         for label, members in grouped(found, label_of).items():
@@ -169,8 +171,8 @@ class _Maker:
             )
 
     def drawn(self, camera_id: Identifier) -> Iterable[Layer]:
-        """What is drawn into the pictures of one camera."""
-        base, annotations = picture_path(self._stream, camera_id), self._scene.annotations
+        """What is drawn into the images of one camera."""
+        base, annotations = image_path(self._stream, camera_id), self._scene.annotations
         boxes = [
             one for one in annotations if isinstance(one, Box2DAnnotation) and one.sensor_id == camera_id
         ]

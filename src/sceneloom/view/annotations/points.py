@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt16Array
 from sceneloom.scene.annotations.annotation import Annotation
-from sceneloom.scene.annotations.keypoints import PointsAnnotation, places_of
+from sceneloom.scene.annotations.keypoints import PointsAnnotation, locations_of
 from sceneloom.scene.annotations.labelled_points import LabeledPointsAnnotation
 from sceneloom.scene.at import Bracket
 from sceneloom.scene.types import Identifier, Key, key_of
@@ -28,7 +28,7 @@ class PointsLayer:
 
     Attributes:
         group: the annotations and their entity.
-        origin: (3,) float64 [m], what is taken off places.
+        origin: (3,) float64 [m], what is taken off locations.
     """
 
     group: Group
@@ -36,21 +36,21 @@ class PointsLayer:
 
     def log(self, times_ns: Int64Array) -> None:
         """Log the points at times (M,) [ns]."""
-        places: list[list[Float64Array]] = [[] for _ in range(len(times_ns))]
+        locations: list[list[Float64Array]] = [[] for _ in range(len(times_ns))]
         names: list[list[str]] = [[] for _ in range(len(times_ns))]
         for annotation in self.group.annotations:
             for k, path in enumerate(annotation.paths):
                 found = Bracket.of(path.timestamps_ns, times_ns, stationary=bool(annotation.stationary))
                 if len(path.timestamps_ns) == 0:
                     continue
-                rows = found.blend(places_of(path.values))
+                rows = found.blend(locations_of(path.values))
                 held = fits(rows - self.origin).all(axis=1)
                 self.group.stream.leave_out("named points", np.count_nonzero(found.there & ~held))
                 for m in np.flatnonzero(found.there & held).tolist():
-                    places[m].append(rows[m])
+                    locations[m].append(rows[m])
                     names[m] += [point_name(annotation, k)] * len(rows[m])
         counts = np.array([len(one) for one in names], np.int64)
-        positions = np.concatenate([np.zeros((0, 3)), *(rows for moment in places for rows in moment)])
+        positions = np.concatenate([np.zeros((0, 3)), *(rows for moment in locations for rows in moment)])
         columns = sdk().Points3D.columns(
             positions=positions - self.origin,
             colors=np.full(len(positions), self.group.colour, np.uint32),
@@ -140,5 +140,5 @@ def _class_name(annotation: LabeledPointsAnnotation) -> str:
 
 
 def _class_colour(annotation: LabeledPointsAnnotation) -> Any:
-    told = annotation.id if annotation.is_instance else label_of(annotation)
-    return colour_of_name(told)
+    reported = annotation.id if annotation.is_instance else label_of(annotation)
+    return colour_of_name(reported)

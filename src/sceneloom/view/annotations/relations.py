@@ -16,7 +16,7 @@ from sceneloom.scene.at import cuboid_poses, points_at, shape_at
 from sceneloom.scene.types import Identifier, Key, key_of
 from sceneloom.view.annotations.rows import Group, label_of, name_of
 from sceneloom.view.colours import colour_of_name, one_packed
-from sceneloom.view.feeds import Tell
+from sceneloom.view.feeds import Report
 from sceneloom.view.sdk import sdk
 from sceneloom.view.stream import Stream, fits
 
@@ -31,9 +31,9 @@ class LinkLayer:
 
     Attributes:
         group: the links and their entity.
-        ends: the annotations that have places, by id.
+        ends: the annotations that have locations, by id.
         angles: how angles of cuboids are meant.
-        origin: (3,) float64 [m], what is taken off places.
+        origin: (3,) float64 [m], what is taken off locations.
     """
 
     group: Group
@@ -43,8 +43,8 @@ class LinkLayer:
 
     def log(self, times_ns: Int64Array) -> None:
         """Log the links at times (M,) [ns] at which both ends are there."""
-        starts = np.array([self._places(one.from_id, times_ns) for one in self.group.annotations])
-        stops = np.array([self._places(one.to_id, times_ns) for one in self.group.annotations])
+        starts = np.array([self._locations(one.from_id, times_ns) for one in self.group.annotations])
+        stops = np.array([self._locations(one.to_id, times_ns) for one in self.group.annotations])
         known = ~(np.isnan(starts) | np.isnan(stops)).any(axis=2)
         there = fits(starts - self.origin) & fits(stops - self.origin) & fits(stops - starts)
         self.group.stream.leave_out("links", np.count_nonzero(known & ~there))
@@ -61,7 +61,7 @@ class LinkLayer:
             times_ns, self.group.path, cut, self.group.details(there, times_ns), kind="links"
         )
 
-    def _places(self, identifier: Identifier, times_ns: Int64Array) -> Float64Array:
+    def _locations(self, identifier: Identifier, times_ns: Int64Array) -> Float64Array:
         """The middle of an annotation at each time, (M, 3) [m], NaN where it is not there."""
         annotation = self.ends.get(key_of(identifier))
         if isinstance(annotation, CuboidAnnotation):
@@ -78,7 +78,7 @@ class LinkLayer:
 
 
 def link_texts(annotations: Sequence[Annotation]) -> Mapping[Identifier, str]:
-    """What is said of the links of each annotation, in a line: `tows: trailer 7`."""
+    """What is stated for the links of each annotation, in a line: `tows: trailer 7`."""
     names = {key_of(one.id): name_of(one) for one in annotations}
     texts: dict[Identifier, list[str]] = {}
     for link in annotations:
@@ -87,11 +87,11 @@ def link_texts(annotations: Sequence[Annotation]) -> Mapping[Identifier, str]:
             back = names.get(key_of(link.from_id), str(link.from_id))
             texts.setdefault(link.from_id, []).append(f"{label_of(link)}: {other}")
             texts.setdefault(link.to_id, []).append(f"{label_of(link)} of {back}")
-    return {identifier: "; ".join(said) for identifier, said in texts.items()}
+    return {identifier: "; ".join(stated) for identifier, stated in texts.items()}
 
 
-def show_graph(stream: Stream, annotations: Sequence[Annotation], tell: Tell) -> bool:
-    """Show parents, groups and links as a graph; say whether there is one."""
+def show_graph(stream: Stream, annotations: Sequence[Annotation], notify: Report) -> bool:
+    """Show parents, groups and links as a graph; report whether there is one."""
     edges = [(str(one.parent_id), str(one.id)) for one in annotations if one.parent_id is not None]
     edges += [(str(one.from_id), str(one.to_id)) for one in annotations if isinstance(one, LinkAnnotation)]
     joined = {name for edge in edges for name in edge}
@@ -101,7 +101,7 @@ def show_graph(stream: Stream, annotations: Sequence[Annotation], tell: Tell) ->
     if not nodes:
         return False
     if len(nodes) > _MOST_NODES:
-        tell(
+        notify(
             "graph-cut",
             "annotations",
             f"the graph of relations shows {_MOST_NODES} of {len(nodes)} annotations",

@@ -47,7 +47,7 @@ class Group:
     links: Mapping[Identifier, str]
 
     def details(self, there: BoolArray, times_ns: Int64Array) -> Iterable[Any]:
-        """What is said of each object that is there, as columns; one row for each in each moment.
+        """What is stated for each object that is there, as columns; one row for each in each moment.
 
         Args:
             there: (A, M) bool, which annotation is there when.
@@ -56,11 +56,11 @@ class Group:
         if not there.any():
             return ()
         rows = np.argwhere(there.T)
-        said = [attributes_at(annotation, times_ns) for annotation in self.annotations]
+        stated = [attributes_at(annotation, times_ns) for annotation in self.annotations]
         seen = [_seen_by(annotation, times_ns) for annotation in self.annotations]
         values = {
             "id": [str(self.annotations[a].id) for _, a in rows.tolist()],
-            "attributes": [said[a][m] for m, a in rows.tolist()],
+            "attributes": [stated[a][m] for m, a in rows.tolist()],
             "parent": [str(self.annotations[a].parent_id or "") for _, a in rows.tolist()],
             "links": [self.links.get(self.annotations[a].id, "") for _, a in rows.tolist()],
             "seen_by": [seen[a][m] for m, a in rows.tolist()],
@@ -70,7 +70,7 @@ class Group:
         return columns
 
     def lasting_details(self) -> Any:
-        """What is said of annotations that hold at all times."""
+        """What is stated for annotations that hold at all times."""
         first = np.zeros(1, np.int64)
         return sdk().AnyValues(
             id=[str(one.id) for one in self.annotations],
@@ -86,7 +86,7 @@ def by_moment(values: AnyArray, there: BoolArray) -> AnyArray:
 
 
 def chosen_by_moment(values: Sequence[Any], there: BoolArray) -> list[Any]:
-    """Repeat what is said of each of A objects for the moments in which it is there."""
+    """Repeat what is stated for each of A objects for the moments in which it is there."""
     return [values[a] for _, a in np.argwhere(there.T).tolist()]
 
 
@@ -112,7 +112,7 @@ def name_of(annotation: Any) -> str:
 
 
 def attributes_at(annotation: Any, times_ns: Int64Array) -> list[str]:
-    """What the attributes of an annotation say at times (M,) [ns], each time in a line."""
+    """What the attributes of an annotation state at times (M,) [ns], each time in a line."""
     attributes: tuple[AttributePath, ...] = getattr(annotation, "attributes", ())
     if not attributes:
         return [""] * len(times_ns)
@@ -124,7 +124,7 @@ def attributes_at(annotation: Any, times_ns: Int64Array) -> list[str]:
 
 
 def _seen_by(annotation: Any, times_ns: Int64Array) -> list[str]:
-    """The sensors whose activations say that they see an annotation at times (M,) [ns]."""
+    """The sensors whose activations state that they see an annotation at times (M,) [ns]."""
     activations: tuple[Activation, ...] = getattr(annotation, "activations", ())
     sensors: list[list[str]] = [[] for _ in times_ns]
     for activation in activations:

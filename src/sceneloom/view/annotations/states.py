@@ -1,4 +1,4 @@
-"""What is said over time: events, and attributes of the scene and of annotations, as states and curves."""
+"""What is stated over time: events, and attributes of the scene and of annotations, as states and curves."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -23,9 +23,9 @@ def show_events(stream: Stream, annotations: Sequence[Annotation]) -> int:
     events = [one for one in annotations if isinstance(one, EventAnnotation)]
     for event in events:
         start_ns = event.start_ns
-        said = attributes_at(event, np.array([start_ns], np.int64))[0]
+        stated = attributes_at(event, np.array([start_ns], np.int64))[0]
         where = "" if event.sensor_id is None else f" (sensor {event.sensor_id})"
-        text = f"{name_of(event)}{where}{': ' if said else ''}{said}"
+        text = f"{name_of(event)}{where}{': ' if stated else ''}{stated}"
         line = sdk().TextLog(text, level="INFO", color=colour_of_name(label_of(event)))
         path = stream.path(EVENTS, event.id)
         state = sdk().StateChange(state=label_of(event))
@@ -40,14 +40,14 @@ def show_attributes(stream: Stream, scene: Scene) -> int:
     timed = [attribute for attribute in scene.attributes if attribute.is_timed and attribute.values]
     for attribute in timed:
         path = stream.path(ATTRIBUTES, attribute_name(attribute))
-        stamps = np.asarray(attribute.timestamps_ns, np.int64)
+        timestamps = np.asarray(attribute.timestamps_ns, np.int64)
         numbers = _numbers(attribute)
         columns: Iterable[Any]
         if numbers is None:
             columns = sdk().StateChange.columns(state=[_word(value) for value in attribute.values])
         else:
             columns = sdk().Scalars.columns(scalars=numbers)
-        stream.columns(stamps, path, columns, kind="attributes")
+        stream.columns(timestamps, path, columns, kind="attributes")
     return len(timed)
 
 
@@ -83,7 +83,7 @@ def list_annotations(stream: Stream, scene: Scene) -> bool:
 
 def _row(annotation: Any) -> str:
     attributes: tuple[AttributePath, ...] = getattr(annotation, "attributes", ())
-    said = attribute_text({attribute_name(one): _word(one.values) for one in attributes[:8]})
+    stated = attribute_text({attribute_name(one): _word(one.values) for one in attributes[:8]})
     parent = "" if annotation.parent_id is None else str(annotation.parent_id)
-    cells = (annotation.type, getattr(annotation, "label", None) or "", annotation.id, parent, said)
+    cells = (annotation.type, getattr(annotation, "label", None) or "", annotation.id, parent, stated)
     return "| " + " | ".join(str(cell).replace("|", "\\|").replace("\n", " ") for cell in cells) + " |"

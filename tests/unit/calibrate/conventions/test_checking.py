@@ -1,4 +1,4 @@
-"""Files and drives whose conventions are as they say, and others."""
+"""Files and drives whose conventions are as they state, and others."""
 
 import json
 from dataclasses import replace
@@ -20,9 +20,9 @@ def scene():
     """What is sensed is made when it is asked for, and each test asks again: here it is kept."""
     scene = simulate_street(4, frames=3).scene
     (camera,), (lidar,) = scene.cameras, scene.lidars
-    pictures = [p.loaded() for p in camera.pictures]
+    images = [p.loaded() for p in camera.images]
     kept = {
-        camera.id: replace(camera, pictures=LazyFrames.of(pictures, camera.pictures.timestamps_ns)),
+        camera.id: replace(camera, images=LazyFrames.of(images, camera.images.timestamps_ns)),
         lidar.id: replace(lidar, frames=LazyFrames.of(list(lidar.frames), lidar.frames.timestamps_ns)),
     }
     return replace(scene, sensors=tuple(kept.get(sensor.id, sensor) for sensor in scene.sensors))
@@ -37,7 +37,7 @@ def _mounted(scene, **mounts):
     return replace(scene, sensors=sensors)
 
 
-def test_a_drive_that_is_right_is_told_to_be_as_read(scene):
+def test_a_drive_that_is_right_is_reported_to_be_as_read(scene):
     report = check_drive(scene)
     assert [found.as_read for found in report.extrinsics] == [True]
     assert all(found.stated in found.possible for found in report.points)
@@ -46,7 +46,7 @@ def test_a_drive_that_is_right_is_told_to_be_as_read(scene):
     assert not report.wrong
 
 
-def test_a_camera_whose_mounting_was_turned_round_is_told(scene):
+def test_a_camera_whose_mounting_was_reversed_is_reported(scene):
     frame = calibration_frames(scene, most=1)[0]
     upside = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
     lidar_mount = next(sensor.mount for sensor in scene.lidars)
@@ -57,7 +57,7 @@ def test_a_camera_whose_mounting_was_turned_round_is_told(scene):
     assert report.wrong
 
 
-def test_stamps_in_milliseconds_read_as_seconds_are_told(scene):
+def test_timestamps_in_milliseconds_read_as_seconds_are_reported(scene):
     imu = next(sensor for sensor in scene.sensors if sensor.type == "imu")
     slow = {
         name: replace(stream, timestamps_ns=stream.timestamps_ns * 1000)
@@ -75,13 +75,13 @@ def test_a_file_is_judged_by_a_drive(scene, tmp_path):
     quaternion = np.roll(lidar_from_camera.quaternion_xyzw, 1)
     pose = {"translation": lidar_from_camera.translation.tolist(), "rotation": quaternion.tolist()}
     path.write_text(json.dumps({"front": pose}), "utf-8")
-    told = []
-    (found,) = check_file(path, scene, progress=lambda done, total: told.append((done, total))).extrinsics
-    assert (found.place, found.camera, found.decided) == ("front", "camera0", True)
+    reported = []
+    (found,) = check_file(path, scene, progress=lambda done, total: reported.append((done, total))).extrinsics
+    assert (found.location, found.camera, found.decided) == ("front", "camera0", True)
     assert found.possible["quaternion"] == ("w x y z",)
     assert found.possible["direction"] == ("lidar from camera",)
     np.testing.assert_allclose(found.camera_from_lidar, truth.matrix, atol=1e-6)  # rounding of the text
-    assert told == [(1, 1)]
+    assert reported == [(1, 1)]
 
 
 def test_a_file_alone_is_judged_by_what_vehicles_have(tmp_path):
@@ -101,7 +101,7 @@ def test_a_file_without_an_extrinsic_is_refused(scene, tmp_path):
 
 @pytest.mark.parametrize("recording", ["kitti_drive", pytest.param("pandaset", marks=pytest.mark.slow)])
 @pytest.mark.slow
-def test_nothing_of_real_recordings_is_told_to_be_wrong(data_dir, recording):
+def test_nothing_of_real_recordings_is_reported_to_be_wrong(data_dir, recording):
     with sceneloom.open(data_dir / "recordings" / recording) as drive:
         report = check_drive(drive)
     assert not report.wrong

@@ -1,4 +1,4 @@
-"""One simulated rig written in many ways: each is told as it was written, or left open."""
+"""One simulated rig written in many ways: each is reported as it was written, or left open."""
 
 import itertools
 from dataclasses import dataclass
@@ -97,14 +97,14 @@ def _judged(judge, combination):
 
 
 @pytest.mark.slow
-def test_rigs_written_in_some_of_all_ways_are_told(judge):
+def test_rigs_written_in_some_of_all_ways_are_reported(judge):
     verdicts = [_judged(judge, combination) for combination in COMBINATIONS[:: len(COMBINATIONS) // 5]]
     assert "wrong" not in verdicts
     assert verdicts.count("right") >= 0.9 * len(verdicts)
 
 
 @pytest.mark.slow
-def test_a_rig_written_in_a_third_of_all_ways_is_told_or_left_open(judge):
+def test_a_rig_written_in_a_third_of_all_ways_is_reported_or_left_open(judge):
     verdicts = [_judged(judge, combination) for combination in COMBINATIONS[::3]]
     assert verdicts.count("wrong") <= 0.01 * len(verdicts)
     assert verdicts.count("right") >= 0.9 * len(verdicts)
@@ -127,7 +127,7 @@ def test_a_rig_of_another_vehicle_is_left_open(judge):
     assert not decision.decided
 
 
-def test_a_camera_on_its_head_is_read_in_no_way(judge):
+def test_a_camera_on_its_head_is_read_not(judge):
     over = np.diag([-1.0, -1.0, 1.0, 1.0]) @ judge.truth
     numbers = tuple(over[:3].reshape(-1).tolist())
     decision = decide(Extrinsic("file", numbers), judge.frames, judge.score)

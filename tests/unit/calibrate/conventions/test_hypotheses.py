@@ -45,7 +45,7 @@ WRITINGS = {
 
 @pytest.mark.parametrize("direction", ["camera from lidar", "lidar from camera"])
 @pytest.mark.parametrize("writing", WRITINGS)
-def test_one_of_the_ways_gives_the_rig_that_was_written(writing, direction):
+def test_one_of_the_trajectories_gives_the_rig_that_was_written(writing, direction):
     write, choices = WRITINGS[writing]
     numbers = write(RIG if direction == "camera from lidar" else np.linalg.inv(RIG))
     wanted = {
@@ -54,12 +54,12 @@ def test_one_of_the_ways_gives_the_rig_that_was_written(writing, direction):
         "camera axes": "x right, y down, z forward",
         "lidar axes": "those of the points",
     }
-    right = [way for way in hypotheses(numbers) if wanted.items() <= way.choices.items()]
+    right = [trajectory for trajectory in hypotheses(numbers) if wanted.items() <= trajectory.choices.items()]
     assert len(right) == 1
     np.testing.assert_allclose(right[0].camera_from_points, RIG, atol=1e-9)  # rounding alone
 
 
-def test_other_axes_turn_the_frames_on_both_sides():
+def test_other_axes_rotate_the_frames_on_both_sides():
     body_from_camera = np.array(
         [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
     )  # columns: right, down, forward
@@ -71,17 +71,27 @@ def test_other_axes_turn_the_frames_on_both_sides():
         "camera axes": "x forward, y left, z up",
         "lidar axes": "x, y along the points' -y, x",
     }
-    right = [way for way in hypotheses(stated.reshape(-1)) if wanted.items() <= way.choices.items()]
+    right = [
+        trajectory
+        for trajectory in hypotheses(stated.reshape(-1))
+        if wanted.items() <= trajectory.choices.items()
+    ]
     assert len(right) == 1
     np.testing.assert_allclose(right[0].camera_from_points, RIG, atol=1e-9)  # rounding alone
 
 
 def test_a_rotation_beside_its_translation_is_read_by_rows_and_by_columns():
     numbers = np.r_[RIG[:3, :3].T.reshape(-1), RIG[:3, 3]]
-    ways = hypotheses(numbers, apart=True)
-    assert any(np.allclose(way.camera_from_points, RIG) for way in ways if way.choices["layout"] == "columns")
+    trajectories = hypotheses(numbers, apart=True)
+    assert any(
+        np.allclose(trajectory.camera_from_points, RIG)
+        for trajectory in trajectories
+        if trajectory.choices["layout"] == "columns"
+    )
     assert not any(
-        np.allclose(way.camera_from_points, RIG) for way in ways if way.choices["layout"] == "rows"
+        np.allclose(trajectory.camera_from_points, RIG)
+        for trajectory in trajectories
+        if trajectory.choices["layout"] == "rows"
     )
 
 
@@ -96,25 +106,28 @@ def test_a_rotation_beside_its_translation_is_read_by_rows_and_by_columns():
         [1.0, 2.0],
     ],
 )
-def test_what_is_no_transform_is_read_in_no_way(numbers):
+def test_what_is_no_transform_is_read_not(numbers):
     assert hypotheses(numbers) == ()
 
 
 def test_choices_that_are_certain_leave_the_others_out():
     quaternion = np.r_[TRANSLATION, ROTATION.as_quat()]
     everything, certain = hypotheses(quaternion), hypotheses(quaternion, {"quaternion": "x y z w"})
-    assert {way.choices["quaternion"] for way in certain} == {"x y z w"}
-    assert {way.choices["quaternion"] for way in everything} == {"x y z w", "w x y z"}
+    assert {trajectory.choices["quaternion"] for trajectory in certain} == {"x y z w"}
+    assert {trajectory.choices["quaternion"] for trajectory in everything} == {"x y z w", "w x y z"}
 
 
 def test_ways_of_the_same_transform_make_one_group():
-    half_turn = np.diag([1.0, -1.0, -1.0, 1.0])
-    found = groups(hypotheses(half_turn.reshape(-1)))
+    half_rotation = np.diag([1.0, -1.0, -1.0, 1.0])
+    found = groups(hypotheses(half_rotation.reshape(-1)))
     together = [
-        {(way.choices["layout"], way.choices["direction"], way.choices["camera axes"]) for way in group}
+        {
+            (trajectory.choices["layout"], trajectory.choices["direction"], trajectory.choices["camera axes"])
+            for trajectory in group
+        }
         for group in found
     ]
-    # by rows as by columns, in both directions, it is one and the same half turn about x
+    # by rows as by columns, in both directions, it is one and the same half rotation about x
     same = set(
         itertools.product(
             ("rows", "columns"), ("camera from lidar", "lidar from camera"), ("x right, y down, z forward",)

@@ -17,7 +17,7 @@ QUATERNION = [0.5, -0.5, 0.5, -0.5]
 def _found(tmp_path, text):
     path = tmp_path / "calibration"
     path.write_text(text, "utf-8")
-    return {extrinsic.place: extrinsic for extrinsic in read_extrinsics(path)}
+    return {extrinsic.location: extrinsic for extrinsic in read_extrinsics(path)}
 
 
 def test_matrices_are_found_wherever_they_stand_in_json(tmp_path):
@@ -60,7 +60,7 @@ def test_named_numbers_leave_no_doubt_of_their_order(tmp_path):
         "heading": dict(zip("wxyz", QUATERNION, strict=True)),
     }
     (extrinsic,) = _found(tmp_path, json.dumps({"poses": [pose]})).values()
-    assert extrinsic.place == "poses[0]"
+    assert extrinsic.location == "poses[0]"
     assert extrinsic.known["quaternion"] == "x y z w"
     np.testing.assert_allclose(extrinsic.numbers, [*TRANSLATION, *QUATERNION[1:], QUATERNION[0]])
 
@@ -73,7 +73,7 @@ def test_a_list_of_a_quaternion_leaves_its_order_open(tmp_path):
 
 def test_toml_is_read(tmp_path):
     (extrinsic,) = _found(tmp_path, f"[camera]\nextrinsic = {ROWS}\n").values()
-    assert extrinsic.place == "camera.extrinsic"
+    assert extrinsic.location == "camera.extrinsic"
 
 
 @pytest.mark.parametrize(
@@ -85,9 +85,9 @@ def test_a_file_without_an_extrinsic_says_what_was_expected(tmp_path, text):
 
 
 def test_what_is_no_text_is_named(tmp_path):
-    path = tmp_path / "picture.png"
+    path = tmp_path / "image.png"
     path.write_bytes(b"\x89PNG\xff\xfe")
-    with pytest.raises(DataError, match=r"picture\.png"):
+    with pytest.raises(DataError, match=r"image\.png"):
         read_extrinsics(path)
     with pytest.raises(DataError, match="absent"):
         read_extrinsics(tmp_path / "absent")
@@ -95,11 +95,13 @@ def test_what_is_no_text_is_named(tmp_path):
 
 def test_the_files_of_kitti_and_others_are_read(data_dir):
     kitti = read_extrinsics(data_dir / "real" / "kitti_object" / "calib" / "000001.txt")
-    assert [extrinsic.place for extrinsic in kitti] == ["R0_rect", "Tr_velo_to_cam", "Tr_imu_to_velo"]
+    assert [extrinsic.location for extrinsic in kitti] == ["R0_rect", "Tr_velo_to_cam", "Tr_imu_to_velo"]
     recording = read_extrinsics(data_dir / "recordings" / "pandaset" / "calibration.json")
-    assert [extrinsic.place for extrinsic in recording][:3] == [f"cameras[{n}].imuToCamera" for n in range(3)]
+    assert [extrinsic.location for extrinsic in recording][:3] == [
+        f"cameras[{n}].imuToCamera" for n in range(3)
+    ]
     nuscenes = read_extrinsics(data_dir / "real" / "nuscenes_one_sample" / "infos.json")
-    assert "data_list[0].images.CAM_FRONT.lidar2cam" in {extrinsic.place for extrinsic in nuscenes}
+    assert "data_list[0].images.CAM_FRONT.lidar2cam" in {extrinsic.location for extrinsic in nuscenes}
 
 
 @pytest.mark.parametrize("text", ['{{"T": [{}]}}', "T = [{}]"])

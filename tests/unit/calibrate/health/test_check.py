@@ -31,19 +31,19 @@ def drive() -> SimulatedDrive:
 
 @pytest.fixture(scope="module")
 def frames(drive: SimulatedDrive) -> Frames:
-    """Four pictures of it, more than half a second apart."""
+    """Four images of it, more than half a second apart."""
     return calibration_frames(drive.scene, most=4)
 
 
 @pytest.fixture(scope="module")
 def good(frames: Frames) -> CalibrationHealth:
-    """What is said of the true calibration."""
+    """What is stated for the true calibration."""
     return check_frames(frames)
 
 
-def turned(frames: Frames, turn_deg: tuple[float, float, float]) -> Frames:
-    """Frames whose stated camera is turned from the true one."""
-    error = Change.turn(np.radians(turn_deg)).camera_from_lidar(np.eye(4))
+def rotated(frames: Frames, rotation_deg: tuple[float, float, float]) -> Frames:
+    """Frames whose stated camera is rotated from the true one."""
+    error = Change.rotation(np.radians(rotation_deg)).camera_from_lidar(np.eye(4))
     return tuple(
         replace(frame, camera_from_lidar=RigidTransform.nearest(error)[0] @ frame.camera_from_lidar)
         for frame in frames
@@ -51,7 +51,7 @@ def turned(frames: Frames, turn_deg: tuple[float, float, float]) -> Frames:
 
 
 def repainted(frames: Frames, paint: Callable[[np.ndarray], np.ndarray]) -> Frames:
-    """Frames with other pictures."""
+    """Frames with other images."""
     painted = [paint(frame.rgb).astype(np.uint8) for frame in frames]
     return tuple(
         replace(frame, rgb=rgb, grey=rgb.mean(axis=2, dtype=np.float32))
@@ -76,27 +76,27 @@ def thinned(frames: Frames, keep: slice) -> Frames:
 def test_a_true_calibration_is_good(good):
     assert good.verdict is Verdict.GOOD
     rotation = good.item("rotation")
-    # what is found lies within what is said of its uncertainty
+    # what is found lies within what is stated for its uncertainty
     assert np.linalg.norm(np.array(rotation.values) / rotation.sigmas) < 3.0
     assert good.stated_distinctness > 4.5
 
 
-def test_a_camera_turned_by_a_degree_is_not_good_and_the_turn_is_found(frames):
-    planted = np.array([0.7, -0.5, 0.5])
-    health = check_frames(turned(frames, tuple(planted)))
+def test_a_camera_rotated_by_a_degree_is_not_good_and_the_rotation_is_found(frames):
+    injected = np.array([0.7, -0.5, 0.5])
+    health = check_frames(rotated(frames, tuple(injected)))
     assert health.verdict in {Verdict.DRIFTING, Verdict.WRONG}
     # 0.3 degrees: twice the uncertainty of each axis
-    assert np.linalg.norm(np.array(health.item("rotation").values) + planted) < 0.3
+    assert np.linalg.norm(np.array(health.item("rotation").values) + injected) < 0.3
 
 
 @pytest.mark.parametrize(
-    "turn_deg",
+    "rotation_deg",
     [(0.0, 0.0, 180.0), (0.0, 180.0, 0.0), (25.0, 0.0, 0.0)],
     ids=["upside-down", "backwards", "up"],
 )
 @pytest.mark.few(1)
-def test_a_camera_that_looks_elsewhere_is_never_good(frames, turn_deg):
-    assert check_frames(turned(frames, turn_deg)).verdict in {Verdict.WRONG, Verdict.CANNOT_TELL}
+def test_a_camera_that_looks_elsewhere_is_never_good(frames, rotation_deg):
+    assert check_frames(rotated(frames, rotation_deg)).verdict in {Verdict.WRONG, Verdict.UNDETERMINED}
 
 
 @pytest.mark.parametrize(
@@ -108,25 +108,25 @@ def test_a_camera_that_looks_elsewhere_is_never_good(frames, turn_deg):
     ],
     ids=["black", "night", "covered"],
 )
-def test_pictures_that_show_nothing_tell_nothing(frames, paint, word):
+def test_images_that_show_nothing_state_nothing(frames, paint, word):
     health = check_frames(repainted(frames, paint))
-    assert health.verdict is Verdict.CANNOT_TELL
-    assert all(item.verdict is Verdict.CANNOT_TELL for item in health.items)
+    assert health.verdict is Verdict.UNDETERMINED
+    assert all(item.verdict is Verdict.UNDETERMINED for item in health.items)
     assert word in health.item("rotation").reason
 
 
-def test_pictures_of_noise_tell_nothing(frames):
+def test_images_of_noise_state_nothing(frames):
     generator = np.random.default_rng(1)
     health = check_frames(repainted(frames, lambda rgb: generator.integers(0, 256, rgb.shape)))
-    assert health.verdict is Verdict.CANNOT_TELL
+    assert health.verdict is Verdict.UNDETERMINED
 
 
-def test_pictures_of_another_street_tell_nothing(frames):
+def test_images_of_another_street_state_nothing(frames):
     mirrored = repainted(frames, lambda rgb: np.roll(rgb[:, ::-1], 97, axis=1))
-    assert check_frames(mirrored).verdict is Verdict.CANNOT_TELL
+    assert check_frames(mirrored).verdict is Verdict.UNDETERMINED
 
 
-def test_something_that_fills_the_view_tells_nothing(frames):
+def test_something_that_fills_the_view_states_nothing(frames):
     """A lorry of one colour right before the camera, and the lidar sees its flat side."""
     filled = []
     for frame in repainted(frames, lambda rgb: np.full_like(rgb, 90)):
@@ -134,33 +134,33 @@ def test_something_that_fills_the_view_tells_nothing(frames):
         ahead = points[:, 2] > 3.0
         points[ahead] *= 3.0 / points[ahead, 2:]
         filled.append(replace(frame, points_lidar=frame.camera_from_lidar.inverse().apply(points), scan=None))
-    assert check_frames(filled).verdict is Verdict.CANNOT_TELL
+    assert check_frames(filled).verdict is Verdict.UNDETERMINED
 
 
 @pytest.mark.parametrize("count", [0, 1, 20])
-def test_clouds_of_hardly_any_points_tell_nothing(frames, count):
+def test_clouds_of_hardly_any_points_state_nothing(frames, count):
     health = check_frames(thinned(frames, slice(count)))
-    assert health.verdict is Verdict.CANNOT_TELL
+    assert health.verdict is Verdict.UNDETERMINED
     assert "points fall into" in health.item("rotation").reason
 
 
-def test_a_camera_that_sees_no_point_tells_nothing(frames):
+def test_a_camera_that_sees_no_point_states_nothing(frames):
     lifted = tuple(replace(f, points_lidar=f.points_lidar + np.array([0.0, 0.0, 500.0])) for f in frames)
     health = check_frames(lifted)
-    assert health.verdict is Verdict.CANNOT_TELL
+    assert health.verdict is Verdict.UNDETERMINED
     assert health.item("rotation").reason.startswith("0 points")
 
 
-def test_pictures_seconds_late_are_never_good(frames):
+def test_images_seconds_late_are_never_good(frames):
     late = tuple(
         replace(frame, rgb=later.rgb, grey=later.grey)
         for frame, later in zip(frames[:-2], frames[2:], strict=True)
     )
-    assert (frames[2].picture_ns - frames[0].picture_ns) > 1_000_000_000
-    assert check_frames(late).verdict in {Verdict.WRONG, Verdict.CANNOT_TELL}
+    assert (frames[2].image_ns - frames[0].image_ns) > 1_000_000_000
+    assert check_frames(late).verdict in {Verdict.WRONG, Verdict.UNDETERMINED}
 
 
-def test_frames_from_one_place_are_one_view(frames):
+def test_frames_from_one_location_are_one_view(frames):
     assert views_of((frames[0],) * 3).tolist() == [0, 0, 0]
     assert views_of(frames).max() >= 1
     unplaced = tuple(replace(frame, world_from_lidar=None) for frame in frames)
@@ -174,5 +174,5 @@ def test_over_many_streets_truth_is_good_and_what_is_off_is_not(seed):
     frames = calibration_frames(drive.scene, most=8)
     assert check_frames(frames).verdict is not Verdict.WRONG
     direction = np.random.default_rng(seed).normal(size=3)
-    planted = direction / np.linalg.norm(direction)
-    assert check_frames(turned(frames, tuple(planted))).verdict in {Verdict.DRIFTING, Verdict.WRONG}
+    injected = direction / np.linalg.norm(direction)
+    assert check_frames(rotated(frames, tuple(injected))).verdict in {Verdict.DRIFTING, Verdict.WRONG}

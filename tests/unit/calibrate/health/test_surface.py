@@ -10,7 +10,7 @@ def test_the_top_of_a_quadratic_is_found():
     surface = Surface.of(60, 3, generator)
     top = np.array([0.3, -0.2, 0.4])
     bend = np.diag([1.0, 2.0, 3.0]) + 0.2
-    away = surface.places - top
+    away = surface.locations - top
     values = -np.einsum("ni,ij,nj->n", away, bend, away)
     # 3000 probes in the unit ball lie about 0.1 apart
     assert np.linalg.norm(surface.tops(values[None])[0] - top) < 0.12
@@ -18,7 +18,7 @@ def test_the_top_of_a_quadratic_is_found():
 
 def test_a_slope_leads_to_the_rim():
     surface = Surface.of(60, 2, np.random.default_rng(4))
-    top = surface.tops((surface.places @ np.array([1.0, 0.0]))[None])[0]
+    top = surface.tops((surface.locations @ np.array([1.0, 0.0]))[None])[0]
     assert top[0] > 0.9
 
 

@@ -9,19 +9,19 @@ NOTHING = np.zeros((3, 3))
 
 
 @pytest.mark.parametrize(
-    ("turn_deg", "sigma_deg", "verdict"),
+    ("rotation_deg", "sigma_deg", "verdict"),
     [
         (0.0, 0.05, Verdict.GOOD),
         (0.35, 0.05, Verdict.GOOD),
         (0.7, 0.05, Verdict.DRIFTING),
-        (0.7, 0.3, Verdict.CANNOT_TELL),
+        (0.7, 0.3, Verdict.UNDETERMINED),
         (1.5, 0.05, Verdict.WRONG),
-        (0.0, 0.5, Verdict.CANNOT_TELL),
-        (1.5, 0.5, Verdict.CANNOT_TELL),
+        (0.0, 0.5, Verdict.UNDETERMINED),
+        (1.5, 0.5, Verdict.UNDETERMINED),
     ],
 )
-def test_a_turn_is_judged_by_its_size_and_by_how_sure_it_is(turn_deg, sigma_deg, verdict):
-    item = judge("rotation", np.radians([turn_deg, 0.0, 0.0]), np.radians(sigma_deg) ** 2 * np.eye(3))
+def test_a_rotation_is_judged_by_its_size_and_by_how_sure_it_is(rotation_deg, sigma_deg, verdict):
+    item = judge("rotation", np.radians([rotation_deg, 0.0, 0.0]), np.radians(sigma_deg) ** 2 * np.eye(3))
     assert item.verdict is verdict
     assert bool(item.reason) is (verdict is not Verdict.GOOD)
 

@@ -17,14 +17,14 @@ ELEVATIONS = np.radians(-4.0 + 1.0 * np.arange(9))
 
 def edges_of(ranges: np.ndarray) -> DepthEdges:
     """Edges in a sweep of (9, 80) ranges, lowest line first."""
-    turns, heights = np.meshgrid(AZIMUTHS, ELEVATIONS)
-    points = directions_at(turns.ravel(), heights.ravel()) * ranges.reshape(-1, 1)
+    rotations, heights = np.meshgrid(AZIMUTHS, ELEVATIONS)
+    points = directions_at(rotations.ravel(), heights.ravel()) * ranges.reshape(-1, 1)
     rings = np.repeat(np.arange(9, dtype=np.uint16), 80)
     frame = CalibrationFrame(
         camera_id="camera0",
         lidar_id="lidar",
         index=0,
-        picture_ns=0,
+        image_ns=0,
         sweep_ns=0,
         camera=Camera("pinhole", 64, 32, 40.0, 40.0, 31.5, 15.5),
         camera_from_lidar=CAMERA_FROM_LIDAR,
@@ -68,7 +68,7 @@ def test_a_plane_that_recedes_steeply_has_no_edges() -> None:
 
 
 def test_a_surface_that_is_seen_in_one_line_behind_another_has_no_edge() -> None:
-    """Nothing tells how far it goes on: a roof whose far end lies behind its near one."""
+    """Nothing reports how far it goes on: a roof whose far end lies behind its near one."""
     ranges = np.full((9, 80), 50.0)
     ranges[:4], ranges[4] = 8.0, 11.0
     edges = edges_of(ranges)

@@ -1,4 +1,4 @@
-"""A sound recording, changed by each test in one thing, and what rules say about it."""
+"""A sound recording, changed by each test in one thing, and what rules state about it."""
 
 import json
 import pickle
@@ -51,14 +51,14 @@ class SoundLines:
     def fix(self, time: float, north: float = 0.0, **fields: Any) -> Line:
         """A fix so many metres north of Helsinki, with half a metre of noise."""
         noise = 0.5 * self._random.standard_normal() if not fields else 0.0
-        place = {"latitude": 60.17 + (north + noise) / 111_400.0, "longitude": 24.94, "altitude": 14.0}
-        return {"gps": {**place, "accuracy": 0.5, **fields}, "time": time}
+        location = {"latitude": 60.17 + (north + noise) / 111_400.0, "longitude": 24.94, "altitude": 14.0}
+        return {"gps": {**location, "accuracy": 0.5, **fields}, "time": time}
 
     def pose(self, time: float, east: float) -> Line:
         """A pose so many metres east."""
-        turn = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+        rotation = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
         return {
-            "groundTruth": {"position": {"x": east, "y": 0.0, "z": 0.0}, "orientation": turn},
+            "groundTruth": {"position": {"x": east, "y": 0.0, "z": 0.0}, "orientation": rotation},
             "time": time,
         }
 
@@ -110,12 +110,12 @@ def written(tmp_path: Path) -> Write:
     return write
 
 
-Told = Callable[[SoundLines, str], list[tuple[str, str]]]
+Reported = Callable[[SoundLines, str], list[tuple[str, str]]]
 
 
 @pytest.fixture
-def told(written: Write) -> Told:
-    """What one rule finds in a drive: places and messages."""
+def reported(written: Write) -> Reported:
+    """What one rule finds in a drive: locations and messages."""
 
     def run(drive: SoundLines, rule: str) -> list[tuple[str, str]]:
         report = validate(written(drive), rules=[rule])
@@ -126,7 +126,7 @@ def told(written: Write) -> Told:
 
 @pytest.fixture
 def line_of(written: Write) -> Callable[[Path, Line], str]:
-    """The place of a line, by counting."""
+    """The location of a line, by counting."""
 
     def find(folder: Path, line: Line) -> str:
         texts = (folder / "data.jsonl").read_text().splitlines()

@@ -19,8 +19,8 @@ OVER_VALUES = {"accelerometer-unit", "gyroscope-unit", "fixes-on-earth"}
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory):
     """A recording of all kinds of lines, with nothing wrong in it."""
-    lens = Camera("pinhole", 48, 32, 30.0, 30.0, 23.5, 15.5)
-    cameras = [CameraSpec(lens, camera_mount(position=(1.5, y, 1.5))) for y in (0.25, -0.25)]
+    camera_model = Camera("pinhole", 48, 32, 30.0, 30.0, 23.5, 15.5)
+    cameras = [CameraSpec(camera_model, camera_mount(position=(1.5, y, 1.5))) for y in (0.25, -0.25)]
     drive = simulate_street(1, frames=3, lidar=LidarSpec(beams=4, steps=60), cameras=cameras)
     folder = tmp_path_factory.mktemp("sound") / "drive"
     sceneloom.write(drive.scene, folder, format="recording")
@@ -113,15 +113,15 @@ REFUSED = {
     "an empty video": lambda d: spoil(d, "data.mkv", lambda b: b""),
     "a cut video": lambda d: spoil(d, "data.mkv", lambda b: b[:-200]),
     "two videos": lambda d: shutil.copy(d / "data.mkv", d / "data.mp4"),
-    "a lost line of pictures": lambda d: change_lines(
+    "a lost line of images": lambda d: change_lines(
         d, lambda x: [t for t in x if '"number":2' not in t.replace(" ", "")]
     ),
-    "no lines of pictures": lambda d: change_lines(d, lambda x: [t for t in x if '"frames"' not in t]),
+    "no lines of images": lambda d: change_lines(d, lambda x: [t for t in x if '"frames"' not in t]),
     "a blank line": lambda d: change_lines(d, lambda x: [*x[:9], "", *x[9:]]),
     "a torn line": lambda d: spoil(d, "data.jsonl", lambda b: b[:-9]),
     "an empty log": lambda d: spoil(d, "data.jsonl", lambda b: b""),
     "a log in UTF-16": lambda d: spoil(d, "data.jsonl", lambda b: b.decode().encode("utf-16")),
-    "a pose turned by 2": lambda d: change_lines(
+    "a pose rotated by 2": lambda d: change_lines(
         d, lambda x: first_with(x, "groundTruth", lambda c: c["groundTruth"]["orientation"].update(w=2.0))
     ),
     "a line without time": lambda d: change_lines(d, lambda x: first_with(x, "gps", lambda c: c.pop("time"))),
@@ -137,7 +137,7 @@ REFUSED = {
     "a lost sweep": lambda d: next((d / "lidar").iterdir()).unlink(),
     "a cut sweep": lambda d: spoil(next((d / "lidar").iterdir()), "", lambda b: b[:-1]),
     "no number": lambda d: change_lines(d, lambda x: first_with(x, "frames", lambda c: c.pop("number"))),
-    "a lens of its own that is none": lambda d: change_lines(
+    "a camera model of its own that is none": lambda d: change_lines(
         d,
         lambda x: first_with(
             x, "frames", lambda c: c["frames"][0].update(cameraParameters={"model": "plate"})

@@ -25,11 +25,11 @@ def findings(folder, config):
 @pytest.mark.parametrize(
     "config", [None, "", "useSlam: True\n# parameterSets: [x]\nparameterSets:\n  - live\n"]
 )
-def test_sound_settings_are_not_told(tmp_path, config):
+def test_sound_settings_are_not_reported(tmp_path, config):
     assert findings(tmp_path / "drive", config) == []
 
 
-def test_unknown_settings_are_told_with_their_line_and_the_nearest_name(tmp_path):
+def test_unknown_settings_are_reported_with_their_line_and_the_nearest_name(tmp_path):
     assert findings(tmp_path / "drive", "useSlam: True\nuseStero: False\nqqqq: 1\n") == [
         (
             "config-keys-known",
@@ -41,7 +41,7 @@ def test_unknown_settings_are_told_with_their_line_and_the_nearest_name(tmp_path
     ]
 
 
-def test_settings_that_stand_there_twice_are_told(tmp_path):
+def test_settings_that_stand_there_twice_are_reported(tmp_path):
     found = findings(tmp_path / "drive", "useSlam: True\nvisualR: 0.01\nuseSlam: False\n")
     assert found == [
         (
@@ -53,7 +53,7 @@ def test_settings_that_stand_there_twice_are_told(tmp_path):
     ]
 
 
-def test_lines_that_are_no_setting_are_told(tmp_path):
+def test_lines_that_are_no_setting_are_reported(tmp_path):
     found = findings(tmp_path / "drive", "useSlam:True\n")
     assert found == [
         (

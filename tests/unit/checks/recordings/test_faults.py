@@ -1,4 +1,4 @@
-"""Every kind of fault that the reader of recordings tells apart has its rule."""
+"""Every kind of fault that the reader of recordings distinguishes has its rule."""
 
 import ast
 import json
@@ -9,11 +9,11 @@ import pytest
 import sceneloom
 from sceneloom.checks import validate
 from sceneloom.checks.recordings.faults import FAULT_CODES, FAULT_RULES
-from sceneloom.formats.faults import MOST_PLACES
+from sceneloom.formats.faults import MOST_LOCATIONS
 
 READER = Path(sceneloom.__file__).parent / "formats" / "recording"
 ROWS = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
-LENS = {
+CAMERA_MODEL = {
     "model": "pinhole",
     "focalLengthX": 9.0,
     "focalLengthY": 9.0,
@@ -78,7 +78,7 @@ FAULTY = {
     ),
     "unreadable-calibration": ({"calibration": "{"}, "calibration.json"),
     "unusable-calibrations": (
-        {"calibration": {"cameras": [{**LENS, "imuToCamera": TILTED}]}},
+        {"calibration": {"cameras": [{**CAMERA_MODEL, "imuToCamera": TILTED}]}},
         "calibration.json: cameras[0].imuToCamera",
     ),
     "repeated-lidars": (
@@ -86,13 +86,13 @@ FAULTY = {
         "calibration.json: lidars[1]",
     ),
     "unusable-cameras": (
-        {"calibration": {"cameras": [{**LENS, "model": "kaleidoscope"}]}},
+        {"calibration": {"cameras": [{**CAMERA_MODEL, "model": "kaleidoscope"}]}},
         "calibration.json: cameras[0]",
     ),
     "cameras-without-calibration": ({"lines": [*SOUND, FRAME]}, "calibration.json"),
-    "missing-videos": ({"lines": [*SOUND, FRAME], "calibration": {"cameras": [LENS]}}, ""),
+    "missing-videos": ({"lines": [*SOUND, FRAME], "calibration": {"cameras": [CAMERA_MODEL]}}, ""),
     "unreadable-videos": (
-        {"lines": [*SOUND, FRAME], "calibration": {"cameras": [LENS]}, "data__mkv": b"no video"},
+        {"lines": [*SOUND, FRAME], "calibration": {"cameras": [CAMERA_MODEL]}, "data__mkv": b"no video"},
         "data.mkv",
     ),
     "unusable-lidar-files": (
@@ -103,26 +103,26 @@ FAULTY = {
 }
 
 
-def told(folder):
-    """Rule and place of each finding that is one of a fault."""
+def reported(folder):
+    """Rule and location of each finding that is one of a fault."""
     report = validate(folder)
     return [(f.rule, f.path) for f in report.findings if f.rule in FAULT_CODES]
 
 
 @pytest.mark.parametrize("code", FAULTY)
-def test_a_fault_is_told_once_with_its_place(write, code):
-    content, place = FAULTY[code]
-    found = told(write(**content))
+def test_a_fault_is_reported_once_with_its_location(write, code):
+    content, location = FAULTY[code]
+    found = reported(write(**content))
     [path] = [path for rule, path in found if rule == code]
-    assert path.startswith(place)
+    assert path.startswith(location)
     assert {rule for rule, _ in found} <= {code, "missing-videos"}  # a camera of lines alone lacks that, too
 
 
 def test_a_sound_recording_has_none(write):
-    assert told(write()) == []
+    assert reported(write()) == []
 
 
-def test_a_lidar_file_is_told_from_the_folder_on_also_where_that_is_named_relatively(
+def test_a_lidar_file_is_distinguished_from_the_folder_on_also_where_that_is_named_relatively(
     write, tmp_path, monkeypatch
 ):
     write([*SOUND], torn__bin=b"\0" * 24)
@@ -133,10 +133,10 @@ def test_a_lidar_file_is_told_from_the_folder_on_also_where_that_is_named_relati
     assert [finding.path for finding in report.findings] == ["torn.bin: byte 23"]
 
 
-def test_all_faults_are_told_at_once(write):
+def test_all_faults_are_reported_at_once(write):
     lines = ["{torn", *SOUND, "", {"groundTruth": BAD_POSE, "time": 2}]
-    calibration = {"cameras": [{**LENS, "focalLengthX": "wide"}]}
-    assert told(write([*lines, FRAME], calibration)) == [
+    calibration = {"cameras": [{**CAMERA_MODEL, "focalLengthX": "wide"}]}
+    assert reported(write([*lines, FRAME], calibration)) == [
         ("broken-lines", "data.jsonl: line 1"),
         ("unfit-lines", "data.jsonl: line 5"),
         ("unusable-orientations", "data.jsonl: line 6"),
@@ -146,13 +146,13 @@ def test_all_faults_are_told_at_once(write):
 
 
 def test_very_many_faults_are_counted(write):
-    lines = [*SOUND * (3 * MOST_PLACES), *["{torn"] * (2 * MOST_PLACES)]
-    report = validate(write(lines), rules=["broken-lines"], places=None)
-    assert sum(finding.count for finding in report.findings) == 2 * MOST_PLACES
-    assert len(report.findings) == MOST_PLACES + 1
+    lines = [*SOUND * (3 * MOST_LOCATIONS), *["{torn"] * (2 * MOST_LOCATIONS)]
+    report = validate(write(lines), rules=["broken-lines"], locations=None)
+    assert sum(finding.count for finding in report.findings) == 2 * MOST_LOCATIONS
+    assert len(report.findings) == MOST_LOCATIONS + 1
 
 
-def test_nothing_is_mended_where_the_calibration_cannot_be_read(write, tmp_path):
+def test_nothing_is_repaired_where_the_calibration_cannot_be_read(write, tmp_path):
     report = validate(write(calibration="["), fix=tmp_path / "out.sfs")
     assert report.output is None
 

@@ -11,7 +11,7 @@ RULES = ["fixes-on-earth", "fixes-somewhere", "fixes-altitude", "fixes-accuracy"
 
 @pytest.fixture
 def findings(written):
-    """What the rules about fixes say of a drive."""
+    """What the rules about fixes state of a drive."""
 
     def run(drive):
         return validate(written(drive), rules=RULES).findings
@@ -33,7 +33,7 @@ def test_exchanged_coordinates_are_an_error_that_says_so(findings, drive):
     assert "116.39, 39.9" in finding.message
 
 
-def test_fixes_at_zero_are_told_and_are_no_jumps(findings, drive, written, line_of):
+def test_fixes_at_zero_are_reported_and_are_no_jumps(findings, drive, written, line_of):
     change(drive, slice(0, 3), latitude=0.0, longitude=0.0)
     [finding] = findings(drive)
     assert (finding.rule, finding.count) == ("fixes-somewhere", 3)
@@ -47,7 +47,7 @@ def test_radians_are_recognised(findings, drive):
 
 
 @pytest.mark.parametrize(("altitude", "guess"), [(25_000_000.0, False), (140_000.0, True), (-900.0, False)])
-def test_absurd_altitudes_are_told(findings, drive, altitude, guess):
+def test_absurd_altitudes_are_reported(findings, drive, altitude, guess):
     change(drive, slice(None), altitude=altitude)
     [finding] = findings(drive)
     assert finding.rule == "fixes-altitude"
@@ -56,7 +56,7 @@ def test_absurd_altitudes_are_told(findings, drive, altitude, guess):
 
 @pytest.mark.parametrize("name", ["accuracy", "verticalAccuracy"])
 @pytest.mark.parametrize("value", [0.0, -1.0, 5000.0])
-def test_accuracies_that_cannot_be_are_told(findings, drive, name, value):
+def test_accuracies_that_cannot_be_are_reported(findings, drive, name, value):
     change(drive, slice(10, 12), **{name: value})
     [finding] = findings(drive)
     assert (finding.rule, finding.count) == ("fixes-accuracy", 2)
@@ -70,7 +70,7 @@ def test_an_accuracy_need_not_be_there(findings, drive):
 
 
 @pytest.mark.parametrize("metres", [10.0, 100.0, 1000.0])
-def test_a_single_fix_that_is_off_is_told_once_with_its_line(findings, drive, written, line_of, metres):
+def test_a_single_fix_that_is_off_is_reported_once_with_its_line(findings, drive, written, line_of, metres):
     wrong = drive.streams["gps"][25]
     wrong["gps"]["longitude"] += metres / 55_500
     [finding] = findings(drive)
@@ -86,7 +86,7 @@ def test_an_inaccurate_fix_may_be_off(findings, drive):
     assert findings(drive) == ()
 
 
-def test_a_track_that_moves_for_good_is_told(findings, drive):
+def test_a_track_that_moves_for_good_is_reported(findings, drive):
     for line in drive.streams["gps"][25:]:
         line["gps"]["longitude"] += 200 / 55_500
     assert [finding.rule for finding in findings(drive)] == ["fixes-jump"]
@@ -99,7 +99,7 @@ def test_swerving_as_hard_as_tyres_allow_is_no_jump(findings, drive):
 
 
 def winding(drive, *, exchanged=False, down=False):
-    """A way that winds 50 degrees to the left and to the right, at 10 m/s."""
+    """A trajectory that winds 50 degrees to the left and to the right, at 10 m/s."""
     for line in drive.streams["gyroscope"]:
         line["sensor"]["values"] = [0.0, 0.0, 0.87 * math.cos(line["time"])]
     east = north = 0.0
@@ -107,21 +107,21 @@ def winding(drive, *, exchanged=False, down=False):
         course = 0.87 * math.sin(line["time"])
         east, north = east + 2.0 * math.cos(course), north + 2.0 * math.sin(course)
         latitude, longitude = 48.0 + north / 111_200, 11.0 + east / 74_600
-        places = (longitude, latitude) if exchanged else (latitude, longitude)
-        line["gps"].update(latitude=places[0], longitude=places[1], accuracy=0.1)
+        locations = (longitude, latitude) if exchanged else (latitude, longitude)
+        line["gps"].update(latitude=locations[0], longitude=locations[1], accuracy=0.1)
     for line in drive.streams["accelerometer"] if down else []:
         line["sensor"]["values"] = [-value for value in line["sensor"]["values"]]
     return drive
 
 
 @pytest.mark.parametrize(
-    ("wrong", "is_told"), [({}, False), ({"exchanged": True}, True), ({"down": True}, True)]
+    ("wrong", "is_reported"), [({}, False), ({"exchanged": True}, True), ({"down": True}, True)]
 )
-def test_a_way_that_turns_to_the_other_side_is_told(told, drive, wrong, is_told):
-    found = told(winding(drive, **wrong), "fixes-mirrored")
-    assert [place for place, _ in found] == (["data.jsonl: gps"] if is_told else [])
+def test_a_trajectory_that_rotations_to_the_other_side_is_reported(reported, drive, wrong, is_reported):
+    found = reported(winding(drive, **wrong), "fixes-mirrored")
+    assert [location for location, _ in found] == (["data.jsonl: gps"] if is_reported else [])
     assert all("are latitude and longitude exchanged" in message for _, message in found)
 
 
-def test_a_straight_way_tells_no_side(told, drive):
-    assert told(drive, "fixes-mirrored") == []
+def test_a_straight_trajectory_reports_no_side(reported, drive):
+    assert reported(drive, "fixes-mirrored") == []

@@ -5,12 +5,12 @@ import pytest
 
 from sceneloom.checks import validate
 
-RULES = ["pose-steps", "pose-turns", "poses-jump", "poses-turn"]
+RULES = ["pose-steps", "pose-rotations", "poses-jump", "poses-rotation"]
 
 
 @pytest.fixture
 def findings(written):
-    """What rules about steps say of a drive, those of scenes included."""
+    """What rules about steps state of a drive, those of scenes included."""
 
     def run(drive):
         return [(f.rule, f.path, f.message) for f in validate(written(drive), rules=RULES).findings]
@@ -18,17 +18,17 @@ def findings(written):
     return run
 
 
-def turned(line, degrees):
+def rotated(line, degrees):
     half = np.radians(degrees) / 2
-    turn = {"x": 0.0, "y": 0.0, "z": float(np.sin(half)), "w": float(np.cos(half))}
-    return {**line, "groundTruth": {**line["groundTruth"], "orientation": turn}}
+    rotation = {"x": 0.0, "y": 0.0, "z": float(np.sin(half)), "w": float(np.cos(half))}
+    return {**line, "groundTruth": {**line["groundTruth"], "orientation": rotation}}
 
 
-def test_a_pose_that_is_off_is_told_once_with_its_line(findings, drive, written, line_of):
+def test_a_pose_that_is_off_is_reported_once_with_its_line(findings, drive, written, line_of):
     wrong = drive.streams["groundTruth"][50]
     wrong["groundTruth"]["position"]["y"] = 30.0
-    [(rule, place, message)] = findings(drive)
-    assert (rule, place) == ("pose-steps", line_of(written(drive), wrong))
+    [(rule, location, message)] = findings(drive)
+    assert (rule, location) == ("pose-steps", line_of(written(drive), wrong))
     assert message.startswith("groundTruth at 3.500000 s is 30.00 m from the pose 0.050 s before, 600.1 m/s")
 
 
@@ -44,19 +44,19 @@ def test_starting_and_braking_hard_are_no_jumps(findings, drive):
     assert findings(drive) == []
 
 
-def test_a_pose_that_is_turned_is_told_once_with_its_line(findings, drive, written, line_of):
+def test_a_pose_that_is_rotated_is_reported_once_with_its_line(findings, drive, written, line_of):
     stream = drive.streams["groundTruth"]
-    stream[:] = [turned(line, 90.0 * np.sin(k / 40)) for k, line in enumerate(stream)]
+    stream[:] = [rotated(line, 90.0 * np.sin(k / 40)) for k, line in enumerate(stream)]
     assert findings(drive) == []
-    stream[30] = turned(stream[30], 175.0)
-    [(rule, place, _)] = findings(drive)
-    assert (rule, place) == ("pose-turns", line_of(written(drive), stream[30]))
+    stream[30] = rotated(stream[30], 175.0)
+    [(rule, location, _)] = findings(drive)
+    assert (rule, location) == ("pose-rotations", line_of(written(drive), stream[30]))
 
 
-def test_a_single_torn_turn_rate_does_not_speak_against_the_poses(written, drive):
+def test_a_single_torn_yaw_rate_does_not_speak_against_the_poses(written, drive):
     angles = np.degrees(0.8 * np.sin(0.9 * np.array(drive.times(20.0))))
     stream = drive.streams["groundTruth"]
-    stream[:] = [turned(line, angle) for line, angle in zip(stream, angles.tolist(), strict=True)]
+    stream[:] = [rotated(line, angle) for line, angle in zip(stream, angles.tolist(), strict=True)]
     for line in drive.streams["gyroscope"]:
         line["sensor"]["values"] = [0.0, 0.0, 0.8 * 0.9 * float(np.cos(0.9 * line["time"]))]
     drive.streams["gyroscope"][400]["sensor"]["values"] = [99.0, 0.0, 0.0]

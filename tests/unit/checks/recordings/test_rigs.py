@@ -10,7 +10,7 @@ import pytest
 
 from sceneloom.checks import validate
 from sceneloom.checks.recordings import (
-    calibrated_lenses,
+    calibrated_camera_models,
     calibration_entries,
     frame_lines,
     lidar_lines,
@@ -19,7 +19,7 @@ from sceneloom.checks.recordings import (
 
 RULES = tuple(
     rule.id
-    for module in (frame_lines, calibration_entries, calibrated_lenses, mountings, lidar_lines)
+    for module in (frame_lines, calibration_entries, calibrated_camera_models, mountings, lidar_lines)
     for rule in module.RULES
 )
 FRAMES = 12
@@ -78,15 +78,15 @@ def video(tmp_path_factory):
         stream.width, stream.height, stream.pix_fmt = 48, 32, "bgr0"
         for _ in range(FRAMES):
             pixels = random.integers(0, 255, (32, 48, 3), np.uint8)
-            picture = av.VideoFrame.from_ndarray(pixels, format="rgb24").reformat(format="bgr0")
-            container.mux(stream.encode(picture))
+            image = av.VideoFrame.from_ndarray(pixels, format="rgb24").reformat(format="bgr0")
+            container.mux(stream.encode(image))
         container.mux(stream.encode())
     return path.read_bytes()
 
 
 @pytest.fixture
 def found(tmp_path, video):
-    """What the rules say of a rig to which something was done."""
+    """What the rules state of a rig to which something was done."""
 
     def run(change=lambda rig: None, rules=RULES):
         rig = copy.deepcopy(sound())
@@ -137,14 +137,14 @@ def without_second_camera(rig):
         del line["frames"][1]
 
 
-def without_second_picture(rig):
-    """Say of three lines that the second camera has no picture."""
+def without_second_image(rig):
+    """Report of three lines that the second camera has no image."""
     for line in frames_of(rig)[3:6]:
         line["frames"][1]["missingBitmap"] = True
 
 
-def late_pictures(seconds, *cameras):
-    """Say of some cameras that their pictures were taken later than their lines."""
+def late_images(seconds, *cameras):
+    """Report of some cameras that their images were taken later than their lines."""
 
     def change(rig):
         for line in frames_of(rig):
@@ -157,11 +157,11 @@ def late_pictures(seconds, *cameras):
 def moved(index, change):
     """Change the matrix of a camera, (4, 4)."""
 
-    def planted(rig):
+    def injected(rig):
         given = rig["calibration"]["cameras"][index]
         given["imuToCamera"] = np.asarray(change(np.array(given["imuToCamera"], float))).tolist()
 
-    return planted
+    return injected
 
 
 def in_millimetres(matrix):
@@ -177,16 +177,16 @@ def skewed(matrix):
 
 
 def both_inverted(rig):
-    """Write the way from the cameras to the IMU."""
+    """Write the trajectory from the cameras to the IMU."""
     for index in (0, 1):
         moved(index, np.linalg.inv)(rig)
 
 
 def looking_up(matrix):
-    """The camera turned about its own x axis until it looks at the sky."""
-    turn = np.eye(4)
-    turn[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
-    return turn @ matrix
+    """The camera rotated about its own x axis until it looks at the sky."""
+    rotation = np.eye(4)
+    rotation[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    return rotation @ matrix
 
 
 def exchanged(rig):
@@ -206,7 +206,7 @@ def one_file_twice(rig):
 
 
 FLAT = [0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0.1, 1.2, -1.5, 1]
-PLANTED = {
+INJECTED = {
     "numbers from 28": (numbered(range(28, 40)), {"frame-numbers-begin": "the first is 28; expected 0"}),
     "a number twice": (
         numbered([0, 1, 2, 2, 4, 5, 6, 7, 8, 9, 10, 11]),
@@ -220,13 +220,13 @@ PLANTED = {
         without_second_camera,
         {"frames-without-camera": "cameraInd 1 is missing in 2 of 12 lines"},
     ),
-    "missingBitmap": (without_second_picture, {"frames-missing-bitmap": "missingBitmap"}),
-    "pictures on another clock": (
-        late_pictures(100.0, 0, 1),
+    "missingBitmap": (without_second_image, {"frames-missing-bitmap": "missingBitmap"}),
+    "images on another clock": (
+        late_images(100.0, 0, 1),
         {"frame-entry-times": "of camera 1 is up to +100.000 s off its line's time in 12 of 12 lines"},
     ),
     "a stereo pair out of step": (
-        late_pictures(0.008, 1),
+        late_images(0.008, 1),
         {"stereo-in-step": "are 8.0 ms apart in 12 of 12 lines"},
     ),
     "the text's word for the matrix": (
@@ -263,7 +263,7 @@ PLANTED = {
     ),
     "a focal length in widths": (
         entry(0, focalLengthX=0.8, focalLengthY=0.8),
-        {"calibration-focal-length": "probably in parts of the picture's width"},
+        {"calibration-focal-length": "probably in parts of the image's width"},
     ),
     "unequal focal lengths": (
         entry(0, focalLengthX=40, focalLengthY=60),
@@ -271,19 +271,19 @@ PLANTED = {
     ),
     "a principal point in parts": (
         entry(0, principalPointX=0.49, principalPointY=0.51),
-        {"calibration-principal-point": "probably in parts of the picture"},
+        {"calibration-principal-point": "probably in parts of the image"},
     ),
     "a principal point exchanged": (
         entry(0, principalPointX=15.5, principalPointY=23.5),
         {"calibration-principal-point": "probably x and y are exchanged"},
     ),
-    "a lens for larger pictures": (
+    "a camera model for larger images": (
         entry(0, principalPointX=47.5, principalPointY=31.5),
-        {"calibration-principal-point": "probably for pictures 2 times as wide and high"},
+        {"calibration-principal-point": "probably for images 2 times as wide and high"},
     ),
-    "pictures of another size": (
+    "images of another size": (
         entry(0, imageWidth=96, imageHeight=64, principalPointX=47.5, principalPointY=31.5),
-        {"calibration-size": "calibrated for 96x64, pictures are 48x32"},
+        {"calibration-size": "calibrated for 96x64, images are 48x32"},
     ),
     "a rotation that is off": (moved(0, skewed), {"mounting-rotation": "the nearest rotation was taken"}),
     "millimetres": (
@@ -306,20 +306,20 @@ PLANTED = {
 }
 
 
-def test_nothing_is_said_of_a_sound_rig(found):
+def test_nothing_is_stated_for_a_sound_rig(found):
     assert found() == {}
 
 
-@pytest.mark.parametrize("name", PLANTED)
+@pytest.mark.parametrize("name", INJECTED)
 def test_what_is_wrong_with_a_rig_is_found(found, name):
-    change, expected = PLANTED[name]
+    change, expected = INJECTED[name]
     findings = found(change)
     assert set(expected) <= set(findings)
     for rule, words in expected.items():
         assert words in findings[rule].message
-    # what one mistake spoils besides is told, too: sides and distances of an inverted or exchanged pair
+    # what one mistake spoils besides is reported, too: sides and distances of an inverted or exchanged pair
     assert set(findings) - set(expected) <= {"stereo-sides", "stereo-baseline", "mounting-far"}
 
 
 def test_every_rule_about_rigs_is_shown_by_a_case():
-    assert {rule for _, expected in PLANTED.values() for rule in expected} == set(RULES)
+    assert {rule for _, expected in INJECTED.values() for rule in expected} == set(RULES)

@@ -1,4 +1,4 @@
-"""Simulated drives, written as recordings: nothing is found in sound ones, and what is planted is."""
+"""Simulated drives, written as recordings: nothing is found in sound ones, and what is injected is."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ from sceneloom.simulate import (
 )
 
 SECOND = 1_000_000_000
-FRAMES = 120  # of 10 Hz: streams that end 5 s apart can be told
+FRAMES = 120  # of 10 Hz: streams that end 5 s apart can be reported
 
 
 def make(seed=1, **options):
@@ -36,9 +36,9 @@ def written(scene, folder):
 
 SOUND = {
     "stop": {"path": PathSpec(stops=(Stop(5.0, 4.0),))},
-    "standing": {"path": PathSpec(stops=(Stop(0.0, 40.0),))},
-    "fast": {"path": PathSpec(speeds=(20.0, 40.0), turn_rate=0.3)},
-    "turns": {"path": PathSpec(speeds=(2.0, 6.0), turn_rate=1.0)},
+    "stationary": {"path": PathSpec(stops=(Stop(0.0, 40.0),))},
+    "fast": {"path": PathSpec(speeds=(20.0, 40.0), yaw_rate=0.3)},
+    "rotations": {"path": PathSpec(speeds=(2.0, 6.0), yaw_rate=1.0)},
     "precise fixes": {"gnss": GnssSpec(rate_hz=20.0, horizontal_sigma=0.02, vertical_sigma=0.04)},
     "poor fixes": {"gnss": GnssSpec(rate_hz=5.0, horizontal_sigma=5.0, vertical_sigma=8.0)},
     "noisy and quick IMU": {"imu": ImuSpec(rate_hz=500.0, accelerometer_noise=0.05, gyroscope_noise=0.005)},
@@ -55,7 +55,7 @@ def test_nothing_is_found_in_a_sound_drive(tmp_path, case):
 
 @pytest.fixture(scope="module")
 def drive():
-    """One drive for all that is planted."""
+    """One drive for all that is injected."""
     return make()
 
 
@@ -63,20 +63,20 @@ def span(first_s, last_s):
     return ((round((1 + first_s) * SECOND), round((1 + last_s) * SECOND)),)
 
 
-PLANTED = {
+INJECTED = {
     "an IMU that drops out": ("imu", {"drop_outs": span(4, 5)}, "stream-gaps"),
     "an IMU that loses samples": ("imu", {"lost_share": 0.2}, "stream-jitter"),
     "an IMU that hangs": ("imu", {"stuck": span(4, 5)}, "values-repeated"),
     "an IMU that ends early": ("imu", {"drop_outs": span(5, 60)}, "streams-together"),
     "an IMU of another clock": ("imu", {"time_offset_ns": 7 * SECOND}, "streams-together"),
     "an outage of the satellites": ("gnss", {"drop_outs": span(4, 7)}, "stream-outages"),
-    "a receiver that holds a place": ("gnss", {"stuck": span(4, 6)}, "values-repeated"),
+    "a receiver that holds a location": ("gnss", {"stuck": span(4, 6)}, "values-repeated"),
 }
 
 
-@pytest.mark.parametrize("case", PLANTED)
-def test_what_is_planted_is_found(tmp_path, drive, case):
-    sensor, wrong, rule = PLANTED[case]
+@pytest.mark.parametrize("case", INJECTED)
+def test_what_is_injected_is_found(tmp_path, drive, case):
+    sensor, wrong, rule = INJECTED[case]
     faulty = plant(drive, Faults({sensor: SensorFaults(**wrong)}))
     report = validate(written(faulty.scene, tmp_path / "drive"))
     assert rule in {finding.rule for finding in report.findings}

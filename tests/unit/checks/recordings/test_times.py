@@ -23,7 +23,7 @@ def test_a_sound_drive_keeps_every_rule_over_its_lines(written, drive):
     assert validate(written(drive), rules=rules).findings == ()
 
 
-def test_a_stream_that_goes_back_in_time_is_told_with_its_line(written, drive, line_of):
+def test_a_stream_that_goes_back_in_time_is_reported_with_its_line(written, drive, line_of):
     lines = drive.lines()
     late = drive.streams["gyroscope"][500]
     lines.remove(late)
@@ -35,7 +35,7 @@ def test_a_stream_that_goes_back_in_time_is_told_with_its_line(written, drive, l
     assert "up to 0.100000 s" in finding.message
 
 
-def test_lines_out_of_order_between_streams_are_told_once(written, drive):
+def test_lines_out_of_order_between_streams_are_reported_once(written, drive):
     streams = [line for stream in drive.streams.values() for line in stream]
     report = validate(written(streams), rules=["lines-in-order", "reading-repaired"])
     [finding] = report.findings
@@ -43,15 +43,15 @@ def test_lines_out_of_order_between_streams_are_told_once(written, drive):
     assert finding.count == len(drive.streams) - 1
 
 
-def test_a_time_that_comes_twice_is_told_in_every_kind_of_stream(told, drive):
+def test_a_time_that_comes_twice_is_reported_in_every_kind_of_stream(reported, drive):
     for stream in drive.streams.values():
         stream[10]["time"] = stream[9]["time"]
-    messages = [message.split(" at ")[0] for _, message in told(drive, "stream-times-unique")]
+    messages = [message.split(" at ")[0] for _, message in reported(drive, "stream-times-unique")]
     assert sorted(messages) == sorted(["camera0", *(name for name in drive.streams if name != "frames")])
 
 
 @pytest.mark.parametrize(("name", "lost"), [("accelerometer", 40), ("frames", 1), ("barometer", 12)])
-def test_a_gap_is_told_where_it_begins(written, drive, line_of, name, lost):
+def test_a_gap_is_reported_where_it_begins(written, drive, line_of, name, lost):
     last = drive.streams[name][30]
     del drive.streams[name][31 : 31 + lost]
     folder = written(drive)
@@ -62,9 +62,9 @@ def test_a_gap_is_told_where_it_begins(written, drive, line_of, name, lost):
 
 
 @pytest.mark.parametrize(("name", "lost"), [("accelerometer", 20), ("magnetometer", 9)])
-def test_shorter_breaks_are_no_gaps(told, drive, name, lost):
+def test_shorter_breaks_are_no_gaps(reported, drive, name, lost):
     del drive.streams[name][31 : 31 + lost]
-    assert told(drive, "stream-gaps") == []
+    assert reported(drive, "stream-gaps") == []
 
 
 def test_samples_that_are_missing_one_by_one_are_a_hint(written, drive, line_of):
@@ -75,38 +75,38 @@ def test_samples_that_are_missing_one_by_one_are_a_hint(written, drive, line_of)
     [finding] = validate(folder, rules=["samples-lost", "stream-gaps", "stream-jitter"]).findings
     assert (finding.rule, finding.severity) == ("samples-lost", "hint")
     assert finding.path == line_of(folder, before)
-    assert finding.message.endswith("in all, 4 seem missing at 3 places")
+    assert finding.message.endswith("in all, 4 seem missing at 3 locations")
 
 
-def test_a_camera_that_slows_down_in_the_dark_is_uneven_and_has_no_gaps(told, drive):
+def test_a_camera_that_slows_down_in_the_dark_is_uneven_and_has_no_gaps(reported, drive):
     frames = drive.streams["frames"]
     drive.streams["frames"] = [*frames[:70], *frames[70::2]]
-    assert told(drive, "stream-gaps") == []
-    [(place, _)] = told(drive, "stream-jitter")
-    assert place == "data.jsonl: camera0"
+    assert reported(drive, "stream-gaps") == []
+    [(location, _)] = reported(drive, "stream-jitter")
+    assert location == "data.jsonl: camera0"
 
 
-def test_an_outage_of_the_satellites_is_a_hint(told, drive):
+def test_an_outage_of_the_satellites_is_a_hint(reported, drive):
     del drive.streams["gps"][20:35]
-    [(_, message)] = told(drive, "stream-outages")
+    [(_, message)] = reported(drive, "stream-outages")
     assert message.startswith("gps at 4.800000 s: 3.200000 s to the next, 0.200000 s usually; 15 seem")
-    assert told(drive, "stream-gaps") == []
+    assert reported(drive, "stream-gaps") == []
 
 
 @pytest.mark.parametrize(
     ("name", "rule"), [("gyroscope", "stream-jitter"), ("frames", "stream-jitter"), ("gps", "stream-uneven")]
 )
-def test_uneven_times_are_told_above_one_in_twenty(told, drive, name, rule):
+def test_uneven_times_are_reported_above_one_in_twenty(reported, drive, name, rule):
     stream = drive.streams[name]
     period = stream[1]["time"] - stream[0]["time"]
     few = len(stream) // 50
     for line in stream[5 : 5 + 2 * few : 2]:  # two intervals each
         line["time"] += 0.3 * period
-    assert told(drive, rule) == []
+    assert reported(drive, rule) == []
     for line in stream[-2 * few - 6 :: 2]:
         line["time"] += 0.3 * period
-    [(place, message)] = told(drive, rule)
-    assert place == f"data.jsonl: {'camera0' if name == 'frames' else name}"
+    [(location, message)] = reported(drive, rule)
+    assert location == f"data.jsonl: {'camera0' if name == 'frames' else name}"
     assert "off the usual" in message
 
 
@@ -121,64 +121,64 @@ def test_uneven_times_are_told_above_one_in_twenty(told, drive, name, rule):
         ("frames", 20, "comes at 0.5 Hz; expected 1 to 100 Hz"),
     ],
 )
-def test_rates_that_are_too_low_are_told(told, drive, name, every, expected):
+def test_rates_that_are_too_low_are_reported(reported, drive, name, every, expected):
     drive.streams[name] = drive.streams[name][::every]
-    assert [message for _, message in told(drive, "stream-rate")] == [expected]
+    assert [message for _, message in reported(drive, "stream-rate")] == [expected]
 
 
-def test_fixes_and_pictures_that_come_too_often_are_told(told, drive):
+def test_fixes_and_images_that_come_too_often_are_reported(reported, drive):
     for name in ("gps", "frames"):
         for line in drive.streams[name]:
             line["time"] = 1.0 + (line["time"] - 1.0) / 30
-    messages = [message for _, message in told(drive, "stream-rate")]
+    messages = [message for _, message in reported(drive, "stream-rate")]
     assert messages == ["comes at 300 Hz; expected 1 to 100 Hz", "comes at 150 Hz; expected 0 to 100 Hz"]
 
 
-def test_times_in_milliseconds_are_recognised(told, drive):
+def test_times_in_milliseconds_are_recognised(reported, drive):
     for stream in drive.streams.values():
         for line in stream:
             line["time"] *= 1000
-    messages = [message for _, message in told(drive, "stream-rate")]
+    messages = [message for _, message in reported(drive, "stream-rate")]
     assert len(messages) > 4
     assert all("are the times milliseconds?" in message for message in messages)
 
 
-def test_streams_that_end_early_or_start_late_are_told(told, drive):
-    assert told(drive, "streams-together") == []
+def test_streams_that_end_early_or_start_late_are_reported(reported, drive):
+    assert reported(drive, "streams-together") == []
     drive.streams["frames"] = drive.streams["frames"][60:]
     drive.streams["gps"] = drive.streams["gps"][:30]
-    assert told(drive, "streams-together") == [
+    assert reported(drive, "streams-together") == [
         ("data.jsonl: camera0", "starts at 7.004 s, 6.004 s later than others; expected within 5 s"),
         ("data.jsonl: gps", "ends at 6.800 s, 6.150 s earlier than others; expected within 5 s"),
     ]
 
 
-def test_pictures_beyond_the_imu_are_told(told, drive):
+def test_images_beyond_the_imu_are_reported(reported, drive):
     for name in ("accelerometer", "gyroscope"):
         drive.streams[name] = drive.streams[name][300:]
-    [(_, message)] = told(drive, "frames-far-from-imu")
+    [(_, message)] = reported(drive, "frames-far-from-imu")
     assert message.startswith("camera0 at 1.003700 s is 2.996 s from the nearest sample of the gyroscope")
     assert message.endswith(
-        "found up to 2.996 s in 29 of 120 pictures"
+        "found up to 2.996 s in 29 of 120 images"
     )  # of the first 3 s, but for the last 0.1 s
 
 
-def test_pictures_stamped_by_the_imu_are_a_hint(told, drive):
+def test_images_timestamped_by_the_imu_are_a_hint(reported, drive):
     drive.shifted("frames", -0.0037)
     for line in drive.streams["frames"]:
         line["time"] = round(line["time"], 9)
-    [(_, message)] = told(drive, "frames-at-imu-times")
-    assert message.startswith("100% of the pictures have the very time of a sample of the accelerometer")
+    [(_, message)] = reported(drive, "frames-at-imu-times")
+    assert message.startswith("100% of the images have the very time of a sample of the accelerometer")
 
 
-def test_an_accelerometer_that_is_put_off_is_told(told, drive):
-    [(place, message)] = told(drive.shifted("accelerometer", 0.03), "imu-clocks")
-    assert place == "data.jsonl: accelerometer"
+def test_an_accelerometer_that_is_put_off_is_reported(reported, drive):
+    [(location, message)] = reported(drive.shifted("accelerometer", 0.03), "imu-clocks")
+    assert location == "data.jsonl: accelerometer"
     assert "30.0 ms after" in message
 
 
-def test_a_shift_of_one_interval_is_none(told, drive):
-    assert told(drive.shifted("accelerometer", 0.01), "imu-clocks") == []
+def test_a_shift_of_one_interval_is_none(reported, drive):
+    assert reported(drive.shifted("accelerometer", 0.01), "imu-clocks") == []
 
 
 def test_a_recording_without_imu_or_calibration_gets_warnings(written, drive):
@@ -196,7 +196,7 @@ def test_a_recording_without_imu_or_calibration_gets_warnings(written, drive):
     assert report.passed
 
 
-def test_a_file_of_lines_alone_is_told_by_its_name_and_needs_nothing_beside_it(tmp_path, drive):
+def test_a_file_of_lines_alone_is_known_by_its_name_and_needs_nothing_beside_it(tmp_path, drive):
     lines = [line["groundTruth"] | {"time": line["time"]} for line in drive.streams["groundTruth"]]
     lines[7]["time"] = lines[6]["time"]
     path = tmp_path / "vio.jsonl"

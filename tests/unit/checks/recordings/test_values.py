@@ -16,16 +16,16 @@ from sceneloom.checks import validate
         (0.02, "gravity taken off"),
     ],
 )
-def test_accelerations_in_another_unit_are_an_error_that_says_which(told, drive, factor, guess):
+def test_accelerations_in_another_unit_are_an_error_that_says_which(reported, drive, factor, guess):
     drive.scaled("accelerometer", factor)
-    [(place, message)] = told(drive, "accelerometer-unit")
-    assert place == "data.jsonl: accelerometer"
+    [(location, message)] = reported(drive, "accelerometer-unit")
+    assert location == "data.jsonl: accelerometer"
     assert guess in message
-    assert told(drive, "accelerometer-range") == []
-    assert told(drive, "accelerometer-noise") == []
+    assert reported(drive, "accelerometer-range") == []
+    assert reported(drive, "accelerometer-noise") == []
 
 
-def test_a_blow_is_told_with_its_line_and_is_no_unit(written, drive, line_of):
+def test_a_blow_is_reported_with_its_line_and_is_no_unit(written, drive, line_of):
     drive.scaled("accelerometer", 25.0, slice(400, 402))
     folder = written(drive)
     report = validate(folder, rules=["accelerometer-unit", "accelerometer-range"])
@@ -37,13 +37,13 @@ def test_a_blow_is_told_with_its_line_and_is_no_unit(written, drive, line_of):
 
 
 @pytest.mark.parametrize(("deviation", "is_loud"), [(2.0, False), (5.0, True)])
-def test_noise_above_the_limit_is_told(told, drive, deviation, is_loud):
+def test_noise_above_the_limit_is_reported(reported, drive, deviation, is_loud):
     # of white noise a filter that cuts at a quarter of the rate leaves sqrt(1/2), of which the mean is 0.8
     noise = deviation * np.random.default_rng(1).standard_normal(len(drive.streams["accelerometer"]))
     for line, extra in zip(drive.streams["accelerometer"], noise.tolist(), strict=True):
         x, y, z = line["sensor"]["values"]
         line["sensor"]["values"] = [x, y + extra, z]
-    messages = [message for _, message in told(drive, "accelerometer-noise")]
+    messages = [message for _, message in reported(drive, "accelerometer-noise")]
     assert [message.split(" changes")[0] for message in messages] == (["y"] if is_loud else [])
 
 
@@ -58,18 +58,18 @@ def test_noise_agrees_with_the_vendors_kind_of_filter():
     np.testing.assert_allclose(_mean_noise(noise), expected, rtol=0.05)  # the flanks differ
 
 
-def test_turns_in_degrees_are_an_error(told, drive):
+def test_rotates_in_degrees_are_an_error(reported, drive):
     for line in drive.streams["gyroscope"][300:500]:
         line["sensor"]["values"][2] += 0.5
-    assert told(drive, "gyroscope-unit") == []
+    assert reported(drive, "gyroscope-unit") == []
     drive.scaled("gyroscope", 57.2958)
-    [(place, message)] = told(drive, "gyroscope-unit")
-    assert place == "data.jsonl: gyroscope"
+    [(location, message)] = reported(drive, "gyroscope-unit")
+    assert location == "data.jsonl: gyroscope"
     assert "degrees per second" in message
-    assert told(drive, "gyroscope-range") == []
+    assert reported(drive, "gyroscope-range") == []
 
 
-def test_a_torn_turn_rate_is_told_with_its_line(written, drive, line_of):
+def test_a_torn_yaw_rate_is_reported_with_its_line(written, drive, line_of):
     drive.streams["gyroscope"][77]["sensor"]["values"][0] = 35.0
     folder = written(drive)
     [finding] = validate(folder, rules=["gyroscope-range", "gyroscope-unit"]).findings
@@ -89,13 +89,13 @@ def test_a_torn_turn_rate_is_told_with_its_line(written, drive, line_of):
         ("imuTemperature", "temperature-unit", 0.1, "Celsius"),
     ],
 )
-def test_other_units_of_further_sensors_are_guessed(told, drive, name, rule, factor, guess):
-    [(_, message)] = told(drive.scaled(name, factor), rule)
+def test_other_units_of_further_sensors_are_guessed(reported, drive, name, rule, factor, guess):
+    [(_, message)] = reported(drive.scaled(name, factor), rule)
     assert f"{guess}?" in message
 
 
 @pytest.mark.parametrize(
-    ("name", "every", "is_told"),
+    ("name", "every", "is_reported"),
     [
         ("accelerometer", 10, True),
         ("accelerometer", 200, False),
@@ -107,27 +107,27 @@ def test_other_units_of_further_sensors_are_guessed(told, drive, name, rule, fac
         ("imuTemperature", 2, False),
     ],
 )
-def test_samples_that_repeat_the_one_before_are_told(told, drive, name, every, is_told):
+def test_samples_that_repeat_the_one_before_are_reported(reported, drive, name, every, is_reported):
     stream, key = drive.streams[name], "gps" if name == "gps" else "sensor"
     for before, line in zip(stream[::every], stream[1::every], strict=False):
         line[key] = before[key]
-    found = told(drive, "values-repeated")
-    assert len(found) == is_told
+    found = reported(drive, "values-repeated")
+    assert len(found) == is_reported
     if found:
         assert found[0][1].startswith(f"{name} at {stream[1]['time']:.6f} s has the very values")
 
 
-def test_a_place_that_is_held_for_a_while_counts_though_its_accuracy_changes(told, drive):
+def test_a_location_that_is_held_for_a_while_counts_though_its_accuracy_changes(reported, drive):
     for k, line in enumerate(drive.streams["gps"][20:40]):
         line["gps"] = {**drive.streams["gps"][20]["gps"], "accuracy": 0.5 + 0.1 * k}
-    [(_, message)] = told(drive, "values-repeated")
+    [(_, message)] = reported(drive, "values-repeated")
     assert "gps at 5.2" in message
 
 
 def test_lines_of_barometers_and_further_receivers_are_judged_too(written, drive, line_of):
     pressure = {"barometer": {"pressureHectopascals": 101_325.0}, "time": 3.0}
-    place = {"latitude": 0.0, "longitude": 0.0, "altitude": 1.0, "accuracy": 0.02}
-    fix = {"rtkgps": place, "time": 4.0}
+    location = {"latitude": 0.0, "longitude": 0.0, "altitude": 1.0, "accuracy": 0.02}
+    fix = {"rtkgps": location, "time": 4.0}
     folder = written(sorted([*drive.lines(), pressure, fix], key=lambda line: line["time"]))
     report = validate(folder, rules=["barometer-unit", "fixes-somewhere"])
     assert [(f.rule, f.path) for f in report.findings] == [

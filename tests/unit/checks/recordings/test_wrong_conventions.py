@@ -1,4 +1,4 @@
-"""Conventions that are wrong in a simulated drive, planted in the lines of its recording, are found."""
+"""Conventions that are wrong in a simulated drive, injected in the lines of its recording, are found."""
 
 import json
 from dataclasses import replace
@@ -36,7 +36,7 @@ CAMERA_FROM_IMU = Rotation.from_matrix([[0, -1, 0], [0, 0, -1], [1, 0, 0]])
 
 @pytest.fixture(scope="module")
 def lines(tmp_path_factory):
-    """The lines of 14 s of driving through bends, with IMU, fixes and the true poses; without pictures and points."""
+    """The lines of 14 s of driving through bends, with IMU, fixes and the true poses; without images and points."""
     scene = simulate_street(
         3,
         frames=140,
@@ -54,11 +54,11 @@ def lines(tmp_path_factory):
 
 @pytest.fixture
 def found(lines, tmp_path):
-    """What the rules say of the lines after something was done to each."""
+    """What the rules state of the lines after something was done to each."""
 
-    def run(planted):
-        changed = sorted((planted(json.loads(json.dumps(line))) for line in lines), key=lambda x: x["time"])
-        folder = tmp_path / "planted"
+    def run(injected):
+        changed = sorted((injected(json.loads(json.dumps(line))) for line in lines), key=lambda x: x["time"])
+        folder = tmp_path / "injected"
         folder.mkdir()
         (folder / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in changed))
         (folder / "calibration.json").write_text(json.dumps({"cameras": [CAMERA]}))
@@ -70,7 +70,7 @@ def found(lines, tmp_path):
 def poses(change):
     """Change position and rotation of every true pose; the change gives the four numbers as they are written."""
 
-    def planted(line):
+    def injected(line):
         if "groundTruth" in line:
             pose = line["groundTruth"]
             position = np.array([pose["position"][k] for k in "xyz"])
@@ -80,28 +80,28 @@ def poses(change):
             pose["orientation"] = dict(zip("xyzw", map(float, quaternion), strict=True))
         return line
 
-    return planted
+    return injected
 
 
 def samples(kind, change):
     """Change the values of every sample of a sensor."""
 
-    def planted(line):
+    def injected(line):
         if line.get("sensor", {}).get("type") == kind:
             line["sensor"]["values"] = np.asarray(change(np.array(line["sensor"]["values"]))).tolist()
         return line
 
-    return planted
+    return injected
 
 
 def shifted(key, seconds):
     """Shift the times of all lines with a key."""
 
-    def planted(line):
+    def injected(line):
         line["time"] += seconds if key in line else 0.0
         return line
 
-    return planted
+    return injected
 
 
 def flipped(rotation):
@@ -111,7 +111,7 @@ def flipped(rotation):
 
 WORLD_UP_IS_Y = Rotation.from_euler("x", -90, degrees=True)
 WORLD_DOWN_IS_Z = Rotation.from_euler("x", 180, degrees=True)
-PLANTED = {
+INJECTED = {
     "quaternions inverted": (
         poses(lambda p, r: (p, r.inv().as_quat())),
         {"poses-against-gyroscope": "rates of the orientations and of the gyroscope correlate"},
@@ -164,9 +164,9 @@ PLANTED = {
             "poses-against-gyroscope": "rates of the orientations and of the gyroscope correlate",
         },
     ),
-    "orientations that do not turn": (
+    "orientations that do not rotate": (
         poses(lambda p, r: (p, [0.0, 0.0, 0.0, 1.0])),
-        {"poses-against-gyroscope": "the orientations do not turn"},
+        {"poses-against-gyroscope": "the orientations do not rotate"},
     ),
     "millimetres": (
         poses(lambda p, r: (1000 * p, r.as_quat())),
@@ -180,11 +180,11 @@ PLANTED = {
         samples("gyroscope", lambda v: v[[1, 2, 0]]),
         {"poses-against-gyroscope": "rates of the orientations and of the gyroscope correlate"},
     ),
-    "gyroscope's signs turned": (
+    "gyroscope's signs rotated": (
         samples("gyroscope", lambda v: -v),
         {"poses-against-gyroscope": "rates of the orientations and of the gyroscope correlate"},
     ),
-    "accelerometer's signs turned": (
+    "accelerometer's signs rotated": (
         samples("accelerometer", lambda v: -v),
         {"poses-against-gravity": "180° off up"},
     ),
@@ -207,28 +207,28 @@ PLANTED = {
 }
 
 
-def test_fixes_before_reception_put_no_other_out_of_place(found):
+def test_fixes_before_reception_put_no_other_out_of_location(found):
     """They stand at 0, 0, from where the others lie nearly around a quarter of the earth."""
 
-    def planted(line):
+    def injected(line):
         if "gps" in line:
             line["gps"]["longitude"] += 60.0
             if line["time"] < 2.0:
                 line["gps"].update(latitude=0.0, longitude=0.0)
         return line
 
-    assert found(planted) == {}
+    assert found(injected) == {}
 
 
-def test_nothing_is_said_of_a_drive_as_it_was(found):
+def test_nothing_is_stated_for_a_drive_as_it_was(found):
     assert found(lambda line: line) == {}
 
 
-@pytest.mark.parametrize("name", PLANTED)
+@pytest.mark.parametrize("name", INJECTED)
 @pytest.mark.few(6)
 def test_a_wrong_convention_is_found_where_it_disagrees(found, name):
-    planted, expected = PLANTED[name]
-    messages = found(planted)
+    injected, expected = INJECTED[name]
+    messages = found(injected)
     assert set(messages) == set(expected)
     for rule, words in expected.items():
         assert words in messages[rule]
@@ -239,8 +239,8 @@ DEVICE = Rotation.from_euler("xyz", [90, 20, 50], degrees=True)
 WORLD = Rotation.from_euler("z", 130, degrees=True)
 
 
-def turned_device(line):
-    """Mount the whole device another way: its poses and its IMU turn together."""
+def rotated_device(line):
+    """Mount the whole device another way: its poses and its IMU rotate together."""
     line = poses(lambda p, r: (p, (r * DEVICE).as_quat()))(line)
     for kind in ("gyroscope", "accelerometer"):
         line = samples(kind, lambda v: DEVICE.inv().apply(v))(line)
@@ -248,8 +248,8 @@ def turned_device(line):
 
 
 SOUND = {
-    "another mounting": turned_device,
-    "a world turned about z": poses(
+    "another mounting": rotated_device,
+    "a world rotated about z": poses(
         lambda p, r: (WORLD.apply(p) + np.array([90, -4, 7]), (WORLD * r).as_quat())
     ),
     "a gyroscope full of noise": samples("gyroscope", lambda v: v + NOISE.standard_normal(3)),
@@ -262,18 +262,18 @@ SOUND = {
 
 
 @pytest.mark.parametrize("name", SOUND)
-def test_nothing_is_said_of_what_is_allowed_or_only_noisy(found, name):
+def test_nothing_is_stated_for_what_is_allowed_or_only_noisy(found, name):
     assert found(SOUND[name]) == {}
 
 
-def test_nothing_is_said_of_a_vehicle_that_stands(found):
-    standing = poses(lambda p, r: (0.0 * p, [0.0, 0.0, 0.0, 1.0]))
+def test_nothing_is_stated_for_a_vehicle_that_stands(found):
+    stationary = poses(lambda p, r: (0.0 * p, [0.0, 0.0, 0.0, 1.0]))
     still = samples("gyroscope", lambda v: 0.002 * NOISE.standard_normal(3))
     level = samples("accelerometer", lambda v: [0.1, 0.0, 9.81])
 
-    def planted(line):
+    def injected(line):
         if "gps" in line:
             line["gps"].update(latitude=60.17, longitude=24.94, altitude=14.0)
-        return level(still(standing(line)))
+        return level(still(stationary(line)))
 
-    assert found(planted) == {}
+    assert found(injected) == {}

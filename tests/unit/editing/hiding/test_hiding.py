@@ -1,22 +1,22 @@
-"""Places in pictures that are hidden: which, and that nothing of them is left."""
+"""Locations in images that are hidden: which, and that nothing of them is left."""
 
 import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.editing.hiding.boxes import PictureBox, find_hidings
+from sceneloom.editing.hiding.boxes import ImageBox, find_hidings
 from sceneloom.editing.hiding.filling import filled
-from sceneloom.editing.hiding.hide import hide_in_pictures
+from sceneloom.editing.hiding.hide import hide_in_images
 from sceneloom.editing.hiding.regions import hidden_regions
 from sceneloom.errors import OptionError
 from sceneloom.scene import (
     Box2DAnnotation,
+    CameraImage,
     CameraSensor,
     LazyFrames,
     LidarFrame,
     LidarPoints,
     LidarSensor,
-    Picture,
     Scene,
     ShapeAnnotation,
     VertexPath,
@@ -33,14 +33,14 @@ EARLY = 1_700_000_000_000_000_000
 def scene_with(annotations=(), *, count=6, sensors=(), **fields):
     rng = np.random.default_rng(3)
     times = [EARLY + k * PERIOD_NS for k in range(count)]
-    pictures = [Picture.of(t, CAMERA, rng.integers(0, 256, (48, 64, 3), np.uint8)) for t in times]
-    camera = CameraSensor("front", CAMERA, LazyFrames.of(pictures, times))
+    images = [CameraImage.of(t, CAMERA, rng.integers(0, 256, (48, 64, 3), np.uint8)) for t in times]
+    camera = CameraSensor("front", CAMERA, LazyFrames.of(images, times))
     return Scene((camera, *sensors), tuple(annotations), **fields)
 
 
 def hidings_of(scene, **how):
     (hiding,) = find_hidings(scene, **how)
-    return {int(k): hiding.boxes[hiding.pictures == k].tolist() for k in np.unique(hiding.pictures)}, hiding
+    return {int(k): hiding.boxes[hiding.images == k].tolist() for k in np.unique(hiding.images)}, hiding
 
 
 def test_a_pixelated_box_has_sixteen_colours_at_most_and_each_is_the_mean_of_its_cell():
@@ -55,7 +55,7 @@ def test_a_pixelated_box_has_sixteen_colours_at_most_and_each_is_the_mean_of_its
 
 
 @pytest.mark.parametrize("fill", ["blur", "pixelate", "black"])
-def test_nothing_tells_two_pictures_with_equal_means_apart_once_they_are_hidden(fill):
+def test_nothing_reports_two_images_with_equal_means_apart_once_they_are_hidden(fill):
     image = np.random.default_rng(1).integers(0, 256, (32, 32, 3), np.uint8)
     other = image.reshape(4, 8, 4, 8, 3)[:, ::-1, :, ::-1].reshape(32, 32, 3)
     whole = np.array([[0, 0, 32, 32]])
@@ -79,9 +79,9 @@ def test_a_box_of_one_pixel_and_an_unknown_fill():
 
 def test_boxes_of_one_track_are_joined_by_straight_lines_in_time_and_others_are_not():
     boxes = (
-        PictureBox((0, 0, 10, 10), number=1, track="a"),
-        PictureBox((30, 6, 40, 16), timestamp_ns=EARLY + 4 * PERIOD_NS, track="a"),
-        PictureBox((1, 2, 3, 4), number=5),
+        ImageBox((0, 0, 10, 10), number=1, track="a"),
+        ImageBox((30, 6, 40, 16), timestamp_ns=EARLY + 4 * PERIOD_NS, track="a"),
+        ImageBox((1, 2, 3, 4), number=5),
     )
     found, hiding = hidings_of(scene_with(), boxes=boxes)
     assert found == {
@@ -94,22 +94,22 @@ def test_boxes_of_one_track_are_joined_by_straight_lines_in_time_and_others_are_
     assert (hiding.given, hiding.unmatched) == (3, 0)
 
 
-def test_a_track_that_is_held_is_hidden_before_and_after_its_pictures():
-    boxes = (PictureBox((0, 0, 9, 9), number=2, track="a"), PictureBox((0, 0, 9, 9), number=3, track="a"))
+def test_a_track_that_is_held_is_hidden_before_and_after_its_images():
+    boxes = (ImageBox((0, 0, 9, 9), number=2, track="a"), ImageBox((0, 0, 9, 9), number=3, track="a"))
     assert sorted(hidings_of(scene_with(), boxes=boxes, hold=0.1)[0]) == [1, 2, 3, 4]
 
 
-def test_both_boxes_of_a_track_that_is_in_a_picture_twice_are_hidden():
-    boxes = (PictureBox((0, 0, 9, 9), number=2, track="a"), PictureBox((20, 0, 29, 9), number=2, track="a"))
+def test_both_boxes_of_a_track_that_is_in_an_image_twice_are_hidden():
+    boxes = (ImageBox((0, 0, 9, 9), number=2, track="a"), ImageBox((20, 0, 29, 9), number=2, track="a"))
     found, _ = hidings_of(scene_with(), boxes=boxes)
     assert sorted(found[2]) == [[0, 0, 9, 9], [20, 0, 29, 9]]
 
 
-def test_boxes_of_pictures_that_are_not_there_are_counted():
+def test_boxes_of_images_that_are_not_there_are_counted():
     boxes = (
-        PictureBox((0, 0, 9, 9), number=6),
-        PictureBox((0, 0, 9, 9), timestamp_ns=EARLY + 560_000_000),
-        PictureBox((0, 0, 9, 9), timestamp_ns=EARLY + 249_000_000),
+        ImageBox((0, 0, 9, 9), number=6),
+        ImageBox((0, 0, 9, 9), timestamp_ns=EARLY + 560_000_000),
+        ImageBox((0, 0, 9, 9), timestamp_ns=EARLY + 249_000_000),
     )
     found, hiding = hidings_of(scene_with(), boxes=boxes)
     assert (sorted(found), hiding.unmatched) == ([2], 2)
@@ -130,7 +130,7 @@ def test_annotations_are_hidden_by_their_labels_while_they_last():
     assert (sorted(found), hiding.given) == ([0, 1, 2, 3], 3)
     assert found[0] == [[5.0, 2.0, 9.0, 9.0]]
     np.testing.assert_allclose(found[2], [[10.0, 0.0, 18.0, 8.0]], atol=1e-3)  # 3 µs of 0.2 s
-    with pytest.raises(OptionError, match="no box or outline in a picture with label 'nose'; there are car"):
+    with pytest.raises(OptionError, match="no box or outline in an image with label 'nose'; there are car"):
         find_hidings(scene_with(annotations), labels=("nose",))
 
 
@@ -142,7 +142,7 @@ def test_boxes_whose_times_are_stored_in_any_order_are_hidden_all_the_while():
     assert {k: boxes[0][0] for k, boxes in found.items()} == {0: 0.0, 1: 2.0, 2: 4.0, 3: 6.0}
 
 
-def test_what_stands_still_in_a_picture_is_hidden_in_all_of_them():
+def test_what_is_stationary_in_an_image_is_hidden_in_all_of_them():
     path = BoxPath(np.array([EARLY]), np.array([[1.0, 1.0, 8.0, 8.0]]))
     bonnet = Box2DAnnotation("b", "front", path, label="bonnet", stationary=True)
     assert sorted(hidings_of(scene_with((bonnet,)), labels=("bonnet",))[0]) == list(range(6))
@@ -150,15 +150,15 @@ def test_what_stands_still_in_a_picture_is_hidden_in_all_of_them():
 
 def test_a_camera_that_is_not_there_is_refused():
     with pytest.raises(OptionError, match="camera 'rear'; its cameras are 'front'"):
-        find_hidings(scene_with(), boxes=(PictureBox((0, 0, 9, 9), camera="rear", number=0),))
+        find_hidings(scene_with(), boxes=(ImageBox((0, 0, 9, 9), camera="rear", number=0),))
 
 
-def test_regions_are_the_even_pixels_around_boxes_with_their_margin_within_the_picture():
+def test_regions_are_the_even_pixels_around_boxes_with_their_margin_within_the_image():
     boxes = (
-        PictureBox((11.0, 11.0, 21.0, 31.0), number=0),
-        PictureBox((60.0, -4.0, 70.0, 4.0), number=0),
-        PictureBox((64.0, 0.0, 80.0, 9.0), number=1),
-        PictureBox((5.0, 5.0, 5.0, 9.0), number=2),
+        ImageBox((11.0, 11.0, 21.0, 31.0), number=0),
+        ImageBox((60.0, -4.0, 70.0, 4.0), number=0),
+        ImageBox((64.0, 0.0, 80.0, 9.0), number=1),
+        ImageBox((5.0, 5.0, 5.0, 9.0), number=2),
     )
     _, hiding = hidings_of(scene_with(), boxes=boxes)
     regions = hidden_regions(hiding, 64, 48, margin=0.1)
@@ -166,36 +166,36 @@ def test_regions_are_the_even_pixels_around_boxes_with_their_margin_within_the_p
     assert (regions.outside, regions.cut) == (2, 1)
 
 
-def test_pictures_of_a_scene_are_hidden_when_they_are_decoded_and_the_others_stay():
+def test_images_of_a_scene_are_hidden_when_they_are_decoded_and_the_others_stay():
     scene = scene_with()
-    hidden = hide_in_pictures(
-        scene, find_hidings(scene, boxes=(PictureBox((8, 8, 24, 24), number=2),)), fill="black", margin=0.0
+    hidden = hide_in_images(
+        scene, find_hidings(scene, boxes=(ImageBox((8, 8, 24, 24), number=2),)), fill="black", margin=0.0
     )
-    before, after = scene.cameras[0].pictures, hidden.cameras[0].pictures
+    before, after = scene.cameras[0].images, hidden.cameras[0].images
     assert not after[2].rgb[8:24, 8:24].any()
     assert np.array_equal(after[2].rgb[:, 24:], before[2].rgb[:, 24:])
     assert np.array_equal(after[1].rgb, before[1].rgb)
 
 
-def test_boxes_none_of_which_is_in_a_picture_hide_nothing_and_are_refused():
+def test_boxes_none_of_which_is_in_an_image_hide_nothing_and_are_refused():
     scene = scene_with()
-    hidings = find_hidings(scene, boxes=(PictureBox((8, 8, 24, 24), number=60),))
-    with pytest.raises(OptionError, match="none of the 1 boxes lies in any picture"):
-        hide_in_pictures(scene, hidings)
+    hidings = find_hidings(scene, boxes=(ImageBox((8, 8, 24, 24), number=60),))
+    with pytest.raises(OptionError, match="none of the 1 boxes lies in any image"):
+        hide_in_images(scene, hidings)
 
 
-def test_copies_of_pictures_in_free_fields_go_and_colours_of_points_are_told_or_dropped():
+def test_copies_of_images_in_free_fields_go_and_colours_of_points_are_reported_or_dropped():
     points = LidarPoints(np.zeros((2, 3), np.float32), colors=np.full((2, 3), 7, np.uint8))
     lidar = LidarSensor("lidar", LazyFrames.of([LidarFrame(EARLY, points)], [EARLY]))
     thumbnail = np.frombuffer(b"\xff\xd8\xff" + bytes(200), np.uint8)
     metadata = {"a": {"thumbnail": thumbnail, "b": [1, "data:image/png;base64," + "A" * 60]}, "name": "drive"}
     scene = scene_with(sensors=(lidar,), metadata=metadata)
-    hidings = find_hidings(scene, boxes=(PictureBox((8, 8, 24, 24), number=2),))
-    hidden = hide_in_pictures(scene, hidings)
+    hidings = find_hidings(scene, boxes=(ImageBox((8, 8, 24, 24), number=2),))
+    hidden = hide_in_images(scene, hidings)
     assert dict(hidden.metadata) == {"a": {"b": [1]}, "name": "drive"}
-    places = {n.place for n in hidden.notices if n.code == "embedded-picture"}
-    assert places == {"metadata.a.thumbnail", "metadata.a.b[1]"}
-    (told,) = (n for n in hidden.notices if n.code == "colours-of-points")
-    assert "came from pictures before anything was hidden" in told.message
+    locations = {n.location for n in hidden.warnings if n.code == "embedded-image"}
+    assert locations == {"metadata.a.thumbnail", "metadata.a.b[1]"}
+    (reported,) = (n for n in hidden.warnings if n.code == "colours-of-points")
+    assert "came from images before anything was hidden" in reported.message
     assert hidden.lidars[0].frames[0].points.colors is not None
-    assert hide_in_pictures(scene, hidings, drop_colours=True).lidars[0].frames[0].points.colors is None
+    assert hide_in_images(scene, hidings, drop_colours=True).lidars[0].frames[0].points.colors is None

@@ -13,7 +13,7 @@ from sceneloom.evaluate.detection.rules import DIFFICULTIES, DetectionRules, at_
 from sceneloom.evaluate.objects import ObjectTable
 from sceneloom.evaluate.overlaps import Similarity
 
-IN_PICTURE = DetectionRules(similarity=Similarity.PICTURE, least_overlap=0.5)
+IN_IMAGE = DetectionRules(similarity=Similarity.IMAGE, least_overlap=0.5)
 
 
 def table(frames, labels, corners, **columns) -> ObjectTable:
@@ -125,7 +125,7 @@ def street(seed: int) -> tuple[ObjectTable, ObjectTable]:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_counts_of_every_score_are_those_of_the_rules_written_out(seed, difficulty):
     truth, found = street(seed)
-    pairs = pair_detections({"a": found}, {"a": truth}, "car", rules=IN_PICTURE)
+    pairs = pair_detections({"a": found}, {"a": truth}, "car", rules=IN_IMAGE)
     curve = score_curve(at_difficulty(pairs, DIFFICULTIES[difficulty]))
     assert len(curve.thresholds) == len(set(found.scores.tolist()))
     for k, threshold in enumerate(curve.thresholds):
@@ -149,8 +149,8 @@ def test_average_precision_is_that_of_the_rules_written_out(difficulty):
         tp, fp, *_ = count_slowly(truth, found, "Car", "Van", rule, 0.5, threshold, by_score=False)
         precisions[k] = tp / (tp + fp)
     best = [precisions[k:].max() for k in range(41)]
-    told = evaluate_detection({"a": found}, {"a": truth}, classes=("car",), rules=IN_PICTURE)["car"]
-    scores = told.difficulties[difficulty]
+    reported = evaluate_detection({"a": found}, {"a": truth}, classes=("car",), rules=IN_IMAGE)["car"]
+    scores = reported.difficulties[difficulty]
     assert scores.ap40 == pytest.approx(np.mean(best[1:]), abs=1e-12)
     assert scores.ap11 == pytest.approx(np.mean(best[::4]), abs=1e-12)
     assert 0.05 < scores.ap40 < 0.95
@@ -158,14 +158,14 @@ def test_average_precision_is_that_of_the_rules_written_out(difficulty):
 
 def test_the_best_f1_is_the_best_of_all_scores():
     truth, found = street(4)
-    told = evaluate_detection({"a": found}, {"a": truth}, classes=("car",), rules=IN_PICTURE)["car"]
+    reported = evaluate_detection({"a": found}, {"a": truth}, classes=("car",), rules=IN_IMAGE)["car"]
     best = 0.0
     for threshold in set(found.scores.tolist()):
         tp, fp, fn, _ = count_slowly(
             truth, found, "Car", "Van", DIFFICULTIES["moderate"], 0.5, threshold, by_score=False
         )
         best = max(best, 2 * tp / (2 * tp + fp + fn))
-    assert told.difficulties["moderate"].max_f1 == pytest.approx(best, abs=1e-12)
+    assert reported.difficulties["moderate"].max_f1 == pytest.approx(best, abs=1e-12)
 
 
 def test_frames_of_different_sequences_do_not_meet():
@@ -173,10 +173,10 @@ def test_frames_of_different_sequences_do_not_meet():
     there = table([0], ["Car"], box, occlusions=[0], truncations=[0])
     nothing = ObjectTable.empty()
     found = table([0], ["Car"], box, scores=[0.9])
-    told = evaluate_detection(
-        {"a": found, "b": nothing}, {"a": nothing, "b": there}, classes=("car",), rules=IN_PICTURE
+    reported = evaluate_detection(
+        {"a": found, "b": nothing}, {"a": nothing, "b": there}, classes=("car",), rules=IN_IMAGE
     )
-    scores = told["car"].difficulties["moderate"]
+    scores = reported["car"].difficulties["moderate"]
     assert (scores.true_objects, scores.detections, scores.max_f1) == (1, 1, 0.0)
 
 
@@ -184,8 +184,8 @@ def test_nothing_found_and_nothing_there_have_defined_figures():
     truth, found = street(5)
     empty = ObjectTable.empty()
     for results, true in ((empty, truth), (found, empty), (empty, empty)):
-        told = evaluate_detection({"a": results}, {"a": true}, classes=("car",), rules=IN_PICTURE)
-        scores = told["car"].difficulties["moderate"]
+        reported = evaluate_detection({"a": results}, {"a": true}, classes=("car",), rules=IN_IMAGE)
+        scores = reported["car"].difficulties["moderate"]
         assert (scores.ap40, scores.max_f1, scores.recall) == (0.0, 0.0, 0.0)
         assert (scores.threshold is None) == (results is empty)
 
@@ -205,38 +205,40 @@ def test_regions_excuse_boxes_in_space_only_where_that_is_asked():
     )
     for asked, wrong in ((False, 1), (True, 0)):
         rules = DetectionRules(regions_in_space=asked)
-        told = evaluate_detection({"a": found}, {"a": truth}, classes=("car",), rules=rules)
-        assert told["car"].difficulties["hard"].detections == wrong
+        reported = evaluate_detection({"a": found}, {"a": truth}, classes=("car",), rules=rules)
+        assert reported["car"].difficulties["hard"].detections == wrong
 
 
 def test_scores_and_boxes_that_are_missing_are_named():
     truth, found = street(6)
     bare = table(found.frames, found.labels, found.corners_xyxy)
     with pytest.raises(OptionError, match="no scores"):
-        evaluate_detection({"a": bare}, {"a": truth}, rules=IN_PICTURE)
+        evaluate_detection({"a": bare}, {"a": truth}, rules=IN_IMAGE)
     with pytest.raises(OptionError, match="similarity '3d': the truth without boxes"):
         evaluate_detection({"a": found}, {"a": truth})
     with pytest.raises(OptionError, match="difficulty 'tough'; expected one of easy"):
-        evaluate_detection({"a": found}, {"a": truth}, rules=IN_PICTURE, difficulties=("tough",))
+        evaluate_detection({"a": found}, {"a": truth}, rules=IN_IMAGE, difficulties=("tough",))
 
 
 def test_scores_that_are_true_probabilities_have_a_small_error_of_calibration():
     rng = np.random.default_rng(7)
     probabilities = rng.random(40_000)
     are_true = rng.random(40_000) < probabilities
-    told = judge_calibration(probabilities, are_true)
-    assert told.error < 0.01  # 15 bins of 2700 draws, each off by 0.004 on the average
-    assert told.brier == pytest.approx(1 / 6, abs=0.005)  # the integral of p (1 - p); 3 deviations are 0.0028
-    assert sum(part.count for part in told.bins) == told.count == 40_000
+    reported = judge_calibration(probabilities, are_true)
+    assert reported.error < 0.01  # 15 bins of 2700 draws, each off by 0.004 on the average
+    assert reported.brier == pytest.approx(
+        1 / 6, abs=0.005
+    )  # the integral of p (1 - p); 3 deviations are 0.0028
+    assert sum(part.count for part in reported.bins) == reported.count == 40_000
 
 
-def test_scores_that_say_too_much_have_their_excess_as_error():
-    told = judge_calibration(
+def test_scores_that_state_too_much_have_their_excess_as_error():
+    reported = judge_calibration(
         np.array([0.9] * 10 + [0.3] * 10), np.array([1] * 6 + [0] * 4 + [1] * 3 + [0] * 7) > 0
     )
-    assert told.error == pytest.approx(0.15)  # half of them by 0.3, the others by nothing
-    assert told.largest_error == pytest.approx(0.3)
-    filled = [part for part in told.bins if part.count]
+    assert reported.error == pytest.approx(0.15)  # half of them by 0.3, the others by nothing
+    assert reported.largest_error == pytest.approx(0.3)
+    filled = [part for part in reported.bins if part.count]
     assert [(part.mean_score, part.share_true) for part in filled] == [
         (pytest.approx(0.3), pytest.approx(0.3)),
         (pytest.approx(0.9), pytest.approx(0.6)),
@@ -244,15 +246,15 @@ def test_scores_that_say_too_much_have_their_excess_as_error():
 
 
 def test_a_score_of_one_is_in_the_last_bin():
-    told = judge_calibration(np.array([1.0, 0.0]), np.array([True, False]))
-    assert (told.bins[0].count, told.bins[-1].count, told.error) == (1, 1, 0.0)
+    reported = judge_calibration(np.array([1.0, 0.0]), np.array([True, False]))
+    assert (reported.bins[0].count, reported.bins[-1].count, reported.error) == (1, 1, 0.0)
 
 
 def test_logits_have_no_error_of_calibration():
     truth, found = street(8)
     logits = table(found.frames, found.labels, found.corners_xyxy, scores=10 * found.scores - 5)
-    told = evaluate_detection({"a": logits}, {"a": truth}, classes=("car",), rules=IN_PICTURE)["car"]
-    assert told.difficulties["hard"].calibration is None
+    reported = evaluate_detection({"a": logits}, {"a": truth}, classes=("car",), rules=IN_IMAGE)["car"]
+    assert reported.difficulties["hard"].calibration is None
 
 
 @pytest.mark.parametrize("degrees_of_freedom", [None, 4.0, 9.0])
@@ -264,13 +266,13 @@ def test_regions_hold_what_they_promise_of_errors_of_their_own_kind(degrees_of_f
     if degrees_of_freedom is not None:
         share = degrees_of_freedom / rng.chisquare(degrees_of_freedom, count)
         errors *= np.sqrt(share * (degrees_of_freedom - 2) / degrees_of_freedom)[:, None]
-    told = judge_covariances(errors, covariances, degrees_of_freedom=degrees_of_freedom)
-    for part in told.coverages:
+    reported = judge_covariances(errors, covariances, degrees_of_freedom=degrees_of_freedom)
+    for part in reported.coverages:
         deviation = np.sqrt(part.level * (1 - part.level) / count)
         assert part.share == pytest.approx(part.level, abs=4 * deviation)
     if degrees_of_freedom is None:
-        assert told.nees_low < told.nees < told.nees_high
-        assert told.nees_high == pytest.approx(3 + 1.96 * np.sqrt(6 / count), rel=1e-3)
+        assert reported.nees_low < reported.nees < reported.nees_high
+        assert reported.nees_high == pytest.approx(3 + 1.96 * np.sqrt(6 / count), rel=1e-3)
 
 
 def test_a_student_with_many_degrees_of_freedom_is_a_gaussian():
@@ -291,7 +293,7 @@ def test_what_is_no_covariance_is_named():
         judge_covariances(np.zeros((1, 2)), np.eye(2)[None], degrees_of_freedom=2.0)
 
 
-def test_covariances_of_detections_are_judged_by_part_and_reversed_headings_are_told():
+def test_covariances_of_detections_are_judged_by_part_and_reversed_headings_are_reported():
     rng = np.random.default_rng(11)
     count, deviations = 3000, np.array([0.2, 0.1, 0.05, 0.2, 0.1, 0.1, 0.03])
     true = np.column_stack(
@@ -313,18 +315,18 @@ def test_covariances_of_detections_are_judged_by_part_and_reversed_headings_are_
         scores=np.full(count, 0.5),
         covariances=np.tile(np.diag(deviations**2), (count, 1, 1)),
     )
-    told = evaluate_detection(
+    reported = evaluate_detection(
         {"a": found},
         {"a": ObjectTable(frames, ids, labels, boxes=true)},
         classes=("car",),
         difficulties=("all",),
     )["car"]
-    assert told.covariances is not None
-    assert told.headings_reversed == pytest.approx(0.1)
-    assert {name: part.dimensions for name, part in told.covariances.items()} == {
+    assert reported.covariances is not None
+    assert reported.headings_reversed == pytest.approx(0.1)
+    assert {name: part.dimensions for name, part in reported.covariances.items()} == {
         "center": 3,
         "size": 3,
         "yaw": 1,
     }
-    for part in told.covariances.values():
+    for part in reported.covariances.values():
         assert part.nees == pytest.approx(part.dimensions, rel=0.1)  # 3000 draws: 3 deviations are 0.08

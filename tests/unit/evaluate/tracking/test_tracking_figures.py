@@ -1,4 +1,4 @@
-"""Figures of trackers by hand: what counts, what does not, in pictures and in space."""
+"""Figures of trackers by hand: what counts, what does not, in images and in space."""
 
 import numpy as np
 import pytest
@@ -17,8 +17,10 @@ def table(rows, **columns) -> ObjectTable:
     frames, ids, labels, lefts = zip(*rows, strict=True)
     left = np.array(lefts, float)
     corners = np.column_stack([left, np.zeros(len(left)), left + 100, np.full(len(left), 80.0)])
-    told = {name: np.asarray(column, float) for name, column in columns.items()}
-    return ObjectTable(np.array(frames), np.array(ids), labels, told.pop("corners_xyxy", corners), **told)
+    reported = {name: np.asarray(column, float) for name, column in columns.items()}
+    return ObjectTable(
+        np.array(frames), np.array(ids), labels, reported.pop("corners_xyxy", corners), **reported
+    )
 
 
 def track(label: str, number: int, left: float, frames=range(10)) -> list:
@@ -32,21 +34,21 @@ def clear_of(found: ObjectTable, truth: ObjectTable, label: str = "car", **how):
 def test_two_tracks_of_one_object_are_one_switch_and_half_of_the_association():
     truth = table(track("Car", 0, 0))
     found = table(track("Car", 1, 0, range(5)) + track("Car", 2, 0, range(5, 10)))
-    told = score_sequence(found, truth, "car")
-    assert (told.clear.idsw, told.clear.frag, told.clear.tp) == (1, 0, 10)
+    reported = score_sequence(found, truth, "car")
+    assert (reported.clear.idsw, reported.clear.frag, reported.clear.tp) == (1, 0, 10)
     # each pair lasts 5 frames of the 10 in which one of both is there
-    assert (told.hota.deta, told.hota.assa) == (1.0, 0.5)
-    assert told.hota.hota == pytest.approx(np.sqrt(0.5))
-    assert (told.hota.assre, told.hota.asspr) == (0.5, 1.0)
-    assert told.identity.idf1 == 0.5
+    assert (reported.hota.deta, reported.hota.assa) == (1.0, 0.5)
+    assert reported.hota.hota == pytest.approx(np.sqrt(0.5))
+    assert (reported.hota.assre, reported.hota.asspr) == (0.5, 1.0)
+    assert reported.identity.idf1 == 0.5
 
 
 def test_a_gap_is_a_fragment_and_no_switch():
     truth = table(track("Car", 0, 0) + track("Car", 1, 500))
     found = table(track("Car", 7, 0, [0, 1, 2, 6, 7, 8, 9]) + track("Car", 8, 500))
-    told = clear_of(found, truth)
-    assert (told.frag, told.idsw, told.fn, told.fp) == (1, 0, 3, 0)
-    assert (told.mt, told.pt, told.ml) == (1, 1, 0)
+    reported = clear_of(found, truth)
+    assert (reported.frag, reported.idsw, reported.fn, reported.fp) == (1, 0, 3, 0)
+    assert (reported.mt, reported.pt, reported.ml) == (1, 1, 0)
 
 
 def test_frames_in_which_nothing_is_found_at_all_end_no_track():
@@ -61,8 +63,8 @@ def test_frames_in_which_nothing_is_found_at_all_end_no_track():
 )
 def test_what_is_found_of_hidden_cut_and_similar_objects_neither_counts_nor_is_false(columns, label):
     truth, found = table(track(label, 0, 0), **columns), table(track("Car", 1, 0))
-    told = clear_of(found, truth)
-    assert (told.tp, told.fn, told.fp) == (0, 0, 0)
+    reported = clear_of(found, truth)
+    assert (reported.tp, reported.fn, reported.fp) == (0, 0, 0)
 
 
 def test_small_boxes_and_boxes_in_regions_are_not_false_where_no_object_is():
@@ -76,8 +78,8 @@ def test_small_boxes_and_boxes_in_regions_are_not_false_where_no_object_is():
 def test_other_classes_are_neither_found_nor_false():
     truth = table(track("Car", 0, 0) + track("Cyclist", 1, 300))
     found = table(track("Car", 5, 0) + track("Pedestrian", 6, 600))
-    told = clear_of(found, truth)
-    assert (told.tp, told.fn, told.fp) == (10, 0, 0)
+    reported = clear_of(found, truth)
+    assert (reported.tp, reported.fn, reported.fp) == (10, 0, 0)
 
 
 def test_names_of_classes_do_not_depend_on_capitals():
@@ -95,27 +97,27 @@ def test_the_order_of_rows_says_nothing():
 
 def in_space(rows) -> ObjectTable:
     """Rows of frame, id and x of boxes of 4 x 2 x 1.5 m."""
-    frames, ids, places = (np.array(column) for column in zip(*rows, strict=True))
+    frames, ids, locations = (np.array(column) for column in zip(*rows, strict=True))
     boxes = np.zeros((len(rows), 7))
-    boxes[:, 0], boxes[:, 3:6] = places, (4, 2, 1.5)
+    boxes[:, 0], boxes[:, 3:6] = locations, (4, 2, 1.5)
     return ObjectTable(frames, ids, ("Car",) * len(rows), boxes=boxes)
 
 
-def test_tracks_in_space_need_no_pictures():
+def test_tracks_in_space_need_no_images():
     truth = in_space([(f, 0, 10.0 + f) for f in range(10)])
     found = in_space([(f, 3, 11.0 + f) for f in range(10)])
-    told = score_sequence(found, truth, "car", rules=IN_SPACE)
+    reported = score_sequence(found, truth, "car", rules=IN_SPACE)
     # a metre off: 3 m of 5 m in common
-    assert told.clear.motp == pytest.approx(0.6)
-    assert told.hota.curves["tp"][10:13] == (10, 10, 0)
+    assert reported.clear.motp == pytest.approx(0.6)
+    assert reported.hota.curves["tp"][10:13] == (10, 10, 0)
 
 
 def test_distances_of_middles_fall_to_nothing_at_four_metres():
     truth = in_space([(0, 0, 0.0), (1, 0, 0.0), (2, 0, 0.0)])
     found = in_space([(0, 1, 1.0), (1, 1, 2.0), (2, 1, 2.1)])
-    told = score_sequence(found, truth, "car", rules=TrackingRules(similarity=Similarity.DISTANCE))
-    assert told.clear.tp == 2
-    assert told.clear.motp == pytest.approx((0.75 + 0.5) / 2)
+    reported = score_sequence(found, truth, "car", rules=TrackingRules(similarity=Similarity.DISTANCE))
+    assert reported.clear.tp == 2
+    assert reported.clear.motp == pytest.approx((0.75 + 0.5) / 2)
 
 
 @pytest.mark.parametrize("side", ["results", "truth"])
@@ -166,21 +168,28 @@ def test_boxes_that_are_not_there_are_asked_for():
 def test_nothing_on_a_side_has_defined_figures(empty):
     nothing, one = ObjectTable.empty(), table(track("Car", 0, 0))
     found, truth = (nothing if empty in (side, "both") else one for side in ("results", "truth"))
-    told = score_sequence(found, truth, "car")
-    assert (told.hota.hota, told.clear.mota, told.identity.idf1, told.hota.loca) == (0.0, 0.0, 0.0, 1.0)
-    assert (told.clear.fn, told.clear.fp) == (10 * (empty == "results"), 10 * (empty == "truth"))
+    reported = score_sequence(found, truth, "car")
+    assert (reported.hota.hota, reported.clear.mota, reported.identity.idf1, reported.hota.loca) == (
+        0.0,
+        0.0,
+        0.0,
+        1.0,
+    )
+    assert (reported.clear.fn, reported.clear.fp) == (10 * (empty == "results"), 10 * (empty == "truth"))
 
 
 def test_several_sequences_are_weighted_by_their_boxes():
     good, bad = table(track("Car", 0, 0)), table(track("Car", 0, 500, range(2)))
-    told = evaluate_tracking({"a": good, "b": bad}, {"a": good, "b": good}, classes=("car",))["car"].combined
-    assert (told.clear.tp, told.clear.fn, told.clear.fp) == (10, 10, 2)
-    assert told.hota.deta == pytest.approx(10 / 22)
-    assert told.hota.assa == 1.0
+    reported = evaluate_tracking({"a": good, "b": bad}, {"a": good, "b": good}, classes=("car",))[
+        "car"
+    ].combined
+    assert (reported.clear.tp, reported.clear.fn, reported.clear.fp) == (10, 10, 2)
+    assert reported.hota.deta == pytest.approx(10 / 22)
+    assert reported.hota.assa == 1.0
 
 
 def test_sequences_without_any_object_count_their_false_boxes_when_taken_together():
     nothing, one = ObjectTable.empty(), table(track("Car", 0, 0))
-    told = evaluate_tracking({"a": one, "b": one}, {"a": nothing, "b": nothing}, classes=("car",))["car"]
+    reported = evaluate_tracking({"a": one, "b": one}, {"a": nothing, "b": nothing}, classes=("car",))["car"]
     # as TrackEval has it
-    assert (told.sequences["a"].clear.mota, told.combined.clear.mota) == (0.0, -20.0)
+    assert (reported.sequences["a"].clear.mota, reported.combined.clear.mota) == (0.0, -20.0)

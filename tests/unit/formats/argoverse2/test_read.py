@@ -1,4 +1,4 @@
-"""Logs of Argoverse 2: what their tables say is in the scene, number for number."""
+"""Logs of Argoverse 2: what their tables state is in the scene, number for number."""
 
 import pickle
 import sys
@@ -38,16 +38,16 @@ def table(path, **columns):
     feather.write_feather(pa.table(columns), str(path), compression="lz4")
 
 
-def poses(places, turns):
-    quaternions = np.array([turn.as_quat() for turn in turns])
+def poses(locations, rotations):
+    quaternions = np.array([rotation.as_quat() for rotation in rotations])
     return {
-        **{f"t{axis}_m": [place[k] for place in places] for k, axis in enumerate("xyz")},
+        **{f"t{axis}_m": [location[k] for location in locations] for k, axis in enumerate("xyz")},
         **{f"q{axis}": quaternions[:, k] for k, axis in enumerate("xyzw")},
     }
 
 
-def ego_pose(stamp_ns):
-    s = (stamp_ns - FIRST_NS) / 1e9
+def ego_pose(timestamp_ns):
+    s = (timestamp_ns - FIRST_NS) / 1e9
     return [5172.0 + 10 * s, 2419.0, 66.9], Rotation.from_euler("ZYX", [-28 + 6 * s, 1, 2], degrees=True)
 
 
@@ -66,35 +66,43 @@ BOX = Rotation.from_euler("z", 40, degrees=True)
 
 
 def write_log(log):
-    stamps = [FIRST_NS + 10_000_000 * k for k in range(-3, 14)]
-    way = [ego_pose(stamp) for stamp in stamps]
-    order = np.random.default_rng(5).permutation(len(stamps))  # logs are nearly sorted, and not quite
+    timestamps = [FIRST_NS + 10_000_000 * k for k in range(-3, 14)]
+    trajectory = [ego_pose(timestamp) for timestamp in timestamps]
+    order = np.random.default_rng(5).permutation(len(timestamps))  # logs are nearly sorted, and not quite
     table(
         log / "city_SE3_egovehicle.feather",
-        timestamp_ns=[stamps[k] for k in order],
-        **poses([way[k][0] for k in order], [way[k][1] for k in order]),
+        timestamp_ns=[timestamps[k] for k in order],
+        **poses([trajectory[k][0] for k in order], [trajectory[k][1] for k in order]),
     )
     table(
         log / "calibration" / "egovehicle_SE3_sensor.feather",
         sensor_name=list(MOUNTS),
-        **poses([place for place, _ in MOUNTS.values()], [turn for _, turn in MOUNTS.values()]),
+        **poses([location for location, _ in MOUNTS.values()], [rotation for _, rotation in MOUNTS.values()]),
     )
-    lens = {"fx_px": 60.0, "fy_px": 61.0, "cx_px": 31.0, "cy_px": 24.0, "k1": -0.24, "k2": -0.2, "k3": 0.3}
+    camera_model = {
+        "fx_px": 60.0,
+        "fy_px": 61.0,
+        "cx_px": 31.0,
+        "cy_px": 24.0,
+        "k1": -0.24,
+        "k2": -0.2,
+        "k3": 0.3,
+    }
     table(
         log / "calibration" / "intrinsics.feather",
         sensor_name=["ring_front_center"],
-        **{name: [value] for name, value in lens.items()},
+        **{name: [value] for name, value in camera_model.items()},
         height_px=np.array([48], np.uint16),
         width_px=np.array([64], np.uint16),
     )
     for k in range(2):
         table(log / "sensors" / "lidar" / f"{FIRST_NS + 100_000_000 * k}.feather", **sweep(k))
-    pictures = log / "sensors" / "cameras" / "ring_front_center"
-    pictures.mkdir(parents=True)
+    images = log / "sensors" / "cameras" / "ring_front_center"
+    images.mkdir(parents=True)
     for k in range(3):
-        Image.new("RGB", (64, 48), (60 * k, 0, 0)).save(pictures / f"{FIRST_NS + 50_000_000 * k}.jpg")
+        Image.new("RGB", (64, 48), (60 * k, 0, 0)).save(images / f"{FIRST_NS + 50_000_000 * k}.jpg")
     times = [FIRST_NS, FIRST_NS + 100_000_000, FIRST_NS]
-    places = [[10.0, 2.0, 0.5], [9.0, 2.0, 0.5], [30.0, 0.0, 1.0]]
+    locations = [[10.0, 2.0, 0.5], [9.0, 2.0, 0.5], [30.0, 0.0, 1.0]]
     table(
         log / "annotations.feather",
         timestamp_ns=times,
@@ -103,7 +111,7 @@ def write_log(log):
         length_m=[4.5, 4.5, 0.2],
         width_m=[1.9, 1.9, 0.7],
         height_m=[1.6, 1.6, 0.8],
-        **poses(places, [BOX] * 3),
+        **poses(locations, [BOX] * 3),
         num_interior_pts=[12, 9, 1],
     )
     return log
@@ -114,7 +122,7 @@ def log(tmp_path):
     return write_log(tmp_path / "7fab2350")
 
 
-def test_points_of_both_lidars_are_told_apart_by_their_lasers(log):
+def test_points_of_both_lidars_are_distinguished_by_their_lasers(log):
     scene = sceneloom.open(log)
     rows = sweep(1)
     for sensor_id, chosen in (
@@ -128,28 +136,28 @@ def test_points_of_both_lidars_are_told_apart_by_their_lasers(log):
         assert points.rings.tolist() == rows["laser_number"][chosen].tolist()
         assert points.intensities.tolist() == rows["intensity"][chosen].tolist()
         assert points.extras["offset_ns"].tolist() == rows["offset_ns"][chosen].tolist()
-        # they were moved to where the ego was at the stamp: moving them again would be wrong
+        # they were moved to where the ego was at the timestamp: moving them again would be wrong
         assert set(points.timestamps_ns.tolist()) == {FIRST_NS + 100_000_000}
 
 
-@pytest.mark.parametrize("told", [True, "true", "yes"])
-def test_both_lidars_can_be_given_as_one(log, told):
-    scene = sceneloom.open(log, one_lidar=told)
+@pytest.mark.parametrize("reported", [True, "true", "yes"])
+def test_both_lidars_can_be_given_as_one(log, reported):
+    scene = sceneloom.open(log, one_lidar=reported)
     assert [lidar.id for lidar in scene.lidars] == ["lidar"]
     assert len(scene.lidars[0].frames[1].points) == 31
-    assert "lidars-joined" in {notice.code for notice in scene.notices}
+    assert "lidars-joined" in {warning.code for warning in scene.warnings}
 
 
 @pytest.mark.parametrize("name", MOUNTS)
-def test_sensors_are_where_the_ego_and_their_mountings_say(log, name):
+def test_sensors_are_where_the_ego_and_their_mountings_state(log, name):
     sensor = sceneloom.open(log).sensor(name)
-    place, turn = MOUNTS[name]
-    assert np.allclose(sensor.mount.matrix[:3, 3], place)
-    for k, stamp in enumerate(sensor.poses.timestamps_ns.tolist()):
-        ego, ego_turn = ego_pose(stamp)
-        assert np.allclose(sensor.poses.positions[k], ego + ego_turn.apply(place), atol=NEAR)
+    location, rotation = MOUNTS[name]
+    assert np.allclose(sensor.mount.matrix[:3, 3], location)
+    for k, timestamp in enumerate(sensor.poses.timestamps_ns.tolist()):
+        ego, ego_rotation = ego_pose(timestamp)
+        assert np.allclose(sensor.poses.positions[k], ego + ego_rotation.apply(location), atol=NEAR)
         found = Rotation.from_quat(sensor.poses.quaternions_xyzw[k])
-        assert (found.inv() * ego_turn * turn).magnitude() < NEAR
+        assert (found.inv() * ego_rotation * rotation).magnitude() < NEAR
 
 
 def test_boxes_are_brought_into_the_world(log):
@@ -157,33 +165,33 @@ def test_boxes_are_brought_into_the_world(log):
     car, sign = scene.annotations
     assert (car.id, car.label, sign.label) == ("car", "REGULAR_VEHICLE", "SIGN")
     assert car.attributes[0].values == (12, 9)
-    for k, place in enumerate([[10.0, 2.0, 0.5], [9.0, 2.0, 0.5]]):
-        ego, turn = ego_pose(FIRST_NS + 100_000_000 * k)
+    for k, location in enumerate([[10.0, 2.0, 0.5], [9.0, 2.0, 0.5]]):
+        ego, rotation = ego_pose(FIRST_NS + 100_000_000 * k)
         row = car.path.values[k]
         assert row[:3].tolist() == [4.5, 1.9, 1.6]
-        assert np.allclose(row[3:6], ego + turn.apply(place), atol=NEAR)
+        assert np.allclose(row[3:6], ego + rotation.apply(location), atol=NEAR)
         found = Rotation.from_quat(CuboidAngles.of(scene).quaternions(row[6:]))
-        assert (found.inv() * turn * BOX).magnitude() < NEAR
+        assert (found.inv() * rotation * BOX).magnitude() < NEAR
 
 
-def test_the_way_of_the_ego_is_sorted_and_keeps_its_nanoseconds(log):
-    way = sceneloom.open(log).trajectories["pose"]
-    assert way.timestamps_ns.tolist() == [FIRST_NS + 10_000_000 * k for k in range(-3, 14)]
+def test_the_ego_trajectory_is_sorted_and_keeps_its_nanoseconds(log):
+    trajectory = sceneloom.open(log).trajectories["pose"]
+    assert trajectory.timestamps_ns.tolist() == [FIRST_NS + 10_000_000 * k for k in range(-3, 14)]
 
 
-def test_pictures_are_undistorted_unless_somebody_says_otherwise(log):
+def test_images_are_undistorted_unless_somebody_says_otherwise(log):
     camera = sceneloom.open(log).cameras[0]
     assert (camera.camera.model, camera.camera.coefficients) == ("pinhole", ())
     assert camera.extras["k1"] == -0.24
-    assert camera.pictures[2].rgb.shape == (48, 64, 3)
-    lens = sceneloom.open(log, distorted=True).cameras[0].camera
-    assert lens.model == "brown_conrady"
-    assert lens.coefficients[:6] == (-0.24, -0.2, 0.0, 0.0, 0.3, 0.0)
+    assert camera.images[2].rgb.shape == (48, 64, 3)
+    camera_model = sceneloom.open(log, distorted=True).cameras[0].camera
+    assert camera_model.model == "brown_conrady"
+    assert camera_model.coefficients[:6] == (-0.24, -0.2, 0.0, 0.0, 0.3, 0.0)
 
 
 def test_frames_go_to_other_processes(log):
     scene = sceneloom.open(log)
-    for frames in (scene.lidars[0].frames, scene.cameras[0].pictures):
+    for frames in (scene.lidars[0].frames, scene.cameras[0].images):
         assert pickle.loads(pickle.dumps(frames))[1].timestamp_ns == frames[1].timestamp_ns
 
 
@@ -219,13 +227,16 @@ def changed(name, **columns):
     return change
 
 
-MOUNTINGS, LENSES = "calibration/egovehicle_SE3_sensor.feather", "calibration/intrinsics.feather"
+MOUNTINGS, CAMERA_MODELS = "calibration/egovehicle_SE3_sensor.feather", "calibration/intrinsics.feather"
 FAULTS = {
     "no poses": (without("city_SE3_egovehicle.feather"), "city_SE3_egovehicle.feather: is not there"),
     "no mountings": (without(MOUNTINGS), "egovehicle_SE3_sensor.feather: is not there"),
-    "no lenses": (without(LENSES), "is not there; expected the lenses of ring_front_center"),
-    "a lens of another camera": (
-        changed(LENSES, sensor_name=["x"]),
+    "no camera models": (
+        without(CAMERA_MODELS),
+        "is not there; expected the camera models of ring_front_center",
+    ),
+    "a camera model of another camera": (
+        changed(CAMERA_MODELS, sensor_name=["x"]),
         "no camera 'ring_front_center'; it has x",
     ),
     "poses cut off": (cut("city_SE3_egovehicle.feather"), "is no whole feather file"),
@@ -268,14 +279,14 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_what_is_wrong_with_a_log_is_told_with_its_place(log, fault):
+def test_what_is_wrong_with_a_log_is_reported_with_its_location(log, fault):
     change, message = FAULTS[fault]
     change(log)
     with pytest.raises(DataError, match=message):
         sceneloom.open(log)
 
 
-def test_a_sweep_that_is_cut_off_is_told_when_it_is_read(log):
+def test_a_sweep_that_is_cut_off_is_reported_when_it_is_read(log):
     cut(f"sensors/lidar/{FIRST_NS}.feather")(log)
     scene = sceneloom.open(log)
     with pytest.raises(DataError, match=f"{FIRST_NS}.feather: is no whole feather file"):
@@ -286,22 +297,22 @@ def test_boxes_of_other_times_are_left_out_and_counted_by_a_lenient_reading(log)
     changed("annotations.feather", timestamp_ns=[FIRST_NS, 5, FIRST_NS])(log)
     scene = sceneloom.open(log, lenient=True)
     assert [len(cuboid.path.values) for cuboid in scene.annotations] == [1, 1]
-    assert {notice.code: notice.count for notice in scene.notices}["boxes-without-pose"] == 1
+    assert {warning.code: warning.count for warning in scene.warnings}["boxes-without-pose"] == 1
 
 
-def test_half_a_log_is_told_what_it_lacks(log):
+def test_half_a_log_is_reported_what_it_lacks(log):
     without("city_SE3_egovehicle.feather")(log)
     without(MOUNTINGS)(log)
     with pytest.raises(DataError, match="has sensors/lidar/"):
         sceneloom.open(log)
 
 
-def test_a_picture_of_another_size_is_told(log):
+def test_an_image_of_another_size_is_reported(log):
     content = BytesIO()
     Image.new("RGB", (32, 48)).save(content, "JPEG")
     (log / "sensors/cameras/ring_front_center" / f"{FIRST_NS}.jpg").write_bytes(content.getvalue())
     with pytest.raises(DataError, match="is 32x48; expected 64x48"):
-        _ = sceneloom.open(log).cameras[0].pictures[0].rgb
+        _ = sceneloom.open(log).cameras[0].images[0].rgb
 
 
 def test_an_option_that_is_neither_true_nor_false_is_refused(log):
@@ -316,7 +327,9 @@ def test_without_pyarrow_the_extra_is_named(log, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "gone", [(MOUNTINGS,), (LENSES,), (MOUNTINGS, LENSES)], ids=["mountings", "lenses", "both"]
+    "gone",
+    [(MOUNTINGS,), (CAMERA_MODELS,), (MOUNTINGS, CAMERA_MODELS)],
+    ids=["mountings", "camera_models", "both"],
 )
 @pytest.mark.parametrize("how", [without, cut], ids=["missing", "cut"])
 def test_a_lenient_reading_does_without_calibration(log, gone, how):
@@ -325,9 +338,11 @@ def test_a_lenient_reading_does_without_calibration(log, gone, how):
     with sceneloom.open(log, lenient=True) as scene:
         assert [len(lidar.frames[0].points.positions) > 0 for lidar in scene.lidars] == [True, True]
         assert all((lidar.mount is None) is (MOUNTINGS in gone) for lidar in scene.lidars)
-        assert len(scene.cameras) == int(LENSES not in gone)
-        codes = {notice.code for notice in scene.notices}
-        assert codes >= {"mountings-missing" if name == MOUNTINGS else "lenses-missing" for name in gone}
+        assert len(scene.cameras) == int(CAMERA_MODELS not in gone)
+        codes = {warning.code for warning in scene.warnings}
+        assert codes >= {
+            "mountings-missing" if name == MOUNTINGS else "camera-models-missing" for name in gone
+        }
 
 
 @pytest.mark.parametrize("compression", ["lz4", "zstd"])

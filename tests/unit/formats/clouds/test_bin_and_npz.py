@@ -97,7 +97,7 @@ def test_a_column_that_is_too_short_is_refused_and_not_left_out(tmp_path):
         read_cloud(tmp_path / "a.npz")
 
 
-def test_what_an_npz_file_holds_in_place_of_points_is_told_with_its_shape(tmp_path):
+def test_what_an_npz_file_holds_instead_of_points_is_reported_with_its_shape(tmp_path):
     np.savez(tmp_path / "a.npz", range_image=np.ones((4, 5, 3), "f4"))
     with pytest.raises(
         DataError, match=r"holds range_image \(4, 5, 3\); expected arrays of numbers with a row per point"

@@ -24,7 +24,7 @@ POINTS = [(1.5, -2.0, 0.25, 7.0, 3, 1532402927647951000), (4.0, 5.0, -6.0, 0.5, 
 
 
 def literal_lzf(content: bytes) -> bytes:
-    """Pack bytes as LZF the slow, obvious way: literal runs of up to 32 bytes, no back references."""
+    """Pack bytes as LZF the slow, obvious trajectory: literal runs of up to 32 bytes, no back references."""
     runs = [content[k : k + 32] for k in range(0, len(content), 32)]
     return b"".join(bytes([len(run) - 1]) + run for run in runs)
 
@@ -86,7 +86,7 @@ def test_a_cloud_without_points_is_read(tmp_path, form):
     assert (cloud.count, len(cloud.columns["t"])) == (0, 0)
 
 
-def test_a_file_that_breaks_off_is_told_with_its_bytes(tmp_path):
+def test_a_file_that_breaks_off_is_reported_with_its_bytes(tmp_path):
     (tmp_path / "a.pcd").write_bytes(pcd("binary")[:-5])
     with pytest.raises(DataError, match=r"47 bytes of points; expected 52: 2 points of 26 bytes"):
         read_cloud(tmp_path / "a.pcd")
@@ -106,7 +106,7 @@ def test_a_file_that_breaks_off_is_told_with_its_bytes(tmp_path):
         (" 31 ", " ", "line 13: 5 values; expected 6: x y z intensity ring t"),
     ],
 )
-def test_a_wrong_file_is_told_with_its_place(tmp_path, old, new, problem):
+def test_a_wrong_file_is_reported_with_its_location(tmp_path, old, new, problem):
     (tmp_path / "a.pcd").write_text(pcd("ascii").decode().replace(old, new))
     with pytest.raises(DataError, match=problem):
         read_cloud(tmp_path / "a.pcd")

@@ -96,13 +96,13 @@ def test_lists_inside_vertices_are_passed_over(tmp_path, form):
         (b"4.0 ", b"", "line 12: 4 values; expected 5"),
     ],
 )
-def test_a_wrong_file_is_told_with_its_place(tmp_path, old, new, problem):
+def test_a_wrong_file_is_reported_with_its_location(tmp_path, old, new, problem):
     (tmp_path / "a.ply").write_bytes((head("ascii", VERTEX) + rows("ascii")).replace(old, new))
     with pytest.raises(DataError, match=problem):
         read_cloud(tmp_path / "a.ply")
 
 
-def test_a_file_that_breaks_off_is_told_with_its_bytes(tmp_path):
+def test_a_file_that_breaks_off_is_reported_with_its_bytes(tmp_path):
     (tmp_path / "a.ply").write_bytes(head("binary_big_endian", VERTEX) + rows("binary_big_endian")[:-1])
     with pytest.raises(DataError, match=r"41 bytes of vertex; expected 42: 2 of 21 bytes"):
         read_cloud(tmp_path / "a.ply")

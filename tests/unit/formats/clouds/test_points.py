@@ -18,7 +18,7 @@ from sceneloom.formats.clouds.points import (
 )
 
 XYZ = {axis: np.array([1.0, 2.0, 3.0], np.float32) for axis in "xyz"}
-CLOCK = SweepClock(stamp_ns=1_532_402_927_647_951_001, start_ns=1_532_402_927_597_951_001, zero_ns=7)
+CLOCK = SweepClock(timestamp_ns=1_532_402_927_647_951_001, start_ns=1_532_402_927_597_951_001, zero_ns=7)
 
 
 def read(columns, mapping=None, clock=CLOCK):
@@ -71,7 +71,7 @@ def test_brightness_is_scaled_rounded_and_clipped(values, maximum, expected, cli
         (np.array([1], np.uint8), 255.0),
     ],
 )
-def test_the_scale_of_brightness_is_told_from_the_values(values, maximum):
+def test_the_scale_of_brightness_is_distinguished_from_the_values(values, maximum):
     assert detect_scale(values) == IntensityScale(maximum)
 
 
@@ -80,10 +80,12 @@ def test_brightness_beyond_all_scales_is_not_guessed():
 
 
 def test_absolute_times_lose_no_nanosecond():
-    stamps = np.array([CLOCK.stamp_ns, CLOCK.stamp_ns + 1, CLOCK.stamp_ns + 99_999_999], np.uint64)
+    timestamps = np.array(
+        [CLOCK.timestamp_ns, CLOCK.timestamp_ns + 1, CLOCK.timestamp_ns + 99_999_999], np.uint64
+    )
     times = PointTimes("nanoseconds", "clock", "t")
-    points = read({**XYZ, "t": stamps}, PointMapping(times=times)).points
-    assert points.timestamps_ns.tolist() == [int(stamp) + 7 for stamp in stamps]
+    points = read({**XYZ, "t": timestamps}, PointMapping(times=times)).points
+    assert points.timestamps_ns.tolist() == [int(timestamp) + 7 for timestamp in timestamps]
 
 
 @pytest.mark.parametrize(
@@ -94,7 +96,9 @@ def test_absolute_times_lose_no_nanosecond():
         ("milliseconds", np.array([0.0, 0.25, 100.0], np.float32), [0, 250_000, 100_000_000]),
     ],
 )
-@pytest.mark.parametrize(("relative_to", "base_ns"), [("stamp", CLOCK.stamp_ns), ("start", CLOCK.start_ns)])
+@pytest.mark.parametrize(
+    ("relative_to", "base_ns"), [("timestamp", CLOCK.timestamp_ns), ("start", CLOCK.start_ns)]
+)
 def test_relative_times_count_from_what_they_are_relative_to(unit, values, offsets_ns, relative_to, base_ns):
     mapping = PointMapping(times=PointTimes(unit, relative_to, "t"))
     points = read({**XYZ, "t": values}, mapping).points
@@ -102,15 +106,15 @@ def test_relative_times_count_from_what_they_are_relative_to(unit, values, offse
 
 
 def test_times_of_the_wrong_unit_are_refused_and_the_right_one_is_named():
-    mapping = PointMapping(times=PointTimes("seconds", "stamp", "t"))
+    mapping = PointMapping(times=PointTimes("seconds", "timestamp", "t"))
     with pytest.raises(
-        DataError, match=r't\[1\]: 50000000 seconds .*unit = "nanoseconds", relative_to = "stamp"'
+        DataError, match=r't\[1\]: 50000000 seconds .*unit = "nanoseconds", relative_to = "timestamp"'
     ):
         read({**XYZ, "t": np.array([0, 50_000_000, 100_000_000], np.uint32)}, mapping)
 
 
 def test_a_time_that_is_no_number_is_refused():
-    mapping = PointMapping(times=PointTimes("seconds", "stamp", "t"))
+    mapping = PointMapping(times=PointTimes("seconds", "timestamp", "t"))
     with pytest.raises(DataError, match=r"t\[2\]: nan"):
         read({**XYZ, "t": np.array([0.0, 0.1, np.nan])}, mapping)
 
@@ -143,7 +147,7 @@ def test_lasers_that_are_no_whole_numbers_are_left_as_they_are():
     assert points.extras["ring"].tolist() == [0.0, 1.5, 2.0]
 
 
-def test_a_column_that_was_named_but_is_not_there_is_told():
+def test_a_column_that_was_named_but_is_not_there_is_reported():
     with pytest.raises(DataError, match="reflex: no such column for intensity; the file has x y z"):
         read(XYZ, PointMapping(named={"intensity": "reflex"}))
 

@@ -41,7 +41,7 @@ T_BS:
 rate_hz: 200
 gyroscope_noise_density: 1.6968e-04
 """
-WAY = (
+TRAJECTORY = (
     "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], "
     "v_RS_R_x [m s^-1], v_RS_R_y [m s^-1], v_RS_R_z [m s^-1], b_w_RS_S_x [rad s^-1], b_w_RS_S_y [rad s^-1], "
     "b_w_RS_S_z [rad s^-1], b_a_RS_S_x [m s^-2], b_a_RS_S_y [m s^-2], b_a_RS_S_z [m s^-2]\n"
@@ -71,7 +71,7 @@ def write_drive(tmp_path):
     (mav / "imu0" / "data.csv").write_text("\n".join([head, *rows, ""]))
     (mav / "imu0" / "sensor.yaml").write_text(IMU)
     poses = [f"{T0 + k * STEP},{k}.0,2.0,0.5,1,0,0,0,0,0,0,0,0,0,0,0,0" for k in range(3)]
-    (mav / "state_groundtruth_estimate0" / "data.csv").write_text(WAY + "\n".join(poses) + "\n")
+    (mav / "state_groundtruth_estimate0" / "data.csv").write_text(TRAJECTORY + "\n".join(poses) + "\n")
     spots = [f"{T0 + k * STEP},{k}.25,1.0,2.0" for k in range(2)]
     (mav / "leica0" / "data.csv").write_text(
         "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m]\n" + "\n".join(spots)
@@ -98,13 +98,13 @@ def test_a_drive_is_read_whole(drive):
         ]
         assert list(scene.trajectories) == ["groundTruth", "leica0"]
         assert scene.trajectories["leica0"].quaternions_xyzw is None
-        assert {notice.code for notice in scene.notices} == {"states-not-read"}
+        assert {warning.code for warning in scene.warnings} == {"states-not-read"}
 
 
-def test_pictures_have_their_times_lens_and_place(drive):
+def test_images_have_their_times_camera_model_and_location(drive):
     camera = open_scene(drive).sensor("cam0")
-    assert camera.pictures.timestamps_ns.tolist() == [T0, T0 + STEP, T0 + 2 * STEP]
-    assert camera.pictures[2].rgb.tolist() == np.full((6, 8, 3), 20).tolist()
+    assert camera.images.timestamps_ns.tolist() == [T0, T0 + STEP, T0 + 2 * STEP]
+    assert camera.images[2].rgb.tolist() == np.full((6, 8, 3), 20).tolist()
     assert camera.camera.model == "brown_conrady"
     assert camera.camera.coefficients == (-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05)
     assert (camera.camera.fx, camera.camera.cy, camera.fps) == (458.654, 248.375, 20.0)
@@ -115,7 +115,7 @@ def test_pictures_have_their_times_lens_and_place(drive):
     )
 
 
-def test_rates_and_accelerations_are_told_in_the_axes_of_the_body(drive):
+def test_rates_and_accelerations_are_reported_in_the_axes_of_the_body(drive):
     imu = open_scene(drive).sensor("imu0")
     assert imu.streams["gyroscope"].values[0].tolist() == [-2.0, 1.0, 3.0]
     assert imu.streams["accelerometer"].values[3].tolist() == [-3.5, 9.8, -0.25]
@@ -123,24 +123,26 @@ def test_rates_and_accelerations_are_told_in_the_axes_of_the_body(drive):
     assert imu.extras["noises"] == {"gyroscope_noise_density": 1.6968e-04}
 
 
-def test_a_way_that_was_measured_elsewhere_on_the_body_is_brought_to_the_body(drive):
+def test_a_trajectory_that_was_measured_elsewhere_on_the_body_is_brought_to_the_body(drive):
     folder = drive / "mav0" / "vicon0"
     folder.mkdir()
-    # a quarter turn to the left; the marker is 1 m ahead of the body
+    # a quarter rotation to the left; the marker is 1 m ahead of the body
     half = np.sqrt(0.5)
-    (folder / "data.csv").write_text(WAY[: WAY.index(", v_RS")] + f"\n{T0},5,5,1,{half},0,0,{half}\n")
+    (folder / "data.csv").write_text(
+        TRAJECTORY[: TRAJECTORY.index(", v_RS")] + f"\n{T0},5,5,1,{half},0,0,{half}\n"
+    )
     (folder / "sensor.yaml").write_text("T_BS:\n  data: [1, 0, 0, 1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\n")
-    way = open_scene(drive).trajectories["vicon0"]
-    np.testing.assert_allclose(way.positions, [[5.0, 4.0, 1.0]], atol=1e-12)
+    trajectory = open_scene(drive).trajectories["vicon0"]
+    np.testing.assert_allclose(trajectory.positions, [[5.0, 4.0, 1.0]], atol=1e-12)
 
 
-def test_the_folder_of_the_sensors_is_the_drive_too_and_lenses_of_tum_are_fisheyes(drive):
+def test_the_folder_of_the_sensors_is_the_drive_too_and_camera_models_of_tum_are_fisheyes(drive):
     text = CAMERA.replace("radial-tangential", "equidistant").replace("[8, 6]", "[16, 12]")
     (drive / "mav0" / "cam0" / "sensor.yaml").write_text(text)
     with open_scene(drive / "mav0") as scene:
         camera = scene.sensor("cam0").camera
         assert camera.model == "fisheye"
-        # calibrated for pictures of twice the size
+        # calibrated for images of twice the size
         assert (camera.width, camera.fx) == (8, 458.654 / 2)
 
 
@@ -157,7 +159,7 @@ def test_the_folder_of_the_sensors_is_the_drive_too_and_lenses_of_tum_are_fishey
         ("imu0/data.csv", (",9.8,0.5,-0.25", ",9.8,x,-0.25"), "finite number"),
     ],
 )
-def test_what_is_wrong_is_told_with_its_place(drive, file, change, problem):
+def test_what_is_wrong_is_reported_with_its_location(drive, file, change, problem):
     path = drive / "mav0" / file
     before = path.read_text()
     assert change[0] in before
@@ -182,15 +184,15 @@ def test_half_folders_and_writing_are_refused(tmp_path, drive):
 
 
 @pytest.mark.parametrize("left", [0, 1])
-def test_a_lenient_reading_leaves_out_pictures_that_are_not_there(drive, left):
+def test_a_lenient_reading_leaves_out_images_that_are_not_there(drive, left):
     with open_scene(drive) as scene:
         folders = [drive / "mav0" / str(camera.id) / "data" for camera in scene.cameras]
-        count = len(scene.cameras[0].pictures)
+        count = len(scene.cameras[0].images)
     for folder in folders:
         for file in sorted(folder.iterdir())[left:]:
             file.unlink()
     with open_scene(drive, lenient=True) as scene:
-        assert [len(camera.pictures) for camera in scene.cameras] == [left] * len(folders)
-        assert all(picture.rgb.shape[2] == 3 for camera in scene.cameras for picture in camera.pictures)
-        (notice,) = (one for one in scene.notices if one.code == "files-missing")
-        assert notice.count == (count - left) * len(folders)
+        assert [len(camera.images) for camera in scene.cameras] == [left] * len(folders)
+        assert all(image.rgb.shape[2] == 3 for camera in scene.cameras for image in camera.images)
+        (warning,) = (one for one in scene.warnings if one.code == "files-missing")
+        assert warning.count == (count - left) * len(folders)

@@ -25,7 +25,7 @@ def test_labels_of_tracking_have_frames_and_tracks(tmp_path):
     assert labels.corners_xyxy[0].tolist() == [10, 20, 30, 40]  # as in the file, not shifted
     assert (labels.sizes_hwl[0].tolist(), labels.bottoms[0].tolist()) == ([1.5, 1.6, 4.0], [2.0, 1.5, 10.0])
     assert (labels.alphas[0], labels.rotations_y[0], labels.occlusions[0]) == (-1.5, 0.25, 1)
-    assert labels.have_place.tolist() == [True, False, True]
+    assert labels.have_position.tolist() == [True, False, True]
     assert labels.scores is None
 
 
@@ -42,7 +42,7 @@ def test_an_empty_file_holds_no_labels(tmp_path):
 
 def test_what_is_written_is_read_back(tmp_path):
     labels = read_labels(written(tmp_path, TRACKING.replace("\n", " 0.125\n")))
-    write_labels(labels.select(labels.have_place), tmp_path / "out.txt")
+    write_labels(labels.select(labels.have_position), tmp_path / "out.txt")
     back = read_labels(tmp_path / "out.txt")
     np.testing.assert_array_equal(back.bottoms, labels.bottoms[[0, 2]])
     assert back.scores.tolist() == [0.125, 0.125]
@@ -66,7 +66,7 @@ def test_an_output_is_not_overwritten_unasked(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         (f"0 3 {CAR} 0.5 9\n", "line 1: 19 values; expected 17 or 18"),
         (f"0 3 {CAR}\n1 3 {CAR[:-5]}\n", "line 2: 16 values; expected 17 or 18"),
@@ -78,6 +78,6 @@ def test_an_output_is_not_overwritten_unasked(tmp_path):
         (f"{CAR.replace('Car', '7')}\n", "line 1: class '1'; expected a word"),
     ],
 )
-def test_a_faulty_line_is_told_with_its_place(tmp_path, text, told):
-    with pytest.raises(DataError, match=told):
+def test_a_faulty_line_is_reported_with_its_location(tmp_path, text, reported):
+    with pytest.raises(DataError, match=reported):
         read_labels(written(tmp_path, text))

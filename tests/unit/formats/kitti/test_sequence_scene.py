@@ -8,7 +8,7 @@ from sceneloom.formats.kitti.sequence_scene import sequence_scene
 from sceneloom.formats.kitti.tracking_folder import open_tracking_folder
 
 
-def test_the_camera_is_where_the_calibration_and_the_way_put_it(tracking_folder, tmp_path):
+def test_the_camera_is_where_the_calibration_and_the_trajectory_put_it(tracking_folder, tmp_path):
     sequence = open_tracking_folder(tracking_folder()).sequence("0007")
     scene = sequence_scene(sequence)
     ego, camera = scene.sensors
@@ -21,11 +21,11 @@ def test_the_camera_is_where_the_calibration_and_the_way_put_it(tracking_folder,
     assert "error" not in {finding.severity for finding in report.findings}
     with sceneloom.open(tmp_path / "sequence.sfs") as read:
         assert read.cameras[0].camera == sequence.camera
-        assert len(read.cameras[0].pictures) == 0
+        assert len(read.cameras[0].images) == 0
 
 
-def test_without_a_way_the_ego_is_the_lidar(tracking_folder):
+def test_without_a_trajectory_the_ego_is_the_lidar(tracking_folder):
     sequence = open_tracking_folder(tracking_folder(oxts__0007=None)).sequence("0007")
     ego, camera = sequence_scene(sequence).sensors
-    assert ego.poses.endless
+    assert ego.poses.static
     assert camera.mount.matrix == pytest.approx(sequence.camera_from_lidar.inverse().matrix, abs=1e-12)

@@ -17,10 +17,10 @@ def sequence(folder, **options):
 def test_frames_are_ten_a_second_and_as_many_as_lines_of_oxts(tracking_folder):
     found = sequence(tracking_folder())
     assert found.timestamps_ns.tolist() == [0, 100_000_000, 200_000_000, 300_000_000]
-    assert found.notices == ()
+    assert found.warnings == ()
 
 
-def test_boxes_of_pictures_are_counted_from_the_pictures_corner(tracking_folder):
+def test_boxes_of_images_are_counted_from_the_images_corner(tracking_folder):
     boxes = sequence(tracking_folder()).boxes_2d(0)
     assert boxes.corners_xyxy.tolist() == [[10.5, 20.5, 110.5, 220.5]]
     assert (boxes.scores.tolist(), boxes.labels, boxes.score_form) == (
@@ -55,11 +55,14 @@ def test_the_fourth_column_of_the_projection_is_a_shift_of_the_camera(tracking_f
     found = sequence(tracking_folder())
     point = np.array([20.0, 3.0, -1.0])
     x, y, z = found.camera_from_lidar.apply(point)
-    lens = found.camera
+    camera_model = found.camera
     # the oracle is the projection as KITTI writes it: P2 R_rect Tr_velo_cam of the homogeneous point
     rectified = np.array([-point[1], -point[2] - 0.1, point[0] - 0.3, 1.0])
     u, v, w = np.array([[707.0493, 0, 600, 35], [0, 707.0493, 180, 0.7], [0, 0, 1, 0]]) @ rectified
-    assert (lens.fx * x / z + lens.cx, lens.fy * y / z + lens.cy) == pytest.approx((u / w, v / w), abs=1e-9)
+    assert (
+        camera_model.fx * x / z + camera_model.cx,
+        camera_model.fy * y / z + camera_model.cy,
+    ) == pytest.approx((u / w, v / w), abs=1e-9)
 
 
 def test_both_spellings_of_a_calibration_mean_the_same(tracking_folder, spellings):
@@ -69,10 +72,10 @@ def test_both_spellings_of_a_calibration_mean_the_same(tracking_folder, spelling
     np.testing.assert_array_equal(one.lidar_from_imu.matrix, other.lidar_from_imu.matrix)
 
 
-def test_the_way_turns_counter_clockwise_from_east(tracking_folder):
-    way = sequence(tracking_folder()).world_from_ego
-    np.testing.assert_allclose(way.quaternions_xyzw[3], [0, 0, np.sin(0.15), np.cos(0.15)], atol=1e-12)
-    assert np.abs(way.positions).max() < 1e-6  # the unit stands still
+def test_the_trajectory_rotates_counter_clockwise_from_east(tracking_folder):
+    trajectory = sequence(tracking_folder()).world_from_ego
+    np.testing.assert_allclose(trajectory.quaternions_xyzw[3], [0, 0, np.sin(0.15), np.cos(0.15)], atol=1e-12)
+    assert np.abs(trajectory.positions).max() < 1e-6  # the unit is stationary
 
 
 @pytest.mark.parametrize(
@@ -87,17 +90,17 @@ def test_the_way_turns_counter_clockwise_from_east(tracking_folder):
         ({"det3d_b__Pedestrian__0007": None, "det3d_b__Pedestrian__0009": ""}, "no-detections"),
     ],
 )
-def test_what_is_missing_is_told_and_the_rest_is_read(tracking_folder, changed, code):
+def test_what_is_missing_is_reported_and_the_rest_is_read(tracking_folder, changed, code):
     found = sequence(tracking_folder(**changed))
-    assert {notice.code for notice in found.notices} == {code}
+    assert {warning.code for warning in found.warnings} == {code}
     assert found.frame_count >= 3
     assert found.boxes_2d(2).labels + found.boxes_3d(2).labels != ()
     assert (found.world_from_ego is None) == (code == "no-oxts")
 
 
-def test_without_any_detector_of_pictures_there_are_none(tracking_folder):
+def test_without_any_detector_of_images_there_are_none(tracking_folder):
     tracking = open_tracking_folder(tracking_folder(det2d_a__Car__0007=None, det2d_a__Pedestrian__0007=None))
-    assert [notice.code for notice in tracking.notices] == ["no-detector"]
+    assert [warning.code for warning in tracking.warnings] == ["no-detector"]
     assert len(tracking.sequence("0007").boxes_2d(0)) == 0
 
 
@@ -119,15 +122,17 @@ def test_detections_without_a_calibration_are_a_tracking_folder_that_lacks_it(tr
         open_tracking_folder(folder)
 
 
-def test_a_class_that_one_detector_has_no_folder_for_is_told(tracking_folder):
+def test_a_class_that_one_detector_has_no_folder_for_is_reported(tracking_folder):
     found = sequence(tracking_folder(det2d_a__Pedestrian__0007=None))
-    assert [(notice.code, notice.place) for notice in found.notices] == [("one-detector", "0007: Pedestrian")]
+    assert [(warning.code, warning.location) for warning in found.warnings] == [
+        ("one-detector", "0007: Pedestrian")
+    ]
 
 
-def test_frames_beyond_the_way_are_told(tracking_folder):
+def test_frames_beyond_the_trajectory_are_reported(tracking_folder):
     found = sequence(tracking_folder(det2d_a__Car__0007="9,10,20,110,220,0.75\n"))
     assert found.frame_count == 10
-    assert [notice.code for notice in found.notices] == ["oxts-short"]
+    assert [warning.code for warning in found.warnings] == ["oxts-short"]
     assert len(found.world_from_ego.timestamps_ns) == 4
 
 
@@ -146,14 +151,14 @@ def test_several_detectors_are_a_question_to_the_user(tracking_folder):
 def test_boxes_without_an_area_are_left_out_and_counted(tracking_folder):
     found = sequence(tracking_folder(det2d_a__Car__0007="0,5,5,5,9,0.5\n0,5,9,9,5,0.5\n0,1,1,2,2,0.5\n"))
     assert len(found.boxes_2d(0)) == 1
-    assert [(notice.code, notice.count) for notice in found.notices] == [("boxes-without-area", 2)]
+    assert [(warning.code, warning.count) for warning in found.warnings] == [("boxes-without-area", 2)]
 
 
 GOOD_3D = "2,2,0,0,9,9,-1.5,1.5,1.6,4.0,2.0,1.5,10.0,0.0,0.2"
 
 
 @pytest.mark.parametrize(
-    ("file", "text", "told"),
+    ("file", "text", "reported"),
     [
         ("det3d_b__Car__0007", f"2,9{GOOD_3D[3:]}\n", "line 1: type 9 in the folder Car; the types are"),
         ("det2d_a__Car__0007", "0,10,20,110,220\n", "line 1: 5 values; expected 6: frame,x1,y1,x2,y2,score"),
@@ -183,14 +188,16 @@ GOOD_3D = "2,2,0,0,9,9,-1.5,1.5,1.6,4.0,2.0,1.5,10.0,0.0,0.2"
         ("calib__0007", "P0: 1 0 0 0 0 1 0 0 0 0 1 0\n", "no Tr_velo_cam or Tr_velo_to_cam; it has P0"),
     ],
 )
-def test_a_faulty_line_is_told_with_its_place_and_what_was_expected(tracking_folder, file, text, told):
+def test_a_faulty_line_is_reported_with_its_location_and_what_was_expected(
+    tracking_folder, file, text, reported
+):
     folder = tracking_folder(**{file: text})
-    with pytest.raises(DataError, match=told) as caught:
+    with pytest.raises(DataError, match=reported) as caught:
         sequence(folder)
     assert caught.value.file == str(folder / f"{file.replace('__', '/')}.txt")
 
 
-def test_the_type_tells_the_class_where_the_folder_has_another_name(tracking_folder):
+def test_the_type_reports_the_class_where_the_folder_has_another_name(tracking_folder):
     folder = tracking_folder(
         det3d_b__Car__0007=None,
         det3d_b__Pedestrian__0007=None,
@@ -205,11 +212,11 @@ def test_the_type_tells_the_class_where_the_folder_has_another_name(tracking_fol
 def test_a_lenient_reading_leaves_faulty_lines_out(tracking_folder):
     found = sequence(tracking_folder(det3d_b__Car__0007=f"{GOOD_3D}\n2,2,0\n{GOOD_3D}\n"), lenient=True)
     assert len(found.boxes_3d(2)) == 3
-    assert [(notice.code, notice.count) for notice in found.notices] == [("faulty-detections", 1)]
+    assert [(warning.code, warning.count) for warning in found.warnings] == [("faulty-detections", 1)]
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "reported"),
     [
         ("R_rect 2 0 0 0 1 0 0 0 1", "off by 3"),
         ("R_rect 1 0 0 0 1 0 0 0 -1", "off by inf"),
@@ -218,17 +225,17 @@ def test_a_lenient_reading_leaves_faulty_lines_out(tracking_folder):
         ("P2: 0 0 6 0 0 7 1 0 0 0 1 0", "focal lengths above 0"),
     ],
 )
-def test_a_calibration_that_is_none_is_refused(tracking_folder, spellings, line, told):
+def test_a_calibration_that_is_none_is_refused(tracking_folder, spellings, line, reported):
     kept = [
         row
         for row in spellings["tracking"].splitlines()
-        if row and not (row.split()[0] == line.split()[0] and told[0] != "s")
+        if row and not (row.split()[0] == line.split()[0] and reported[0] != "s")
     ]
-    with pytest.raises(DataError, match=re.escape(told)):
+    with pytest.raises(DataError, match=re.escape(reported)):
         sequence(tracking_folder(calib__0007="\n".join([*kept, line])))
 
 
-def test_a_sequence_that_is_not_there_is_told_with_those_that_are(tracking_folder):
+def test_a_sequence_that_is_not_there_is_reported_with_those_that_are(tracking_folder):
     with pytest.raises(DataError, match="sequence 0001: is not there; expected one of 0007"):
         open_tracking_folder(tracking_folder()).sequence("0001")
     with pytest.raises(OptionError, match="sequence '1'"):
@@ -240,15 +247,15 @@ def test_sequences_are_chosen_without_their_zeros_and_each_once(tracking_folder)
     assert folder.chosen(["7", "0007"]) == folder.chosen([]) == ("0007",)
 
 
-def test_pictures_tell_their_size_else_the_focal_length_else_the_lens(tracking_folder, spellings):
+def test_images_report_their_size_else_the_focal_length_else_the_camera_model(tracking_folder, spellings):
     def size(folder):
-        lens = sequence(folder).camera
-        return lens.width, lens.height
+        camera_model = sequence(folder).camera
+        return camera_model.width, camera_model.height
 
     assert size(tracking_folder()) == (1224, 370)
     other = tracking_folder(calib__0007=spellings["tracking"].replace("7.070493e+02", "7.0e+02"))
     assert size(other) == (1201, 361)
-    assert [notice.code for notice in sequence(other).notices] == ["picture-size"]
+    assert [warning.code for warning in sequence(other).warnings] == ["image-size"]
     (other / "image_02" / "0007").mkdir(parents=True)
     head = b"\x89PNG\r\n\x1a\n" + (13).to_bytes(4, "big") + b"IHDR"
     (other / "image_02/0007/000000.png").write_bytes(

@@ -1,4 +1,4 @@
-"""Scenes written as KITTI's folders and read again: the same lenses, mountings, ways, points and boxes."""
+"""Scenes written as KITTI's folders and read again: the same camera models, mountings, ways, points and boxes."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.models import project
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats import open_scene, write_scene
-from sceneloom.formats.loss import Fate
+from sceneloom.formats.loss import Support
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import rotate_vectors
 from sceneloom.scene import (
@@ -31,9 +31,12 @@ WIDE = Camera("fisheye", 80, 40, 30.0, 30.0, 39.5, 19.5, (0.02, -0.004, 0.001, 0
 POINTS = np.array([[12.0, 1.5, -0.6], [20.0, -3.0, 0.4]])
 
 
-def street(*lenses):
-    """A drive whose sweeps and pictures are made once."""
-    cameras = [CameraSpec(lens, camera_mount(pitch_deg=1.0 + k)) for k, lens in enumerate(lenses)]
+def street(*camera_models):
+    """A drive whose sweeps and images are made once."""
+    cameras = [
+        CameraSpec(camera_model, camera_mount(pitch_deg=1.0 + k))
+        for k, camera_model in enumerate(camera_models)
+    ]
     scene = simulate_street(
         3, frames=3, lidar=LidarSpec(beams=8, steps=90), cameras=cameras, imu=ImuSpec(rate_hz=50.0), gnss=GnssSpec()
     ).scene  # fmt: skip
@@ -41,8 +44,8 @@ def street(*lenses):
     for lidar in scene.lidars:
         made[lidar.id] = {"frames": LazyFrames.of(list(lidar.frames), lidar.frames.timestamps_ns)}
     for camera in scene.cameras:
-        pictures = [picture.loaded() for picture in camera.pictures]
-        made[camera.id] = {"pictures": LazyFrames.of(pictures, camera.pictures.timestamps_ns)}
+        images = [image.loaded() for image in camera.images]
+        made[camera.id] = {"images": LazyFrames.of(images, camera.images.timestamps_ns)}
     return replace(
         scene, sensors=tuple(replace(sensor, **made.get(sensor.id, {})) for sensor in scene.sensors)
     )
@@ -54,32 +57,32 @@ def drive():
 
 
 def first_pose(scene, sensor, time_ns):
-    way = next(iter(scene.trajectories.values())).poses
-    at = PoseSource(way, sensor.mount).at(np.array([time_ns], np.int64))
+    trajectory = next(iter(scene.trajectories.values())).poses
+    at = PoseSource(trajectory, sensor.mount).at(np.array([time_ns], np.int64))
     return RigidTransform.from_quaternion(at.positions[0], at.quaternions_xyzw[0])
 
 
-def turned_pixels(scene):
+def rotated_pixels(scene):
     """Where the first camera sees points of the lidar's frame."""
     camera, lidar = scene.cameras[0], scene.lidars[0]
     return project(camera.camera, (camera.mount.inverse() @ lidar.mount).apply(POINTS))[0]
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_points_pictures_and_calibration_come_back(drive, name, tmp_path):
+def test_points_images_and_calibration_come_back(drive, name, tmp_path):
     write_scene(drive, tmp_path / "out", format=name)
     back = open_scene(tmp_path / "out")
     assert back.format == name
     for before, after in zip(drive.lidars[0].frames, back.lidars[0].frames, strict=True):
         np.testing.assert_array_equal(after.points.positions, before.points.positions)
         np.testing.assert_array_equal(after.points.intensities, before.points.intensities)
-    for before, after in zip(drive.cameras[0].pictures, back.cameras[0].pictures, strict=True):
+    for before, after in zip(drive.cameras[0].images, back.cameras[0].images, strict=True):
         np.testing.assert_array_equal(after.rgb, before.rgb)
-    np.testing.assert_allclose(turned_pixels(back), turned_pixels(drive), atol=1e-9)
+    np.testing.assert_allclose(rotated_pixels(back), rotated_pixels(drive), atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["kitti-raw", "kitti-tracking", "kitti-odometry"])
-def test_the_way_comes_back_but_for_its_world(drive, name, tmp_path):
+def test_the_trajectory_comes_back_but_for_its_world(drive, name, tmp_path):
     write_scene(drive, tmp_path / "out", format=name)
     back = open_scene(tmp_path / "out")
     times = back.lidars[0].frames.timestamps_ns
@@ -87,7 +90,7 @@ def test_the_way_comes_back_but_for_its_world(drive, name, tmp_path):
         first_pose(scene, scene.lidars[0], times[0]).inverse() @ first_pose(scene, scene.lidars[0], times[-1])
         for scene in (drive, back)
     ]
-    # text has all digits, but east and north at the first place are turned by 1e-6 against those at the origin
+    # text has all digits, but east and north at the first location are rotated by 1e-6 against those at the origin
     np.testing.assert_allclose(moves[1].matrix, moves[0].matrix, atol=1e-6)
 
 
@@ -116,16 +119,16 @@ def test_boxes_come_back_where_the_lidar_sees_them(drive, name, tmp_path):
     assert nearest.max() < 2e-6  # labels have six decimals
 
 
-def test_boxes_that_no_picture_shows_are_told(drive, tmp_path):
+def test_boxes_that_no_image_shows_are_reported(drive, tmp_path):
     losses = write_scene(drive, tmp_path / "out", format="kitti-tracking")
     back = open_scene(tmp_path / "out")
     boxes = [a for a in drive.annotations if isinstance(a, CuboidAnnotation)]
     (lost,) = [loss for loss in losses if loss.field == "annotations.cuboid"]
-    assert lost.fate == Fate.DROPPED
+    assert lost.support == Support.DROPPED
     assert lost.count == len(boxes) - len(back.annotations)
 
 
-def test_a_distorted_lens_stays_in_an_extract_and_is_resampled_for_a_sync(tmp_path):
+def test_a_distorted_camera_model_stays_in_an_extract_and_is_resampled_for_a_sync(tmp_path):
     scene = street(BENT)
     write_scene(scene, tmp_path / "whole", format="kitti-raw")
     whole = open_scene(tmp_path / "whole").cameras[0]
@@ -134,25 +137,27 @@ def test_a_distorted_lens_stays_in_an_extract_and_is_resampled_for_a_sync(tmp_pa
     losses = write_scene(scene, tmp_path / "flat", format="kitti-raw", kind="sync")
     flat = open_scene(tmp_path / "flat")
     assert flat.cameras[0].camera.model == "pinhole"
-    assert "sensors.camera.pictures.rgb" in {loss.field for loss in losses if loss.fate == Fate.APPROXIMATED}
+    assert "sensors.camera.images.rgb" in {
+        loss.field for loss in losses if loss.support == Support.APPROXIMATED
+    }
     assert (tmp_path / "flat/1970_01_01/1970_01_01_drive_0001_sync").is_dir()
 
 
 @pytest.mark.slow
-def test_lenses_and_directions_that_a_folder_cannot_hold_are_told(tmp_path):
+def test_camera_models_and_directions_that_a_folder_cannot_hold_are_reported(tmp_path):
     scene = street(WIDE, PINHOLE)
     losses = write_scene(scene, tmp_path / "out", format="kitti-tracking")
     back = open_scene(tmp_path / "out")
     assert [camera.id for camera in back.cameras] == ["camera2"]
-    told = {loss.what for loss in losses}
-    assert any("turned by 1° against camera 'camera0'" in what for what in told)
-    assert any("a fisheye lens replaced by a pinhole" in what for what in told)
+    reported = {loss.what for loss in losses}
+    assert any("rotated by 1° against camera 'camera0'" in what for what in reported)
+    assert any("a fisheye camera model replaced by a pinhole" in what for what in reported)
 
 
 def test_points_in_the_world_are_brought_back_into_the_lidars_frame(drive, tmp_path):
     lidar, frame = drive.lidars[0], drive.lidars[0].frames[1]
-    way = next(iter(drive.trajectories.values())).poses
-    at = PoseSource(way, lidar.mount).at(frame.points.timestamps_ns)
+    trajectory = next(iter(drive.trajectories.values())).poses
+    at = PoseSource(trajectory, lidar.mount).at(frame.points.timestamps_ns)
     world = rotate_vectors(at.quaternions_xyzw, frame.points.positions) + at.positions
     placed = replace(frame, points=replace(frame.points, positions=world.astype(np.float32)))
     frames = LazyFrames.of([placed], [frame.timestamp_ns])
@@ -160,8 +165,8 @@ def test_points_in_the_world_are_brought_back_into_the_lidars_frame(drive, tmp_p
     losses = write_scene(scene, tmp_path / "out", format="kitti-odometry")
     after = open_scene(tmp_path / "out").lidars[0].frames[0].points
     np.testing.assert_allclose(after.positions, frame.points.positions, atol=2e-5)  # float32 at 100 m
-    (told,) = [loss for loss in losses if loss.field == "sensors.lidar.frames.points.positions"]
-    assert told.fate == Fate.CONVERTED
+    (reported,) = [loss for loss in losses if loss.field == "sensors.lidar.frames.points.positions"]
+    assert reported.support == Support.CONVERTED
 
 
 def test_labelled_points_get_semantic_kittis_numbers(drive, tmp_path):
@@ -181,18 +186,18 @@ def test_labelled_points_get_semantic_kittis_numbers(drive, tmp_path):
     losses = write_scene(labelled, tmp_path / "out", format="kitti-odometry")
     found = np.fromfile(tmp_path / "out/sequences/00/labels/000001.label", "<u4")
     assert found[:6].tolist() == [40, 40, 40, 10 | 1 << 16, 10 | 1 << 16, 0]
-    told = {loss.field: loss for loss in losses}
-    assert told["annotations.labeled_points"].count == 2
-    assert told["annotations.labeled_points.labeled_points.point_ids"].count == 2
+    reported = {loss.field: loss for loss in losses}
+    assert reported["annotations.labeled_points"].count == 2
+    assert reported["annotations.labeled_points.labeled_points.point_ids"].count == 2
     assert {a.id for a in open_scene(tmp_path / "out").annotations} == {"road", "car 1"}
 
 
 @pytest.mark.slow
-def test_a_scene_without_a_way_or_lidar_is_written_as_far_as_it_goes(drive, tmp_path):
-    pictures = Scene(drive.cameras)
+def test_a_scene_without_a_trajectory_or_lidar_is_written_as_far_as_it_goes(drive, tmp_path):
+    images = Scene(drive.cameras)
     for name in FORMATS:
-        write_scene(pictures, tmp_path / name, format=name)
-        assert len(open_scene(tmp_path / name).cameras[0].pictures) == 3
+        write_scene(images, tmp_path / name, format=name)
+        assert len(open_scene(tmp_path / name).cameras[0].images) == 3
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -207,11 +212,11 @@ def test_a_scene_with_nothing_in_it_is_refused(name, tmp_path):
 def test_times_before_1970_come_back(drive, tmp_path):
     times = [-1_500_000_001, -1, 7]
     shots = [
-        replace(shot, timestamp_ns=time) for shot, time in zip(drive.cameras[0].pictures, times, strict=True)
+        replace(shot, timestamp_ns=time) for shot, time in zip(drive.cameras[0].images, times, strict=True)
     ]
-    early = replace(drive.cameras[0], pictures=LazyFrames.of(shots, times), poses=None)
+    early = replace(drive.cameras[0], images=LazyFrames.of(shots, times), poses=None)
     write_scene(Scene((early,)), tmp_path / "out", format="kitti-raw", kind="extract")
-    assert open_scene(tmp_path / "out").cameras[0].pictures.timestamps_ns.tolist() == times
+    assert open_scene(tmp_path / "out").cameras[0].images.timestamps_ns.tolist() == times
 
 
 def test_other_peoples_folders_are_left_alone(drive, tmp_path):
@@ -246,12 +251,12 @@ def test_options_that_cannot_be_followed_are_refused(drive, tmp_path, name, opti
 
 
 @pytest.mark.parametrize("name", [*FORMATS, "kitti-bin", "nuscenes-bin"])
-def test_points_without_a_place_are_left_out_of_files_of_bare_numbers(drive, name, tmp_path):
+def test_points_without_a_location_are_left_out_of_files_of_bare_numbers(drive, name, tmp_path):
     lidar = drive.lidars[0]
     frames = list(lidar.frames)
-    places = frames[0].points.positions.copy()
-    places[::4] = np.nan
-    frames[0] = replace(frames[0], points=replace(frames[0].points, positions=places))
+    locations = frames[0].points.positions.copy()
+    locations[::4] = np.nan
+    frames[0] = replace(frames[0], points=replace(frames[0].points, positions=locations))
     holes = replace(lidar, frames=LazyFrames.of(frames, lidar.frames.timestamps_ns))
     road = LabeledPoints(lidar.id, np.arange(8, dtype=np.uint32), 0)
     scene = replace(
@@ -260,11 +265,11 @@ def test_points_without_a_place_are_left_out_of_files_of_bare_numbers(drive, nam
         annotations=(LabeledPointsAnnotation("r", (road,), label="road"),),
     )
     losses = write_scene(scene, tmp_path / "out", format=name)
-    assert any("not finite" in loss.what and loss.count == len(places[::4]) for loss in losses)
+    assert any("not finite" in loss.what and loss.count == len(locations[::4]) for loss in losses)
     with open_scene(tmp_path / "out") as back:
         np.testing.assert_array_equal(
-            back.lidars[0].frames[0].points.positions, places[~np.isnan(places[:, 0])]
+            back.lidars[0].frames[0].points.positions, locations[~np.isnan(locations[:, 0])]
         )
         if name == "kitti-odometry":
-            (told,) = (labeled for found in back.annotations for labeled in found.labeled_points)
-            np.testing.assert_array_equal(np.asarray(told.point_ids), np.arange(6))
+            (reported,) = (labeled for found in back.annotations for labeled in found.labeled_points)
+            np.testing.assert_array_equal(np.asarray(reported.point_ids), np.arange(6))

@@ -24,7 +24,7 @@ def written(compression):
     stream = io.BytesIO()
     writer = McapWriter(stream, profile="test", library="ours", compression=compression)
     schema = writer.add_schema("a.Type", "protobuf", b"schema")
-    channels = [writer.add_channel(f"/{name}", "protobuf", schema, {"told": name}) for name in "ab"]
+    channels = [writer.add_channel(f"/{name}", "protobuf", schema, {"reported": name}) for name in "ab"]
     for topic, time_ns, content in MESSAGES:
         half = len(content) // 2
         writer.add_message(
@@ -147,8 +147,8 @@ def test_we_read_what_the_reference_library_writes(options, tmp_path):
 
 def test_a_compressed_chunk_that_is_changed_is_noticed(tmp_path):
     content = bytearray(written("lz4"))
-    place = content.index(MESSAGES[2][2][100:120])  # noise is not compressed, so it stands there as it is
-    content[place] ^= 1
+    location = content.index(MESSAGES[2][2][100:120])  # noise is not compressed, so it stands there as it is
+    content[location] ^= 1
     path = tmp_path / "log.mcap"
     path.write_bytes(content)
     with pytest.raises(DataError, match=r"chunk \d: "):
@@ -178,9 +178,9 @@ def test_no_flipped_byte_ends_in_another_error_than_ours(tmp_path):
     path, rng = tmp_path / "log.mcap", np.random.default_rng(0)
     refused = 0
     # heads, indexes and the end of the file are where numbers are that can mislead
-    for place in [*range(30), *rng.integers(len(whole) - 1500, len(whole), 30).tolist()]:
+    for location in [*range(30), *rng.integers(len(whole) - 1500, len(whole), 30).tolist()]:
         content = bytearray(whole)
-        content[place] ^= int(rng.integers(1, 256))
+        content[location] ^= int(rng.integers(1, 256))
         path.write_bytes(content)
         for lenient in (False, True):
             try:

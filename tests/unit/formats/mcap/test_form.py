@@ -27,14 +27,14 @@ for target, extra in (("a.mcap", "mcap"), ("a.bag", "ros"), ("a.ros2", "ros")):
 """
 
 
-def test_without_the_extras_a_person_is_told_which_to_install(tmp_path):
+def test_without_the_extras_a_person_is_reported_which_to_install(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
 
 
-def test_a_file_that_is_only_called_so_is_told(tmp_path):
+def test_a_file_that_is_only_called_so_is_reported(tmp_path):
     path = tmp_path / "drive.mcap"
     path.write_bytes(b"no log")
     with pytest.raises(UnknownFormatError, match="called like an MCAP file"):
@@ -42,5 +42,5 @@ def test_a_file_that_is_only_called_so_is_told(tmp_path):
 
 
 def test_unknown_options_are_refused(tmp_path):
-    with pytest.raises(UnknownOptionError, match="stamps, ego, world"):
+    with pytest.raises(UnknownOptionError, match="timestamps, ego, world"):
         MCAP.open(tmp_path / "drive.mcap", stamp="header")

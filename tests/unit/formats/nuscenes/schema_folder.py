@@ -107,9 +107,9 @@ SENSORS = {
 }
 
 
-def ego_pose(stamp_us: int) -> tuple[list[float], Rotation]:
+def ego_pose(timestamp_us: int) -> tuple[list[float], Rotation]:
     """Where the ego is: it drives a curve."""
-    s = (stamp_us - FIRST_US) / 1e6
+    s = (timestamp_us - FIRST_US) / 1e6
     return [400.0 + 8 * s, 1180.0 + s, 0.0], Rotation.from_euler("z", 30 + 5 * s, degrees=True)
 
 
@@ -171,9 +171,9 @@ def _frames(
     lag = {"lidar": 0, "radar": -20_003, "camera": 12_341}[modality]
     suffix = {"lidar": ".pcd.bin", "radar": ".pcd", "camera": ".jpg"}[modality]
     for k, token in enumerate(tokens):
-        stamp = first_us + k * 250_000 + lag
-        translation, rotation = ego_pose(stamp)
-        tables.add("ego_pose", token, timestamp=stamp, translation=translation, rotation=wxyz(rotation))
+        timestamp = first_us + k * 250_000 + lag
+        translation, rotation = ego_pose(timestamp)
+        tables.add("ego_pose", token, timestamp=timestamp, translation=translation, rotation=wxyz(rotation))
         folder = "samples" if k % 2 == 0 else "sweeps"
         tables.add(
             "sample_data",
@@ -181,7 +181,7 @@ def _frames(
             sample_token=samples[(k + 1) // 2],
             ego_pose_token=token,
             calibrated_sensor_token=f"c-{channel}",
-            timestamp=stamp,
+            timestamp=timestamp,
             fileformat={"camera": "jpg"}.get(modality, "pcd"),
             is_key_frame=k % 2 == 0,
             height=48 if modality == "camera" else 0,
@@ -250,12 +250,12 @@ def _car(tables: Tables, name: str, samples: list[str]) -> None:
 def from_infos(infos: Path, root: Path) -> Tables:
     """The one real key frame as a data set: its file of information (as MMDetection3D writes it) put into tables.
 
-    Poses of the ego at the pictures follow from `lidar2cam`, which leads over the world.
+    Poses of the ego at the images follow from `lidar2cam`, which leads over the world.
     """
-    told = json.loads((infos / "infos.json").read_text("utf-8"))
-    frame, classes = told["data_list"][0], told["metainfo"]["categories"]
+    reported = json.loads((infos / "infos.json").read_text("utf-8"))
+    frame, classes = reported["data_list"][0], reported["metainfo"]["categories"]
     tables = Tables(root)
-    stamp_us = round(frame["timestamp"] * 1e6)
+    timestamp_us = round(frame["timestamp"] * 1e6)
     world_from_ego = np.array(frame["ego2global"])
     ego_from_lidar = np.array(frame["lidar_points"]["lidar2ego"])
     tables.add("log", "log", logfile="n015-2018-07-24-11-22-45+0800")
@@ -268,19 +268,19 @@ def from_infos(infos: Path, root: Path) -> Tables:
         first_sample_token=frame["token"],
         last_sample_token=frame["token"],
     )
-    tables.add("sample", frame["token"], timestamp=stamp_us, scene_token="scene", prev="", next="")
+    tables.add("sample", frame["token"], timestamp=timestamp_us, scene_token="scene", prev="", next="")
     lidar = frame["lidar_points"]["lidar_path"]
     _real_file(
-        tables, infos / lidar, "LIDAR_TOP", "lidar", stamp_us, world_from_ego, ego_from_lidar, [], frame
+        tables, infos / lidar, "LIDAR_TOP", "lidar", timestamp_us, world_from_ego, ego_from_lidar, [], frame
     )
     for channel, image in frame["images"].items():
         ego_from_camera = np.array(image["cam2ego"])
         camera_from_lidar = np.array(image["lidar2cam"])
         world_from_camera = world_from_ego @ ego_from_lidar @ np.linalg.inv(camera_from_lidar)
         pose = world_from_camera @ np.linalg.inv(ego_from_camera)
-        stamp = round(image["timestamp"] * 1e6)
+        timestamp = round(image["timestamp"] * 1e6)
         path = infos / image["img_path"]
-        _real_file(tables, path, channel, "camera", stamp, pose, ego_from_camera, image["cam2img"], frame)
+        _real_file(tables, path, channel, "camera", timestamp, pose, ego_from_camera, image["cam2img"], frame)
     for name in (*classes, "other"):
         tables.add("category", name, name=name)
     names = {number: name for name, number in classes.items()}
@@ -306,7 +306,7 @@ def from_infos(infos: Path, root: Path) -> Tables:
 
 
 def _real_file(
-    tables, path, channel, modality, stamp_us, world_from_ego, ego_from_sensor, matrix, frame
+    tables, path, channel, modality, timestamp_us, world_from_ego, ego_from_sensor, matrix, frame
 ) -> None:
     tables.add("sensor", f"s-{channel}", channel=channel, modality=modality)
     tables.add(
@@ -320,7 +320,7 @@ def _real_file(
     tables.add(
         "ego_pose",
         f"p-{channel}",
-        timestamp=stamp_us,
+        timestamp=timestamp_us,
         translation=world_from_ego[:3, 3].tolist(),
         rotation=wxyz(Rotation.from_matrix(world_from_ego[:3, :3])),
     )
@@ -334,7 +334,7 @@ def _real_file(
         sample_token=frame["token"],
         ego_pose_token=f"p-{channel}",
         calibrated_sensor_token=f"c-{channel}",
-        timestamp=stamp_us,
+        timestamp=timestamp_us,
         fileformat="jpg" if modality == "camera" else "pcd",
         is_key_frame=True,
         width=size[0],

@@ -26,8 +26,8 @@ def scene(tmp_path):
 
 
 def looking(camera, name, degrees, pitch=0.0):
-    turn = Rotation.from_euler("zy", [degrees, pitch], degrees=True).as_matrix()
-    return replace(camera, id=name, mount=RigidTransform(turn @ AHEAD, np.zeros(3)), poses=None)
+    rotation = Rotation.from_euler("zy", [degrees, pitch], degrees=True).as_matrix()
+    return replace(camera, id=name, mount=RigidTransform(rotation @ AHEAD, np.zeros(3)), poses=None)
 
 
 def with_sensors(scene, *, lidars=("lidar",), cameras=()):
@@ -98,7 +98,7 @@ def test_a_sensor_gets_the_channel_that_is_named(scene, tmp_path):
     assert (found[lidar], found[camera]) == ("LIDAR_TEST", "CAM_TEST")
 
 
-@pytest.mark.parametrize("said", ["nosuch=LIDAR_TOP", "LIDAR_TOP", "=LIDAR_TOP", ["nosuch=LIDAR_TOP"]])
-def test_a_channel_of_no_sensor_is_refused(scene, tmp_path, said):
+@pytest.mark.parametrize("stated", ["nosuch=LIDAR_TOP", "LIDAR_TOP", "=LIDAR_TOP", ["nosuch=LIDAR_TOP"]])
+def test_a_channel_of_no_sensor_is_refused(scene, tmp_path, stated):
     with pytest.raises(OptionError, match="expected SENSOR=CHANNEL"):
-        write_scene(scene, tmp_path / "out", format="nuscenes", channel=said)
+        write_scene(scene, tmp_path / "out", format="nuscenes", channel=stated)

@@ -1,4 +1,4 @@
-"""Scenes in the nuScenes schema: what the tables say is in the scene, number for number."""
+"""Scenes in the nuScenes schema: what the tables state is in the scene, number for number."""
 
 import json
 import pickle
@@ -39,10 +39,10 @@ def test_sensors_frames_and_times_are_those_of_the_tables(scene):
         "RADAR_FRONT": "radar",
         "CAM_FRONT": "camera",
     }
-    stamps = [(FIRST_US + 250_000 * k) * 1000 for k in range(5)]
-    assert scene.sensor("LIDAR_TOP").frames.timestamps_ns.tolist() == stamps
-    camera = [stamp + 12_341_000 for stamp in stamps]
-    assert scene.sensor("CAM_FRONT").pictures.timestamps_ns.tolist() == camera
+    timestamps = [(FIRST_US + 250_000 * k) * 1000 for k in range(5)]
+    assert scene.sensor("LIDAR_TOP").frames.timestamps_ns.tolist() == timestamps
+    camera = [timestamp + 12_341_000 for timestamp in timestamps]
+    assert scene.sensor("CAM_FRONT").images.timestamps_ns.tolist() == camera
     assert scene.format == "nuscenes"
 
 
@@ -78,54 +78,54 @@ def test_a_radar_gives_what_it_measured_as_direction_and_speed(scene):
 
 
 @pytest.mark.parametrize("channel", SENSORS)
-def test_a_sensor_is_where_the_pose_of_its_frame_and_its_mounting_say(scene, channel):
+def test_a_sensor_is_where_the_pose_of_its_frame_and_its_mounting_state(scene, channel):
     sensor = scene.sensor(channel)
     _, translation, rotation, _ = SENSORS[channel]
     assert np.allclose(sensor.mount.translation, translation)
     assert np.allclose(sensor.mount.rotation, rotation.as_matrix())
-    for k, stamp in enumerate(sensor.poses.timestamps_ns.tolist()):
-        place, turn = ego_pose(stamp // 1000)
-        assert np.allclose(sensor.poses.positions[k], place + turn.apply(translation), atol=NEAR)
+    for k, timestamp in enumerate(sensor.poses.timestamps_ns.tolist()):
+        location, delta_rotation = ego_pose(timestamp // 1000)
+        assert np.allclose(sensor.poses.positions[k], location + delta_rotation.apply(translation), atol=NEAR)
         found = Rotation.from_quat(sensor.poses.quaternions_xyzw[k])
-        assert (found.inv() * turn * rotation).magnitude() < NEAR
+        assert (found.inv() * delta_rotation * rotation).magnitude() < NEAR
 
 
-def test_the_way_of_the_ego_has_the_poses_of_all_frames(scene):
-    way = scene.trajectories["pose"]
-    assert len(way.timestamps_ns) == 15
-    for stamp, position in zip(way.timestamps_ns.tolist(), way.positions, strict=True):
-        assert np.allclose(position, ego_pose(stamp // 1000)[0], atol=NEAR)
+def test_the_ego_trajectory_has_the_poses_of_all_frames(scene):
+    trajectory = scene.trajectories["pose"]
+    assert len(trajectory.timestamps_ns) == 15
+    for timestamp, position in zip(trajectory.timestamps_ns.tolist(), trajectory.positions, strict=True):
+        assert np.allclose(position, ego_pose(timestamp // 1000)[0], atol=NEAR)
 
 
-def test_pictures_decode_and_have_the_lens_of_the_table(scene):
+def test_images_decode_and_have_the_camera_model_of_the_table(scene):
     camera = scene.cameras[0]
     assert (camera.camera.model, camera.camera.fx, camera.camera.cy) == ("pinhole", 30.0, 23.5)
-    picture = camera.pictures[2]
-    assert picture.rgb.shape == (48, 64, 3)
-    assert picture.encoded()[:2] == b"\xff\xd8"
-    assert picture.extras["is_key_frame"]
-    assert not camera.pictures[1].extras["is_key_frame"]
+    image = camera.images[2]
+    assert image.rgb.shape == (48, 64, 3)
+    assert image.encoded()[:2] == b"\xff\xd8"
+    assert image.extras["is_key_frame"]
+    assert not camera.images[1].extras["is_key_frame"]
 
 
-def test_boxes_become_one_cuboid_with_all_that_is_said_about_it(scene):
+def test_boxes_become_one_cuboid_with_all_that_is_stated_about_it(scene):
     (car,) = scene.annotations
     assert (car.id, car.label) == ("scene-0001-car", "vehicle.car")
     width, length, height = CAR_SIZE_WLH
     for k, row in enumerate(car.path.values):
-        place, turn = car_pose(k)
-        assert row[:6].tolist() == [length, width, height, *place]
+        location, delta_rotation = car_pose(k)
+        assert row[:6].tolist() == [length, width, height, *location]
         assert (
-            Rotation.from_quat(CuboidAngles.of(scene).quaternions(row[6:])).inv() * turn
+            Rotation.from_quat(CuboidAngles.of(scene).quaternions(row[6:])).inv() * delta_rotation
         ).magnitude() < NEAR
-    said = {path.name: path.values for path in car.attributes}
-    assert said["attributes"] == (("vehicle.parked",), ("vehicle.moving",), ("vehicle.moving",))
-    assert said["num_lidar_pts"] == (3, 4, 5)
-    assert said["visibility"] == ("", "v80-100", "v80-100")
+    stated = {path.name: path.values for path in car.attributes}
+    assert stated["attributes"] == (("vehicle.parked",), ("vehicle.moving",), ("vehicle.moving",))
+    assert stated["num_lidar_pts"] == (3, 4, 5)
+    assert stated["visibility"] == ("", "v80-100", "v80-100")
     assert car.path.extras["tokens"][1] == "scene-0001-ann-1"
 
 
 def test_frames_go_to_other_processes(scene):
-    for frames in (scene.lidars[0].frames, scene.cameras[0].pictures):
+    for frames in (scene.lidars[0].frames, scene.cameras[0].images):
         assert pickle.loads(pickle.dumps(frames))[1].timestamp_ns == frames[1].timestamp_ns
 
 
@@ -153,7 +153,7 @@ def test_key_frames_alone_open_without_the_folder_of_sweeps(tmp_path):
     assert len(sceneloom.open(root, keyframes=True).lidars[0].frames) == 3
     lenient = sceneloom.open(root, lenient=True)
     assert len(lenient.lidars[0].frames) == 3
-    assert {n.code: n.count for n in lenient.notices}["files-missing"] == 2
+    assert {n.code: n.count for n in lenient.warnings}["files-missing"] == 2
 
 
 def test_the_folder_of_the_tables_opens_where_there_are_several(tmp_path):
@@ -182,7 +182,7 @@ def test_classes_of_points_become_labelled_points(tmp_path):
     assert noise.labeled_points[0].point_ids.tolist() == [0, 1, 2, *range(5, 40)]
 
 
-def test_large_tables_are_read_in_pieces_and_whole_ones_alike(tmp_path, monkeypatch):
+def test_large_tables_are_read_in_chunks_and_whole_ones_alike(tmp_path, monkeypatch):
     tables = street(tmp_path)
     tables.rows["log"][0]["location"] = "}, {"
     root = tables.write()
@@ -230,7 +230,7 @@ FAULTS = {
         damaged("ego_pose", FRAME, rotation=[1.0, 1.0, 0.0, 0.0]),
         r"row scene-0001-LIDAR_TOP-1: rotation \[1.0, 1.0, 0.0, 0.0\] has the length 1.4142",
     ),
-    "a lens is none": (
+    "a camera model is none": (
         damaged("calibrated_sensor", "c-CAM_FRONT", camera_intrinsic=[]),
         r"row c-CAM_FRONT: camera_intrinsic \[\]; expected rows",
     ),
@@ -246,7 +246,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_what_is_wrong_with_the_tables_is_told_with_its_place(tmp_path, fault):
+def test_what_is_wrong_with_the_tables_is_reported_with_its_location(tmp_path, fault):
     change, message = FAULTS[fault]
     tables = street(tmp_path)
     change(tables)
@@ -254,7 +254,7 @@ def test_what_is_wrong_with_the_tables_is_told_with_its_place(tmp_path, fault):
         sceneloom.open(tables.write())
 
 
-def test_a_table_that_is_cut_off_is_told_by_its_name(tmp_path):
+def test_a_table_that_is_cut_off_is_known_by_its_name(tmp_path):
     root = street(tmp_path).write()
     table = root / "v1.0-mini" / "sample_data.json"
     table.write_bytes(table.read_bytes()[:-300])
@@ -262,7 +262,7 @@ def test_a_table_that_is_cut_off_is_told_by_its_name(tmp_path):
         sceneloom.open(root)
 
 
-def test_a_cloud_that_is_cut_off_is_told_when_it_is_read(tmp_path):
+def test_a_cloud_that_is_cut_off_is_reported_when_it_is_read(tmp_path):
     tables = street(tmp_path)
     tables.file(tables.row("sample_data", FRAME)["filename"], lidar_rows(3).tobytes()[:-7])
     scene = sceneloom.open(tables.write())
@@ -270,7 +270,7 @@ def test_a_cloud_that_is_cut_off_is_told_when_it_is_read(tmp_path):
         scene.lidars[0].frames[1]
 
 
-def test_labels_of_another_number_than_the_points_are_told(tmp_path):
+def test_labels_of_another_number_than_the_points_are_reported(tmp_path):
     tables = street(tmp_path)
     name = tables.file("lidarseg/short.bin", bytes(12))
     tables.add("lidarseg", "l", sample_data_token="scene-0001-LIDAR_TOP-0", filename=name)
@@ -285,10 +285,10 @@ def test_dangling_rows_are_left_out_and_counted_by_a_lenient_reading(tmp_path):
     damaged("sample_data", FRAME, ego_pose_token="gone")(tables)
     scene = sceneloom.open(tables.write(), lenient=True)
     assert len(scene.lidars[0].frames) == 4
-    assert {n.code: n.count for n in scene.notices}["dangling-tokens"] == 1
+    assert {n.code: n.count for n in scene.warnings}["dangling-tokens"] == 1
 
 
-def test_a_folder_without_tables_is_told_what_it_lacks(tmp_path):
+def test_a_folder_without_tables_is_reported_what_it_lacks(tmp_path):
     root = street(tmp_path).write()
     for file in (root / "v1.0-mini").iterdir():
         file.unlink()

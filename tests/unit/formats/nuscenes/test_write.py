@@ -1,4 +1,4 @@
-"""Drives written in the nuScenes schema: valid tables, the same again when read, and what they cannot hold told."""
+"""Drives written in the nuScenes schema: valid tables, the same again when read, and what they cannot hold reported."""
 
 import json
 
@@ -10,10 +10,11 @@ from tests.unit.formats.nuscenes.schema_folder import CAMERA_MOUNT, lidar_rows, 
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, OutputError
-from sceneloom.formats.loss import Fate
+from sceneloom.formats.loss import Support
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
     AttributePath,
+    CameraImage,
     CameraSensor,
     CuboidAnnotation,
     CuboidPath,
@@ -23,7 +24,6 @@ from sceneloom.scene import (
     LidarFrame,
     LidarPoints,
     LidarSensor,
-    Picture,
     PointsFrame,
     RadarFrame,
     RadarPoints,
@@ -130,28 +130,28 @@ def test_writing_is_the_same_again(tmp_path):
 SECOND = 1_000_000_000
 
 
-def drive(*, points_frame=PointsFrame.SENSOR, sweeps=11, annotations=(), lens=None, radar=None):
+def drive(*, points_frame=PointsFrame.SENSOR, sweeps=11, annotations=(), camera_model=None, radar=None):
     """A drive at 10 Hz without anything of nuScenes in it; the ego drives 10 m/s along x."""
-    stamps = np.arange(sweeps, dtype=np.int64) * (SECOND // 10) + 5 * SECOND
+    timestamps = np.arange(sweeps, dtype=np.int64) * (SECOND // 10) + 5 * SECOND
     mount = RigidTransform(Rotation.from_euler("z", 30, degrees=True).as_matrix(), np.array([1.0, 0.2, 1.8]))
     quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (sweeps, 1))
-    way = Trajectory("gt", stamps, np.outer(np.arange(sweeps), [1.0, 0, 0]), quaternions)
+    trajectory = Trajectory("gt", timestamps, np.outer(np.arange(sweeps), [1.0, 0, 0]), quaternions)
     sweep = [
         LidarFrame(int(t), LidarPoints(lidar_rows(20, k)[:, :3].copy(), intensities=np.full(20, 9, np.uint8)))
-        for k, t in enumerate(stamps)
+        for k, t in enumerate(timestamps)
     ]
-    lidar = LidarSensor("lid ar/1", LazyFrames.of(sweep, stamps), mount=mount, points_frame=points_frame)
-    lens = lens or Camera("pinhole", 64, 48, 40.0, 40.0, 31.5, 23.5)
+    lidar = LidarSensor("lid ar/1", LazyFrames.of(sweep, timestamps), mount=mount, points_frame=points_frame)
+    camera_model = camera_model or Camera("pinhole", 64, 48, 40.0, 40.0, 31.5, 23.5)
     rgb = np.random.default_rng(1).integers(0, 256, (48, 64, 3)).astype(np.uint8)
-    shots = [Picture.of(int(t) + 20_000_400, lens, rgb) for t in stamps]
+    shots = [CameraImage.of(int(t) + 20_000_400, camera_model, rgb) for t in timestamps]
     camera = CameraSensor(
         7,
-        lens,
+        camera_model,
         LazyFrames.of(shots, [shot.timestamp_ns for shot in shots]),
         mount=RigidTransform(CAMERA_MOUNT.as_matrix(), np.array([1.5, 0.0, 1.5])),
     )
     sensors = (lidar, camera) if radar is None else (lidar, camera, radar)
-    return Scene(sensors, tuple(annotations), trajectories={"gt": way}, source="drive")
+    return Scene(sensors, tuple(annotations), trajectories={"gt": trajectory}, source="drive")
 
 
 def test_samples_are_two_a_second_unless_somebody_says_otherwise(tmp_path):
@@ -191,29 +191,29 @@ def test_points_stay_where_they_are_in_the_world(tmp_path, points_frame):
     assert again.frames[k].points.intensities.tolist() == [9] * 20
 
 
-def box(identifier, stamps, *, label="car", size=(4.6, 1.9, 1.7), **fields):
-    rows = [[*size, 10.0 + k, -2.0, 0.9, 0.0, 0.0, 20.0 + 10 * k] for k in range(len(stamps))]
+def box(identifier, timestamps, *, label="car", size=(4.6, 1.9, 1.7), **fields):
+    rows = [[*size, 10.0 + k, -2.0, 0.9, 0.0, 0.0, 20.0 + 10 * k] for k in range(len(timestamps))]
     return CuboidAnnotation(
-        identifier, CuboidPath(np.array(stamps, np.int64), np.array(rows)), label=label, **fields
+        identifier, CuboidPath(np.array(timestamps, np.int64), np.array(rows)), label=label, **fields
     )
 
 
-def test_boxes_are_told_at_the_samples_and_between_stamps_of_their_paths(tmp_path):
-    stamps = [5 * SECOND, 6 * SECOND]
-    said = AttributePath("attributes", (("vehicle.moving",), ()), np.array(stamps, np.int64))
-    seen = AttributePath("visibility", ("v40-60", "unheard"), np.array(stamps, np.int64))
+def test_boxes_are_reported_at_the_samples_and_between_timestamps_of_their_paths(tmp_path):
+    timestamps = [5 * SECOND, 6 * SECOND]
+    stated = AttributePath("attributes", (("vehicle.moving",), ()), np.array(timestamps, np.int64))
+    seen = AttributePath("visibility", ("v40-60", "unheard"), np.array(timestamps, np.int64))
     other = AttributePath("speed", (1.0,), static=True)
-    car = box(12, stamps, label=None, attributes=(said, seen, other))
-    standing = box("sign", [5 * SECOND], stationary=True)
+    car = box(12, timestamps, label=None, attributes=(stated, seen, other))
+    stationary = box("sign", [5 * SECOND], stationary=True)
     gone = box("gone", [50 * SECOND])
-    losses = sceneloom.write(drive(annotations=(car, standing, gone)), tmp_path / "a", format="nuscenes")
+    losses = sceneloom.write(drive(annotations=(car, stationary, gone)), tmp_path / "a", format="nuscenes")
     tables = check_tables(tmp_path / "a")
     assert [row["nbr_annotations"] for row in tables["instance"]] == [3, 3]
     middle = tables["sample_annotation"][1]
     assert middle["translation"] == [10.5, -2.0, 0.9]
     assert middle["size"] == [1.9, 4.6, 1.7]
-    turn = Rotation.from_quat(np.roll(middle["rotation"], -1))
-    assert np.allclose(turn.as_euler("ZYX", degrees=True), [25, 0, 0])
+    rotation = Rotation.from_quat(np.roll(middle["rotation"], -1))
+    assert np.allclose(rotation.as_euler("ZYX", degrees=True), [25, 0, 0])
     levels = {row["token"]: row["level"] for row in tables["visibility"]}
     assert [levels.get(row["visibility_token"]) for row in tables["sample_annotation"][:3]] == [
         *("v40-60", "v40-60", None),
@@ -221,57 +221,57 @@ def test_boxes_are_told_at_the_samples_and_between_stamps_of_their_paths(tmp_pat
     names = {row["token"]: row["name"] for row in tables["category"]}
     assert [names[row["category_token"]] for row in tables["instance"]] == ["unknown", "car"]
     assert tables["instance"][1]["token"] == "sign"
-    told = {(loss.field, loss.fate): loss.count for loss in losses}
-    assert told["annotations.cuboid.path.values", Fate.APPROXIMATED] == 3
-    assert told["annotations.cuboid", Fate.DROPPED] == 1
+    reported = {(loss.field, loss.support): loss.count for loss in losses}
+    assert reported["annotations.cuboid.path.values", Support.APPROXIMATED] == 3
+    assert reported["annotations.cuboid", Support.DROPPED] == 1
     dropped = [loss for loss in losses if loss.field == "annotations.cuboid.attributes"]
     assert [(loss.what.split(" ")[0], loss.count) for loss in dropped] == [("attributes", 1), ("levels", 1)]
 
 
-def test_points_in_boxes_are_counted_where_nobody_told_their_number(tmp_path):
+def test_points_in_boxes_are_counted_where_nobody_reported_their_number(tmp_path):
     scene = drive(annotations=(box("car", [5 * SECOND], size=(20.0, 16.0, 18.0), stationary=True),))
     sceneloom.write(scene, tmp_path / "a", format="nuscenes", keyframe_rate_hz=10)
     rows = tables_of(tmp_path / "a")["sample_annotation"]
     values = scene.annotations[0].path.values[0]
-    turn = Rotation.from_quat(CuboidAngles.of(scene).quaternions(values[6:]))
+    rotation = Rotation.from_quat(CuboidAngles.of(scene).quaternions(values[6:]))
     expected = []
     for k in range(11):
         world = scene.lidars[0].mount.apply(scene.lidars[0].frames[k].points.positions) + np.array([k, 0, 0])
-        inside = np.abs(turn.inv().apply(world - values[3:6])) <= values[:3] / 2
+        inside = np.abs(rotation.inv().apply(world - values[3:6])) <= values[:3] / 2
         expected.append(int(inside.all(axis=1).sum()))
     assert sum(expected) > 10
     assert [row["num_lidar_pts"] for row in rows] == expected
-    said = AttributePath("num_lidar_pts", (77,), static=True)
-    told = drive(annotations=(box("car", [5 * SECOND], stationary=True, attributes=(said,)),))
-    sceneloom.write(told, tmp_path / "b", format="nuscenes")
+    stated = AttributePath("num_lidar_pts", (77,), static=True)
+    reported = drive(annotations=(box("car", [5 * SECOND], stationary=True, attributes=(stated,)),))
+    sceneloom.write(reported, tmp_path / "b", format="nuscenes")
     assert {row["num_lidar_pts"] for row in tables_of(tmp_path / "b")["sample_annotation"]} == {77}
 
 
-def test_pictures_of_other_lenses_are_resampled_and_that_is_told(tmp_path):
+def test_images_of_other_camera_models_are_resampled_and_that_is_reported(tmp_path):
     bent = Camera("brown_conrady", 64, 48, 40.0, 40.0, 31.5, 23.5, (-0.2, *(0.0,) * 15))
-    losses = sceneloom.write(drive(lens=bent, sweeps=2), tmp_path / "a", format="nuscenes")
-    fates = {loss.field: loss.fate for loss in losses}
-    assert fates["sensors.camera.camera"] == Fate.APPROXIMATED
-    assert fates["sensors.camera.pictures.rgb"] == Fate.APPROXIMATED
+    losses = sceneloom.write(drive(camera_model=bent, sweeps=2), tmp_path / "a", format="nuscenes")
+    supports = {loss.field: loss.support for loss in losses}
+    assert supports["sensors.camera.camera"] == Support.APPROXIMATED
+    assert supports["sensors.camera.images.rgb"] == Support.APPROXIMATED
     camera = sceneloom.open(tmp_path / "a").cameras[0]
     assert camera.camera.model == "pinhole"
-    assert camera.pictures[0].rgb.shape == (48, 64, 3)
+    assert camera.images[0].rgb.shape == (48, 64, 3)
 
 
-def test_pictures_as_png_lose_nothing(tmp_path):
+def test_images_as_png_lose_nothing(tmp_path):
     scene = drive(sweeps=2)
-    losses = sceneloom.write(scene, tmp_path / "a", format="nuscenes", pictures="png")
+    losses = sceneloom.write(scene, tmp_path / "a", format="nuscenes", images="png")
     again = sceneloom.open(tmp_path / "a").cameras[0]
-    assert np.array_equal(again.pictures[1].rgb, scene.cameras[0].pictures[1].rgb)
-    assert "sensors.camera.pictures.rgb" not in {loss.field for loss in losses}
-    rounded = next(loss for loss in losses if loss.field == "sensors.camera.pictures.timestamp_ns")
+    assert np.array_equal(again.images[1].rgb, scene.cameras[0].images[1].rgb)
+    assert "sensors.camera.images.rgb" not in {loss.field for loss in losses}
+    rounded = next(loss for loss in losses if loss.field == "sensors.camera.images.timestamp_ns")
     assert (rounded.count, rounded.largest_error) == (2, 400.0)
 
 
 def radar(frames):
-    stamps = [5 * SECOND + k * SECOND // 10 for k in range(len(frames))]
-    made = [RadarFrame(t, points) for t, points in zip(stamps, frames, strict=True)]
-    return RadarSensor("radar", LazyFrames.of(made, stamps), mount=RigidTransform.identity())
+    timestamps = [5 * SECOND + k * SECOND // 10 for k in range(len(frames))]
+    made = [RadarFrame(t, points) for t, points in zip(timestamps, frames, strict=True)]
+    return RadarSensor("radar", LazyFrames.of(made, timestamps), mount=RigidTransform.identity())
 
 
 def test_radars_without_returns_and_upward_speeds_are_written_too(tmp_path):
@@ -303,11 +303,11 @@ def test_classes_of_points_get_numbers_and_points_without_one_are_noise(tmp_path
     assert (noise.label, found.label, found.extras["index"]) == ("noise", "road", 1)
     assert [entry.sensor_frame for entry in found.labeled_points] == [0]
     assert found.labeled_points[0].point_ids.tolist() == [2, 5]
-    told = {loss.what: loss.count for loss in losses if "labeled_points" in loss.field}
-    assert told["points without a class are written as `noise`"] == 18
-    assert told["points of several classes have the last one"] == 1
-    assert told["classes of sweeps between samples are left out"] == 1
-    assert told["points of single objects, or without a class, are left out"] == 1
+    reported = {loss.what: loss.count for loss in losses if "labeled_points" in loss.field}
+    assert reported["points without a class are written as `noise`"] == 18
+    assert reported["points of several classes have the last one"] == 1
+    assert reported["classes of sweeps between samples are left out"] == 1
+    assert reported["points of single objects, or without a class, are left out"] == 1
 
 
 def test_nobody_elses_folder_is_replaced(tmp_path):
@@ -328,7 +328,7 @@ def test_nobody_elses_folder_is_replaced(tmp_path):
     [
         ({"keyframe_rate_hz": 0}, "keyframe_rate_hz 0"),
         ({"version": "../up"}, r"version '../up'; expected a name such as v1.0-mini"),
-        ({"pictures": "h264"}, "pictures 'h264'; nuScenes takes copy, png"),
+        ({"images": "h264"}, "images 'h264'; nuScenes takes copy, png"),
         ({"speed": 1}, "speed"),
     ],
 )
@@ -339,5 +339,5 @@ def test_options_that_mean_nothing_are_refused(tmp_path, options, message):
 
 
 def test_a_scene_without_a_frame_is_refused(tmp_path):
-    with pytest.raises(DataError, match="holds no sweep, radar cycle or picture"):
+    with pytest.raises(DataError, match="holds no sweep, radar cycle or image"):
         sceneloom.write(Scene(()), tmp_path / "a", format="nuscenes")

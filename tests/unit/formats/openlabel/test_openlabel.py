@@ -1,4 +1,4 @@
-"""OpenLABEL files read and written: what comes back, what is told, and what is refused."""
+"""OpenLABEL files read and written: what comes back, what is reported, and what is refused."""
 
 import json
 from dataclasses import replace
@@ -8,7 +8,7 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, OutputError, UnknownOptionError
-from sceneloom.formats.loss import Fate
+from sceneloom.formats.loss import Support
 from sceneloom.formats.openlabel.spec import FORMAT
 from sceneloom.formats.table import find_format, open_scene, write_scene
 from sceneloom.geometry.rigid import RigidTransform
@@ -37,7 +37,7 @@ from sceneloom.scene import (
     PointPath,
     PointProjection,
     PointsAnnotation,
-    PosePath,
+    Poses,
     Projection,
     Scene,
     ShapeAnnotation,
@@ -63,13 +63,13 @@ def scene(*annotations, **fields):
         GnssSensor("gps", np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0), np.zeros(0), mount=MOUNT),
     )
     half = np.sqrt(0.5)
-    way = Trajectory(
+    trajectory = Trajectory(
         "vio",
         TIMES,
         np.array([[0.0, 0, 0], [1, 0, 0], [2, 1, 0]]),
         np.array([[0.0, 0, 0, 1], [0, 0, half, half], [0, 0, 0, 1]]),
     )
-    return Scene(sensors, annotations=annotations, trajectories={"vio": way}, **fields)
+    return Scene(sensors, annotations=annotations, trajectories={"vio": trajectory}, **fields)
 
 
 def there_and_back(tmp_path, one):
@@ -97,7 +97,7 @@ def test_boxes_come_back_with_times_classes_and_attributes(tmp_path):
     assert (back.id, back.label, back.stationary) == ("car 1", "Car", False)
     np.testing.assert_array_equal(back.path.timestamps_ns, TIMES)
     np.testing.assert_array_equal(back.path.values[:, :6], values[:, :6])
-    # by way of quaternions: a few units of the last digit of 120 degrees
+    # through quaternions: a few units of the last digit of 120 degrees
     np.testing.assert_allclose(back.path.values[:, 6:], values[:, 6:], rtol=0, atol=1e-12)
     by_name = {one.name: one for one in back.attributes}
     assert {name: one.values for name, one in by_name.items()} == {one.name: one.values for one in attributes}
@@ -130,7 +130,7 @@ def annotations_of_every_kind():
     )
     yield ObjectAnnotation("thing", "Thing", parent_id="all", extras={"note": {"a": [1, None]}})
     yield ObjectAnnotation(
-        "said", type="attributes", attributes=(AttributePath("odd", (1, "x", None), TIMES),)
+        "stated", type="attributes", attributes=(AttributePath("odd", (1, "x", None), TIMES),)
     )
     yield GroupAnnotation("all", "Group")
     yield LinkAnnotation("tie", "brakes", 3, "causes", is_bidirectional=False)
@@ -180,7 +180,7 @@ BOXES = np.array([[1.5, 2, 30, 40], [2, 2, 30, 40], [3, 2, 31, 40.0]])
 
 
 def one_thing():
-    """An object with all that can be told of it by annotations of its own, and its trailer."""
+    """An object with all that can be reported it by annotations of its own, and its trailer."""
     state = AttributePath("review_state", ("approved", "open"), ENDS)
     gone = np.array([[1.5, 2, 30, 40], [np.nan] * 4, [3, 2, 31, 40.0]])
     seen = (
@@ -251,7 +251,7 @@ def test_each_annotation_of_a_thing_comes_back_as_it_was(thing, name):
     back = next(one for one in found.annotations if str(one.id) == name)
     if hasattr(back, "path") and back.type == "cuboid":
         np.testing.assert_allclose(back.path.values, ROWS, rtol=0, atol=1e-12)
-        back = replace(back, path=replace(back.path, values=ROWS))  # angles come by way of quaternions
+        back = replace(back, path=replace(back.path, values=ROWS))  # angles come through quaternions
     same(back, ONE_THING[name])
     assert not [loss for loss in losses if loss.field.startswith("annotations")]
 
@@ -293,7 +293,7 @@ def test_what_others_change_of_a_thing_is_read(thing, tmp_path):
     assert (added.type, added.parent_id) == ("cuboid", "thing")
 
 
-def test_what_we_say_of_parts_and_is_wrong_is_refused_with_its_place(thing, tmp_path):
+def test_what_we_state_of_parts_and_is_wrong_is_refused_with_its_location(thing, tmp_path):
     for name, value in (
         ("data", 5),
         ("own", [[1]]),
@@ -305,10 +305,10 @@ def test_what_we_say_of_parts_and_is_wrong_is_refused_with_its_place(thing, tmp_
         fields["parts"][0][name] = value
         with pytest.raises(DataError) as caught:
             read(tmp_path, {"openlabel": written})
-        assert "metadata.sceneloom.object" in caught.value.place
+        assert "metadata.sceneloom.object" in caught.value.location
 
 
-def test_sensors_come_back_without_frames_and_the_way_of_the_ego_with_all_digits(tmp_path):
+def test_sensors_come_back_without_frames_and_the_ego_trajectory_with_all_digits(tmp_path):
     one = scene()
     found, losses = there_and_back(tmp_path, one)
     assert [(type(s), s.id) for s in found.sensors] == [(type(s), s.id) for s in one.sensors]
@@ -316,31 +316,31 @@ def test_sensors_come_back_without_frames_and_the_way_of_the_ego_with_all_digits
     assert found.sensor(7).camera == one.sensor(7).camera
     np.testing.assert_allclose(found.sensor("front").mount.matrix, MOUNT.matrix, rtol=0, atol=1e-15)
     np.testing.assert_allclose(found.sensor("gps").mount.matrix, MOUNT.matrix, rtol=0, atol=1e-15)
-    way = found.trajectories["vio"]
-    np.testing.assert_array_equal(way.timestamps_ns, TIMES)
-    np.testing.assert_array_equal(way.positions, one.trajectories["vio"].positions)
+    trajectory = found.trajectories["vio"]
+    np.testing.assert_array_equal(trajectory.timestamps_ns, TIMES)
+    np.testing.assert_array_equal(trajectory.positions, one.trajectories["vio"].positions)
     np.testing.assert_allclose(
-        way.quaternions_xyzw, one.trajectories["vio"].quaternions_xyzw, rtol=0, atol=1e-15
+        trajectory.quaternions_xyzw, one.trajectories["vio"].quaternions_xyzw, rtol=0, atol=1e-15
     )
-    told = {loss.field: loss.fate for loss in losses}
-    assert told["sensors[top].frames"] is Fate.DROPPED
-    assert "frames-elsewhere" in {notice.code for notice in found.notices}
+    reported = {loss.field: loss.support for loss in losses}
+    assert reported["sensors[top].frames"] is Support.DROPPED
+    assert "frames-elsewhere" in {warning.code for warning in found.warnings}
     with pytest.raises(IndexError):
         found.sensor("top").frames[0]
 
 
-def test_what_has_no_place_is_told(tmp_path):
+def test_what_has_no_location_is_reported(tmp_path):
     seen = Activation("top", TIMES[:1], (5,), extras={"y": np.ones(2)})
     path = CuboidPath(TIMES[:1], np.ones((1, 9)), extras={"x": np.ones(2)})
     box = CuboidAnnotation("a", path, activations=(seen,))
-    mend = LocalizationAdjustment("mend", PosePath.identity())
+    repair = LocalizationAdjustment("repair", Poses.identity())
     plain = PlainAnnotation("odd", "odd", {"v": 1})
     second = Trajectory("other", TIMES, np.zeros((3, 3)))
-    one = scene(box, mend, plain, metadata={"city": "x", "bytes": np.ones(3)})
+    one = scene(box, repair, plain, metadata={"city": "x", "bytes": np.ones(3)})
     one = replace(one, trajectories={**one.trajectories, "other": second})
     # written as it is: `write_scene` would apply the adjustment, which is then no loss
     losses = FORMAT.write(one, tmp_path / "a.json")
-    told = {loss.field for loss in losses if loss.fate is Fate.DROPPED}
+    reported = {loss.field for loss in losses if loss.support is Support.DROPPED}
     assert {
         "annotations[a].extras",
         "annotations[a].path.extras",
@@ -348,7 +348,7 @@ def test_what_has_no_place_is_told(tmp_path):
         "annotations.plain",
         "metadata.bytes",
         "trajectories[other]",
-    } <= told
+    } <= reported
 
 
 def test_metadata_come_back_as_they_were(tmp_path):
@@ -370,8 +370,8 @@ def read(tmp_path, content, **options):
     return open_scene(path, **options)
 
 
-def frame(stamp, data, **properties):
-    properties = {**({} if stamp is None else {"timestamp": stamp}), **properties}
+def frame(timestamp, data, **properties):
+    properties = {**({} if timestamp is None else {"timestamp": timestamp}), **properties}
     return {"frame_properties": properties, "objects": {"1": {"object_data": data}}}
 
 
@@ -422,7 +422,7 @@ def test_boxes_in_a_sensor_are_brought_to_the_root_of_its_coordinate_systems(tmp
 
 
 @pytest.mark.parametrize(
-    ("stamp", "time_ns"),
+    ("timestamp", "time_ns"),
     [
         ("1700000000.000000001", 1_700_000_000_000_000_001),
         ("2023-11-14T22:13:20.5Z", 1_700_000_000_500_000_000),
@@ -433,19 +433,19 @@ def test_boxes_in_a_sensor_are_brought_to_the_root_of_its_coordinate_systems(tmp
         (None, 300_000_000),
     ],
 )
-def test_times_are_read_in_the_unit_that_makes_them_times(tmp_path, stamp, time_ns):
+def test_times_are_read_in_the_unit_that_makes_them_times(tmp_path, timestamp, time_ns):
     found = read(
-        tmp_path, document(objects=OBJECT, frames={"3": frame(stamp, cuboid(0, 0, 0, *QUARTER, 1, 1, 1))})
+        tmp_path, document(objects=OBJECT, frames={"3": frame(timestamp, cuboid(0, 0, 0, *QUARTER, 1, 1, 1))})
     )
     assert found.annotations[0].path.timestamps_ns.tolist() == [time_ns]
-    assert ("frame-times-assumed" in {notice.code for notice in found.notices}) is (stamp is None)
+    assert ("frame-times-assumed" in {warning.code for warning in found.warnings}) is (timestamp is None)
 
 
-def test_turned_boxes_are_polygons_and_go_back_as_turned_boxes(tmp_path):
+def test_rotated_boxes_are_polygons_and_go_back_as_rotated_boxes(tmp_path):
     frames = {"0": frame(1, {"rbbox": [{"name": "r", "val": [100, 50, 40, 20, np.pi / 2]}]})}
     found = read(tmp_path, document(objects=OBJECT, frames=frames))
     corners = found.annotations[0].path.vertices[0]
-    # a quarter turn exchanges width and height
+    # a quarter rotation exchanges width and height
     np.testing.assert_allclose(np.ptp(corners, axis=0), [20, 40])
     np.testing.assert_allclose(corners.mean(axis=0), [100, 50])
     write_scene(found, tmp_path / "again.json")
@@ -461,7 +461,7 @@ def test_relative_polygons_are_summed_up_and_chain_codes_left_out(tmp_path):
     found = read(tmp_path, document(objects=OBJECT, frames={"0": frame(1, {"poly2d": [relative, coded]})}))
     np.testing.assert_array_equal(found.annotations[0].path.vertices[0], [[5, 5], [6, 5], [6, 7]])
     assert found.annotations[0].type == "polyline_2d"
-    assert "poly2d-mode" in {notice.code for notice in found.notices}
+    assert "poly2d-mode" in {warning.code for warning in found.warnings}
 
 
 def test_matrices_and_whole_objects_are_attributes_and_come_back(tmp_path):
@@ -483,7 +483,7 @@ def test_matrices_and_whole_objects_are_attributes_and_come_back(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("members", "place", "problem"),
+    ("members", "location", "problem"),
     [
         (
             {"objects": OBJECT, "frames": {"0": frame(1, cuboid(1, 2))}},
@@ -522,10 +522,10 @@ def test_matrices_and_whole_objects_are_attributes_and_come_back(tmp_path):
         ),
     ],
 )
-def test_what_is_wrong_is_told_with_its_place(tmp_path, members, place, problem):
+def test_what_is_wrong_is_reported_with_its_location(tmp_path, members, location, problem):
     with pytest.raises(DataError) as caught:
         read(tmp_path, document(**members))
-    assert place in caught.value.place
+    assert location in caught.value.location
     assert problem in caught.value.problem
 
 
@@ -535,7 +535,7 @@ def test_a_lenient_reading_leaves_out_what_is_wrong_and_counts_it(tmp_path):
     frames["0"]["objects"]["2"] = {"object_data": cuboid(0, 0, 0, 0, 0, 0, 1, 1, 1, 1)}
     found = read(tmp_path, document(objects=objects, frames=frames), lenient=True)
     assert [one.id for one in found.annotations] == ["2"]
-    assert [notice.count for notice in found.notices if notice.code == "elements"] == [1]
+    assert [warning.count for warning in found.warnings if warning.code == "elements"] == [1]
 
 
 @pytest.mark.parametrize("content", ['{"openlabel": ', '{"openlabel": 3}', '{"openlabel": {"objects": []}}'])

@@ -120,9 +120,9 @@ def test_a_frame_that_is_cut_off_anywhere_is_a_data_error(tmp_path, version):
 def test_a_frame_with_a_flipped_byte_is_read_or_a_data_error(tmp_path, version):
     whole = gzip.decompress((FRAMES / version / "cuboids_1.pkl.gz").read_bytes())
     rng = np.random.default_rng(3)
-    for place in rng.integers(0, len(whole), 50).tolist():
+    for location in rng.integers(0, len(whole), 50).tolist():
         changed = bytearray(whole)
-        changed[place] ^= 1 << int(rng.integers(8))
+        changed[location] ^= 1 << int(rng.integers(8))
         path = written(tmp_path / "a.pkl", bytes(changed))
         with suppress(DataError):
             read_pickled_frame(path)

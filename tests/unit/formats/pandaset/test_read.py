@@ -1,4 +1,4 @@
-"""Drives of PandaSet, by the description of its development kit: what the files say is in the scene."""
+"""Drives of PandaSet, by the description of its development kit: what the files state is in the scene."""
 
 import json
 import pickle
@@ -28,19 +28,19 @@ def lidar_pose(k):
 
 
 def camera_pose(k):
-    place, turn = lidar_pose(k)
-    return (np.array(place) + turn.apply([0.0, 0.5, -0.1])).tolist(), turn * Rotation.from_euler(
+    location, rotation = lidar_pose(k)
+    return (np.array(location) + rotation.apply([0.0, 0.5, -0.1])).tolist(), rotation * Rotation.from_euler(
         "x", -np.pi / 2
     )
 
 
 def poses(of, count=2):
-    told = []
+    reported = []
     for k in range(count):
-        place, turn = of(k)
-        heading = dict(zip("xyzw", turn.as_quat().tolist(), strict=True))
-        told.append({"position": dict(zip("xyz", place, strict=True)), "heading": heading})
-    return told
+        location, rotation = of(k)
+        heading = dict(zip("xyzw", rotation.as_quat().tolist(), strict=True))
+        reported.append({"position": dict(zip("xyz", location, strict=True)), "heading": heading})
+    return reported
 
 
 def put(path, thing):
@@ -96,49 +96,54 @@ def test_points_in_the_world_go_to_the_lidar_that_measured_them(scene):
         assert np.abs(away).max() < 300  # seconds since 1970 in float64 are steps of 238 ns
 
 
-def test_the_main_lidar_is_where_its_poses_say_and_the_ego_looks_along_its_y(scene):
-    lidar, way = scene.sensor("main_pandar64"), scene.trajectories["pose"]
+def test_the_main_lidar_is_where_its_poses_state_and_the_ego_looks_along_its_y(scene):
+    lidar, trajectory = scene.sensor("main_pandar64"), scene.trajectories["pose"]
     for k in range(2):
-        place, turn = lidar_pose(k)
-        assert np.allclose(lidar.poses.positions[k], place)
-        assert (Rotation.from_quat(lidar.poses.quaternions_xyzw[k]).inv() * turn).magnitude() < NEAR
-        ego = Rotation.from_quat(way.quaternions_xyzw[k])
-        assert np.allclose(ego.apply([1, 0, 0]), turn.apply([0, 1, 0]))
-        mounted = RigidTransform.from_quaternion(way.positions[k], way.quaternions_xyzw[k]) @ lidar.mount
+        location, rotation = lidar_pose(k)
+        assert np.allclose(lidar.poses.positions[k], location)
+        assert (Rotation.from_quat(lidar.poses.quaternions_xyzw[k]).inv() * rotation).magnitude() < NEAR
+        ego = Rotation.from_quat(trajectory.quaternions_xyzw[k])
+        assert np.allclose(ego.apply([1, 0, 0]), rotation.apply([0, 1, 0]))
+        mounted = (
+            RigidTransform.from_quaternion(trajectory.positions[k], trajectory.quaternions_xyzw[k])
+            @ lidar.mount
+        )
         own = RigidTransform.from_quaternion(lidar.poses.positions[k], lidar.poses.quaternions_xyzw[k])
         assert np.allclose(mounted.matrix, own.matrix, atol=NEAR)
 
 
-def test_cameras_have_their_own_times_poses_and_lenses(scene):
+def test_cameras_have_their_own_times_poses_and_camera_models(scene):
     camera = scene.cameras[0]
     assert camera.id == "front_camera"
-    assert camera.pictures.timestamps_ns.tolist() == [FIRST_NS + 50_000_000, FIRST_NS + 150_000_000]
+    assert camera.images.timestamps_ns.tolist() == [FIRST_NS + 50_000_000, FIRST_NS + 150_000_000]
     assert (camera.camera.model, camera.camera.width, camera.camera.fy) == ("pinhole", 64, 61.0)
-    place, turn = camera_pose(1)
-    assert np.allclose(camera.poses.positions[1], place)
-    assert (Rotation.from_quat(camera.poses.quaternions_xyzw[1]).inv() * turn).magnitude() < NEAR
-    assert camera.pictures[1].rgb.shape == (48, 64, 3)
+    location, rotation = camera_pose(1)
+    assert np.allclose(camera.poses.positions[1], location)
+    assert (Rotation.from_quat(camera.poses.quaternions_xyzw[1]).inv() * rotation).magnitude() < NEAR
+    assert camera.images[1].rgb.shape == (48, 64, 3)
 
 
 @pytest.mark.parametrize("version", ["pandas_1", "pandas_2", "pandas_3"])
-def test_boxes_keep_their_corners_and_what_is_said_about_them(tmp_path, version):
+def test_boxes_keep_their_corners_and_what_is_stated_about_them(tmp_path, version):
     scene = sceneloom.open(write_drive(tmp_path / "002", FRAMES.parent / version))
     first, second, walker = (a for a in scene.annotations if a.type == "cuboid")
     assert (first.id, first.label, first.stationary, walker.stationary) == ("car-0", "Car", False, True)
     for k in range(2):
-        # corners as the development kit makes them: width along x, length along y, turned about z
+        # corners as the development kit makes them: width along x, length along y, rotated about z
         yaw = 0.25 + 0.1 * k
         local = np.array([[x, y, z] for x in (-0.95, 0.95) for y in (-2.3, 2.3) for z in (-0.8, 0.8)])
         expected = Rotation.from_euler("z", yaw).apply(local) + np.array([10.0 + k, 20.0, 1.0])
         row = first.path.values[k]
         half = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * row[:3] / 2
-        turn = Rotation.from_quat(CuboidAngles.of(scene).quaternions(row[6:]))
-        ours = turn.apply(half) + row[3:6]
+        rotation = Rotation.from_quat(CuboidAngles.of(scene).quaternions(row[6:]))
+        ours = rotation.apply(half) + row[3:6]
         assert np.allclose(sorted(ours.tolist()), sorted(expected.tolist()), atol=1e-9)
         # the front is where the length points
-        assert np.allclose(turn.apply([1, 0, 0]), Rotation.from_euler("z", yaw).apply([0, 1, 0]), atol=1e-9)
-    said = {path.name: path.values for path in first.attributes}
-    assert said == {"object_motion": ("Moving",), "sibling_id": ("car-1",), "sensor_id": ("main_pandar64",)}
+        assert np.allclose(
+            rotation.apply([1, 0, 0]), Rotation.from_euler("z", yaw).apply([0, 1, 0]), atol=1e-9
+        )
+    stated = {path.name: path.values for path in first.attributes}
+    assert stated == {"object_motion": ("Moving",), "sibling_id": ("car-1",), "sensor_id": ("main_pandar64",)}
     assert {path.name: path.values for path in second.attributes}["camera_used"] == (0, 2)
     assert {path.name: path.values for path in walker.attributes} == {"pedestrian_age": ("Child", "Adult")}
     assert first.path.timestamps_ns.tolist() == [FIRST_NS, FIRST_NS + 100_000_000]
@@ -174,7 +179,7 @@ def test_satellite_fixes_keep_their_velocities(scene):
 
 
 def test_frames_go_to_other_processes(scene):
-    for frames in (scene.lidars[1].frames, scene.cameras[0].pictures):
+    for frames in (scene.lidars[1].frames, scene.cameras[0].images):
         assert pickle.loads(pickle.dumps(frames))[1].timestamp_ns == frames[1].timestamp_ns
 
 
@@ -230,17 +235,17 @@ FAULTS = {
         r"\[0\].heading: w, x, y, z = \[2.0, 0.0, 0.0, 0.0\]; expected length 1",
     ),
     "no JSON": (lambda d: (d / "lidar/poses.json").write_text("[{"), "poses.json: is no JSON"),
-    "no lens": (
+    "no camera model": (
         lambda d: (d / "camera/front_camera/intrinsics.json").unlink(),
         "intrinsics.json: is not there",
     ),
-    "a lens without focus": (
+    "a camera model without focus": (
         replaced("camera/front_camera/intrinsics.json", {"fx": 0.0, "fy": 1.0, "cx": 1.0, "cy": 1.0}),
         "focal lengths 0.0, 1.0",
     ),
-    "no pictures": (
+    "no images": (
         lambda d: [file.unlink() for file in (d / "camera/front_camera").glob("*.jpg")],
-        "front_camera: no picture",
+        "front_camera: no image",
     ),
     "boxes of no sweep": (
         lambda d: shutil.copy(d / "annotations/cuboids/00.pkl.gz", d / "annotations/cuboids/07.pkl.gz"),
@@ -264,20 +269,20 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_what_is_wrong_with_a_drive_is_told_with_its_place(drive, fault):
+def test_what_is_wrong_with_a_drive_is_reported_with_its_location(drive, fault):
     change, message = FAULTS[fault]
     change(drive)
     with pytest.raises(DataError, match=message):
         sceneloom.open(drive)
 
 
-def test_a_sweep_that_is_none_is_told_when_it_is_read(drive):
+def test_a_sweep_that_is_none_is_reported_when_it_is_read(drive):
     shutil.copy(drive / "annotations/cuboids/00.pkl.gz", drive / "lidar/00.pkl.gz")
     with pytest.raises(DataError, match=r"00.pkl.gz: no column 'x'"):
         sceneloom.open(drive).lidars[0].frames[0]
 
 
-def test_labels_of_another_number_than_the_points_are_told(drive):
+def test_labels_of_another_number_than_the_points_are_reported(drive):
     shutil.copy(drive / "annotations/semseg/01.pkl.gz", drive / "annotations/semseg/00.pkl.gz")
     with pytest.raises(DataError, match=r"13 rows; expected 12, one for each point of 00.pkl.gz"):
         list(sceneloom.open(drive).annotations[-1].labeled_points)
@@ -287,10 +292,10 @@ def test_files_of_boxes_at_fault_are_left_out_and_counted_by_a_lenient_reading(d
     (drive / "annotations/cuboids/00.pkl.gz").write_bytes(b"no pickle")
     scene = sceneloom.open(drive, lenient=True)
     assert len(scene.annotations[0].path.values) == 1
-    assert {notice.code: notice.count for notice in scene.notices}["cuboids"] == 1
+    assert {warning.code: warning.count for warning in scene.warnings}["cuboids"] == 1
 
 
-def test_half_a_drive_is_told_what_it_lacks(drive):
+def test_half_a_drive_is_reported_what_it_lacks(drive):
     shutil.rmtree(drive / "lidar")
     shutil.rmtree(drive / "annotations")
     with pytest.raises(DataError, match="has camera/front_camera/ as PandaSet has, but no lidar/"):

@@ -33,7 +33,7 @@ class RecordingFolder:
         return self
 
     def video(self, name: str, count: int, *, width: int = 32, height: int = 16) -> "RecordingFolder":
-        """Write a lossless video whose picture k is grey 10 k."""
+        """Write a lossless video whose image k is grey 10 k."""
         with av.open(str(self.path / name), "w") as container:
             stream = container.add_stream("ffv1", rate=10, options={"threads": "1"})
             stream.width, stream.height, stream.pix_fmt = width, height, "bgr0"
@@ -46,7 +46,7 @@ class RecordingFolder:
         return self
 
     def pngs(self, name: str, count: int, *, width: int = 32, height: int = 16) -> "RecordingFolder":
-        """Write a folder of PNG pictures whose picture k is grey 10 k."""
+        """Write a folder of PNG images whose image k is grey 10 k."""
         (self.path / name).mkdir()
         for k in range(count):
             Image.new("RGB", (width, height), (10 * k,) * 3).save(self.path / name / f"{k:08d}.png")
@@ -64,7 +64,7 @@ class RecordingFolder:
         return self
 
     def depth_pngs(self, name: str, images: Sequence[np.ndarray]) -> "RecordingFolder":
-        """Write images of 16-bit steps as PNG pictures."""
+        """Write images of 16-bit steps as PNG images."""
         (self.path / name).mkdir()
         for k, image in enumerate(images):
             Image.fromarray(image).save(self.path / name / f"{k:08d}.png")

@@ -1,4 +1,4 @@
-"""Lenses and mountings that every line brings along: the example of the format's owner, and every model."""
+"""Camera models and mountings that every line brings along: the example of the format's owner, and every model."""
 
 import json
 
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras import project
-from sceneloom.formats.recording.lenses import LENS_READINGS
+from sceneloom.formats.recording.camera_models import CAMERA_MODEL_READINGS
 from sceneloom.formats.recording.spec import FORMAT
 
 # two lines of "Example data.jsonl" in the description of the format, as they stand there
@@ -30,12 +30,12 @@ def test_the_example_of_the_formats_owner_is_read(recording):
     size = {"width": 848, "height": 800}
     recording.lines(EXAMPLE).video("data.mkv", 2, **size).video("data2.mkv", 2, **size)
     with FORMAT.open(recording.path) as scene:
-        assert scene.notices == ()
+        assert scene.warnings == ()
         assert [camera.id for camera in scene.cameras] == ["camera0", "camera1"]
         for index, camera in enumerate(scene.cameras):
-            assert camera.pictures.timestamps_ns.tolist() == [1436207275, 1469558594]
-            said = json.loads(EXAMPLE[0])["frames"][index]
-            numbers = said["cameraParameters"]
+            assert camera.images.timestamps_ns.tolist() == [1436207275, 1469558594]
+            stated = json.loads(EXAMPLE[0])["frames"][index]
+            numbers = stated["cameraParameters"]
             matrix = np.array(
                 [
                     [numbers["focalLengthX"], 0.0, numbers["principalPointX"]],
@@ -47,17 +47,19 @@ def test_the_example_of_the_formats_owner_is_read(recording):
             expected, _ = cv2.fisheye.projectPoints(
                 POINTS_CAMERA[:, None], np.zeros(3), np.zeros(3), matrix, coefficients
             )
-            for picture in camera.pictures:
-                pixels, visible = project(picture.camera, POINTS_CAMERA)
+            for image in camera.images:
+                pixels, visible = project(image.camera, POINTS_CAMERA)
                 assert visible.sum() > 40
                 # both compute in float64, so only rounding is between them
                 np.testing.assert_allclose(pixels[visible], expected[visible, 0], atol=1e-8)
             # the example's matrices are rounded, so their rotations are off by some 2e-4
-            np.testing.assert_allclose(camera.mount.inverse().matrix, said["imuToCamera"], atol=5e-4)
+            np.testing.assert_allclose(camera.mount.inverse().matrix, stated["imuToCamera"], atol=5e-4)
 
 
-@pytest.mark.parametrize(("model", "count"), [(name, n) for name, row in LENS_READINGS.items() for n in row])
-def test_a_lens_of_any_model_is_the_same_from_a_line_as_from_the_calibration(
+@pytest.mark.parametrize(
+    ("model", "count"), [(name, n) for name, row in CAMERA_MODEL_READINGS.items() for n in row]
+)
+def test_a_camera_model_of_any_model_is_the_same_from_a_line_as_from_the_calibration(
     recording, pinhole, model, count
 ):
     coefficients = [1e-3 * (k + 1) for k in range(count)]
@@ -73,6 +75,6 @@ def test_a_lens_of_any_model_is_the_same_from_a_line_as_from_the_calibration(
     calibrated = {**pinhole, "model": model, "distortionCoefficients": coefficients}
     recording.lines(lines).calibration([pinhole, calibrated]).video("data.mkv", 1).video("data2.mkv", 1)
     with FORMAT.open(recording.path) as scene:
-        from_line, from_calibration = (camera.pictures[0].camera for camera in scene.cameras)
+        from_line, from_calibration = (camera.images[0].camera for camera in scene.cameras)
         assert from_line == from_calibration
-        assert from_line.model == LENS_READINGS[model][count].model
+        assert from_line.model == CAMERA_MODEL_READINGS[model][count].model

@@ -24,7 +24,7 @@ class Entry(msgspec.Struct):
     rows: list[float] | None = None
 
 
-def told(text, kind=Entry):
+def reported(text, kind=Entry):
     with pytest.raises(DECODER_FAULTS) as caught:
         msgspec.json.decode(text, type=kind)
     return json_fault(caught.value, text)
@@ -58,11 +58,11 @@ def told(text, kind=Entry):
     ],
 )
 def test_types_have_everyday_names(text, path, problem):
-    assert told(text) == (path, problem)
+    assert reported(text) == (path, problem)
 
 
-def test_what_is_no_matter_of_types_is_told_as_it_is():
-    assert told(b"{}", kind=msgspec.defstruct("Fix", [("altitude", float)])) == (
+def test_what_is_no_matter_of_types_is_reported_as_it_is():
+    assert reported(b"{}", kind=msgspec.defstruct("Fix", [("altitude", float)])) == (
         "",
         "{}: Object missing required field `altitude`",
     )
@@ -77,8 +77,8 @@ def test_what_is_no_matter_of_types_is_told_as_it_is():
         (gzip.compress(b"{}", mtime=0), "is compressed by gzip; "),
     ],
 )
-def test_text_of_other_kinds_is_told_by_its_kind(text, problem):
-    assert told(text)[1].startswith(problem)
+def test_text_of_other_kinds_is_known_by_its_kind(text, problem):
+    assert reported(text)[1].startswith(problem)
 
 
 @pytest.mark.parametrize(
@@ -104,5 +104,5 @@ def test_a_file_that_is_no_text_in_utf_8_is_known_by_its_first_bytes(text, kind)
 @pytest.mark.parametrize(
     ("text", "hint"), [(b'{"number":1},', "no list"), (b"[", "no list"), (b"{", "each object in one line")]
 )
-def test_a_list_and_an_object_over_several_lines_are_told_to_be_none_of_a_log(text, hint):
-    assert hint in told(text, kind=Any)[1]
+def test_a_list_and_an_object_over_several_lines_are_reported_to_be_none_of_a_log(text, hint):
+    assert hint in reported(text, kind=Any)[1]

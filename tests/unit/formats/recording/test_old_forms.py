@@ -50,8 +50,15 @@ def test_parameters_stand_in_for_a_calibration(recording):
     with FORMAT.open(recording.path) as scene:
         first, second = scene.cameras
         assert (first.camera.model, first.camera.coefficients) == ("fisheye", tuple(FISHEYE))
-        lens = first.camera
-        assert (lens.fx, lens.fy, lens.cx, lens.cy, lens.width, lens.height) == (
+        camera_model = first.camera
+        assert (
+            camera_model.fx,
+            camera_model.fy,
+            camera_model.cx,
+            camera_model.cy,
+            camera_model.width,
+            camera_model.height,
+        ) == (
             20.5,
             21.5,
             15.25,
@@ -63,11 +70,11 @@ def test_parameters_stand_in_for_a_calibration(recording):
         for camera, matrix in ((first, CAMERA_FROM_IMU), (second, SECOND_FROM_IMU)):
             np.testing.assert_allclose(camera.mount.matrix, np.linalg.inv(matrix), atol=1e-15)
         assert scene.metadata["recording"]["parameters"] == FULL
-        assert {notice.code for notice in scene.notices} == {"old-calibration", "camera-shift-not-applied"}
+        assert {warning.code for warning in scene.warnings} == {"old-calibration", "camera-shift-not-applied"}
 
 
 @pytest.mark.parametrize("nested", [True, False])
-def test_lines_at_the_head_tell_mountings_and_fisheye_lenses(recording, nested):
+def test_lines_at_the_head_report_mountings_and_fisheye_camera_models(recording, nested):
     header = []
     for index, matrix in enumerate((CAMERA_FROM_IMU, SECOND_FROM_IMU)):
         numbers = matrix.tolist() if nested else by_columns(matrix)
@@ -81,7 +88,7 @@ def test_lines_at_the_head_tell_mountings_and_fisheye_lenses(recording, nested):
         for camera, matrix in zip(scene.cameras, (CAMERA_FROM_IMU, SECOND_FROM_IMU), strict=True):
             assert (camera.camera.model, camera.camera.coefficients) == ("fisheye", tuple(FISHEYE))
             assert (camera.camera.fx, camera.camera.fy) == (20.0, 20.0)
-            assert camera.pictures[0].camera == camera.camera
+            assert camera.images[0].camera == camera.camera
             np.testing.assert_allclose(camera.mount.matrix, np.linalg.inv(matrix), atol=1e-15)
         # the lines themselves stay
         assert len(scene.metadata["recording"]["other_lines"]) == 4
@@ -96,7 +103,7 @@ def test_parameters_count_before_lines_and_a_calibration_before_both(recording, 
     recording.calibration([pinhole])
     with FORMAT.open(recording.path) as scene:
         np.testing.assert_array_equal(scene.cameras[0].mount.matrix, np.eye(4))
-        assert "old-calibration" not in {notice.code for notice in scene.notices}
+        assert "old-calibration" not in {warning.code for warning in scene.warnings}
 
 
 def test_a_camera_of_no_model_is_taken_for_a_pinhole(recording):
@@ -109,16 +116,16 @@ def test_a_camera_of_no_model_is_taken_for_a_pinhole(recording):
         camera = scene.cameras[0]
         assert camera.camera.model == "pinhole"
         np.testing.assert_array_equal(camera.mount.matrix, np.diag([1.0, -1.0, -1.0, 1.0]))
-        assert [n.message for n in scene.notices][1] == "camera 0 is taken for a pinhole: no model is said"
+        assert [n.message for n in scene.warnings][1] == "camera 0 is taken for a pinhole: no model is stated"
 
 
-def test_a_turned_video_leaves_the_mounting_open(recording):
+def test_a_rotated_video_leaves_the_mounting_open(recording):
     stereo(recording).path.joinpath("parameters.txt").write_text(FULL + "videoRotation CW90;\n")
     with pytest.raises(DataError, match="imuToCamera is missing"):
         FORMAT.open(recording.path)
     with FORMAT.open(recording.path, lenient=True) as scene:
         assert [camera.mount for camera in scene.cameras] == [None, None]
-        assert any("videoRotation" in notice.message for notice in scene.notices)
+        assert any("videoRotation" in warning.message for warning in scene.warnings)
 
 
 @pytest.mark.parametrize(
@@ -137,7 +144,7 @@ def test_parameters_that_are_none_are_refused(recording, text, problem):
         FORMAT.open(recording.path)
 
 
-def test_lines_that_only_look_like_old_ones_say_nothing(recording):
+def test_lines_that_only_look_like_old_ones_state_nothing(recording):
     header = [
         '{"cameraInd":7,"imuToCamera":[]}',
         '{"cameraInd":"x","imuToCamera":[]}',
@@ -148,7 +155,7 @@ def test_lines_that_only_look_like_old_ones_say_nothing(recording):
         assert "calibration" not in scene.metadata["recording"]
 
 
-def test_a_line_may_tell_of_the_one_camera_under_frame(recording, pinhole):
+def test_a_line_may_report_the_one_camera_under_frame(recording, pinhole):
     lines = [
         {
             "frame": {"time": 0.1 * k, "cameraParameters": {"focalLength": 25.0}, "shown": k},
@@ -159,7 +166,7 @@ def test_a_line_may_tell_of_the_one_camera_under_frame(recording, pinhole):
     ]
     recording.lines(lines).calibration([pinhole]).video("data.mkv", 3)
     with FORMAT.open(recording.path) as scene:
-        pictures = scene.cameras[0].pictures
-        assert [picture.rgb[0, 0, 0] for picture in pictures] == [0, 10, 20]
-        assert [(picture.camera.fx, picture.camera.fy) for picture in pictures] == [(25.0, 25.0)] * 3
-        assert [picture.extras["shown"] for picture in pictures] == [0, 1, 2]
+        images = scene.cameras[0].images
+        assert [image.rgb[0, 0, 0] for image in images] == [0, 10, 20]
+        assert [(image.camera.fx, image.camera.fy) for image in images] == [(25.0, 25.0)] * 3
+        assert [image.extras["shown"] for image in images] == [0, 1, 2]

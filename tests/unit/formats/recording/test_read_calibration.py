@@ -1,4 +1,4 @@
-"""Reading `calibration.json`: lenses against OpenCV, mountings against NumPy, and what is refused."""
+"""Reading `calibration.json`: camera models against OpenCV, mountings against NumPy, and what is refused."""
 
 import json
 import re
@@ -11,11 +11,11 @@ import pytest
 from sceneloom.cameras import project
 from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.formats.recording.spec import FORMAT
-from sceneloom.scene import NoticeKind, Scene
+from sceneloom.scene import Scene, WarningKind
 
 CAMERA_MATRIX = np.array([[420.0, 0.0, 310.0], [0.0, 415.0, 245.0], [0.0, 0.0, 1.0]])
 POINTS_CAMERA = np.random.default_rng(3).uniform([-1.5, -1.0, 4.0], [1.5, 1.0, 12.0], (50, 3))
-TURNED = np.array(
+ROTATED = np.array(
     [
         [0.000998747205656553, -0.9999903820710413, 0.004259378487635177, -0.25422760500525077],
         [0.00841690182755742, -0.004250821136069464, -0.9999555696753273, 0.7190941084821951],
@@ -35,7 +35,7 @@ def entry(model: str, coefficients: list[float], **further: Any) -> dict[str, An
         "principalPointY": CAMERA_MATRIX[1, 2],
         "imageWidth": 640,
         "imageHeight": 480,
-        "imuToCamera": TURNED.tolist(),
+        "imuToCamera": ROTATED.tolist(),
         **further,
     }
 
@@ -58,7 +58,7 @@ OPENCV = {
 
 
 @pytest.mark.parametrize(("model", "coefficients"), OPENCV)
-def test_perspective_lenses_project_as_opencv_does(recording, model, coefficients):
+def test_perspective_camera_models_project_as_opencv_does(recording, model, coefficients):
     camera = open_with(recording, entry(model, list(coefficients))).cameras[0].camera
     theirs = OPENCV[model, coefficients]()
     theirs = np.array(coefficients) if theirs is None else theirs
@@ -71,7 +71,7 @@ def test_perspective_lenses_project_as_opencv_does(recording, model, coefficient
 
 @pytest.mark.parametrize("coefficients", [(), (-0.028, 0.0021, -0.0052, 0.0004)])
 @pytest.mark.parametrize("model", ["kannala-brandt4", "KANNALA_BRANDT4", "KannalaBrandt4"])
-def test_fisheye_lenses_project_as_opencv_does(recording, model, coefficients):
+def test_fisheye_camera_models_project_as_opencv_does(recording, model, coefficients):
     camera = open_with(recording, entry(model, list(coefficients))).cameras[0].camera
     theirs = np.array(coefficients or (0.0,) * 4)
     expected, _ = cv2.fisheye.projectPoints(
@@ -109,7 +109,7 @@ def slow_kannala_brandt18(numbers, point):
 
 
 @pytest.mark.parametrize("count", [0, 4, 18])
-def test_kannala_and_brandts_full_model_projects_as_its_formulas_say(recording, count):
+def test_kannala_and_brandts_full_model_projects_as_its_formulas_state(recording, count):
     asymmetric = [0.01, 0.002, 1e-3, 0.5, 0.3, -0.2, 0.1, 4e-3, -2e-3, 1e-3, 0.2, 0.3, -0.2, 0.1]
     numbers = np.array([-0.028, 0.0021, -0.0052, 0.0004, *asymmetric])
     numbers[count:] = 0.0
@@ -129,27 +129,29 @@ def test_the_mounting_is_the_inverse_of_the_matrix(recording, key):
     mount = scene.cameras[0].mount
     assert mount is not None
     # the file's numbers are orthonormal to about 1e-7 only, and are normalised
-    np.testing.assert_allclose(mount.matrix, np.linalg.inv(TURNED), atol=1e-6)
-    assert scene.notices == ()
+    np.testing.assert_allclose(mount.matrix, np.linalg.inv(ROTATED), atol=1e-6)
+    assert scene.warnings == ()
 
 
 def test_sixteen_numbers_are_columns(recording):
-    camera = entry("pinhole", [], imuToCamera=TURNED.T.ravel().tolist())
+    camera = entry("pinhole", [], imuToCamera=ROTATED.T.ravel().tolist())
     mount = open_with(recording, camera).cameras[0].mount
     assert mount is not None
-    np.testing.assert_allclose(mount.matrix, np.linalg.inv(TURNED), atol=1e-6)
+    np.testing.assert_allclose(mount.matrix, np.linalg.inv(ROTATED), atol=1e-6)
 
 
 @pytest.mark.parametrize(("scale", "noticed"), [(1.0004, False), (1.002, True)])
 def test_rotations_that_are_slightly_off_are_normalised(recording, scale, noticed):
-    matrix = TURNED.copy()
+    matrix = ROTATED.copy()
     matrix[:3, :3] *= scale
     scene = open_with(recording, entry("pinhole", [], imuToCamera=matrix.tolist()))
     mount = scene.cameras[0].mount
     assert mount is not None
-    np.testing.assert_allclose(mount.rotation, TURNED[:3, :3].T, atol=1e-6)
-    assert [notice.code for notice in scene.notices] == (["rotation-normalised"] if noticed else [])
-    assert all(notice.place.endswith("calibration.json: cameras[0].imuToCamera") for notice in scene.notices)
+    np.testing.assert_allclose(mount.rotation, ROTATED[:3, :3].T, atol=1e-6)
+    assert [warning.code for warning in scene.warnings] == (["rotation-normalised"] if noticed else [])
+    assert all(
+        warning.location.endswith("calibration.json: cameras[0].imuToCamera") for warning in scene.warnings
+    )
 
 
 @pytest.mark.parametrize(
@@ -158,10 +160,10 @@ def test_rotations_that_are_slightly_off_are_normalised(recording, scale, notice
         (np.diag([1.01, 1.0, 1.0, 1.0]).tolist(), "rotation off by 0.02"),
         (np.diag([1.0, 1.0, -1.0, 1.0]).tolist(), "mirrored or singular"),
         (np.zeros((4, 4)).tolist(), "last row"),
-        (TURNED.T.tolist(), "transposed"),
-        (TURNED.ravel().tolist(), "last row"),
-        (TURNED[:3].tolist(), "3 rows; expected 4 rows of 4 numbers"),
-        (TURNED[:, :3].tolist(), "4 rows; expected 4 rows of 4 numbers"),
+        (ROTATED.T.tolist(), "transposed"),
+        (ROTATED.ravel().tolist(), "last row"),
+        (ROTATED[:3].tolist(), "3 rows; expected 4 rows of 4 numbers"),
+        (ROTATED[:, :3].tolist(), "4 rows; expected 4 rows of 4 numbers"),
         ([1.0, 2.0], "2 numbers; expected"),
         ([], "0 numbers; expected"),
     ],
@@ -197,12 +199,12 @@ def test_unusable_cameras_are_named_with_file_and_path(recording, change, words)
 def test_a_lenient_reading_leaves_unusable_cameras_out(recording):
     scene = open_with(recording, entry("omnidir9", []), entry("pinhole", []), lenient=True)
     assert [camera.id for camera in scene.cameras] == ["camera1"]
-    assert [(notice.code, notice.kind) for notice in scene.notices] == [
-        ("unusable-cameras", NoticeKind.SKIPPED)
+    assert [(warning.code, warning.kind) for warning in scene.warnings] == [
+        ("unusable-cameras", WarningKind.SKIPPED)
     ]
 
 
-def test_a_calibration_for_another_picture_size_is_scaled_with_a_notice(recording, pinhole):
+def test_a_calibration_for_another_image_size_is_scaled_with_a_warning(recording, pinhole):
     recording.video("data.mkv", 1, width=32, height=16)
     recording.lines(['{"frames":[{"cameraInd":0}],"number":0,"time":0}'])
     doubled = pinhole | {
@@ -215,37 +217,39 @@ def test_a_calibration_for_another_picture_size_is_scaled_with_a_notice(recordin
     camera = scene.cameras[0].camera
     assert (camera.width, camera.height) == (32, 16)
     assert (camera.fx, camera.fy) == (10.0, 5.25)
-    # the edge of a picture is half a pixel before the centre of its first one
+    # the edge of an image is half a pixel before the centre of its first one
     assert (camera.cx, camera.cy) == (15.5, 20.5 / 4 - 0.5)
-    assert [(notice.code, notice.kind) for notice in scene.notices] == [("lens-scaled", NoticeKind.REPAIRED)]
-    assert "64x64" in scene.notices[0].message
+    assert [(warning.code, warning.kind) for warning in scene.warnings] == [
+        ("camera-model-scaled", WarningKind.REPAIRED)
+    ]
+    assert "64x64" in scene.warnings[0].message
 
 
-def test_a_missing_picture_size_is_that_of_the_pictures(recording, pinhole):
+def test_a_missing_image_size_is_that_of_the_images(recording, pinhole):
     recording.video("data.mkv", 1, width=48, height=32)
     recording.lines(['{"frames":[{"cameraInd":0}],"number":0,"time":0}'])
     del pinhole["imageWidth"], pinhole["imageHeight"]
     scene = FORMAT.open(recording.calibration([pinhole]).path)
     assert (scene.cameras[0].camera.width, scene.cameras[0].camera.height) == (48, 32)
-    assert scene.notices == ()
+    assert scene.warnings == ()
 
 
-def test_a_camera_whose_picture_size_nothing_tells_is_left_out_with_a_notice(recording):
+def test_a_camera_whose_image_size_nothing_reports_is_left_out_with_a_warning(recording):
     camera = entry("pinhole", [])
     del camera["imageWidth"]
     scene = open_with(recording, camera)
     assert scene.cameras == ()
-    assert [notice.code for notice in scene.notices] == ["cameras-without-size"]
+    assert [warning.code for warning in scene.warnings] == ["cameras-without-size"]
 
 
-def test_a_camera_without_mounting_is_an_error_and_leniently_one_without_a_place(recording):
+def test_a_camera_without_mounting_is_an_error_and_leniently_one_without_a_location(recording):
     camera = entry("pinhole", [])
     del camera["imuToCamera"]
     with pytest.raises(DataError, match=r"cameras\[0\]: imuToCamera is missing"):
         open_with(recording, camera)
     scene = FORMAT.open(recording.path, lenient=True)
     assert scene.cameras[0].mount is None
-    assert [notice.code for notice in scene.notices] == ["mounts-missing"]
+    assert [warning.code for warning in scene.warnings] == ["mounts-missing"]
 
 
 @pytest.mark.parametrize(("key", "listed"), [("imuToCamera", "cameras"), ("imuToLidar", "lidars")])
@@ -259,12 +263,12 @@ def test_two_matrices_that_differ_are_an_error_and_leniently_the_first_counts(re
     with pytest.raises(DataError, match=rf"{listed}\[0\].{key}Matrix: differs from {key} by up to 0.5"):
         open_with(recording, camera, **further)
     with FORMAT.open(recording.path, lenient=True) as scene:
-        assert [notice.code for notice in scene.notices] == ["contradicting-mounts"]
+        assert [warning.code for warning in scene.warnings] == ["contradicting-mounts"]
         if listed == "cameras":
             assert scene.cameras[0].mount.translation[0] == -1.0
     sensor[f"{key}Matrix"] = one.tolist()
     with open_with(recording, camera, **further) as scene:
-        assert scene.notices == ()
+        assert scene.warnings == ()
 
 
 def test_a_byte_order_mark_is_passed_over_with_a_warning(recording):
@@ -272,7 +276,7 @@ def test_a_byte_order_mark_is_passed_over_with_a_warning(recording):
     path = recording.path / "calibration.json"
     path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
     with FORMAT.open(recording.path) as scene:
-        assert [notice.code for notice in scene.notices] == ["byte-order-mark"]
+        assert [warning.code for warning in scene.warnings] == ["byte-order-mark"]
         assert len(scene.cameras) == 1
 
 
@@ -285,8 +289,8 @@ def test_entries_are_kept_word_by_word(recording):
 
 def test_a_clock_shift_of_the_camera_is_kept_but_not_applied(recording):
     scene = open_with(recording, entry("pinhole", [], imuToCameraShiftSeconds=0.01))
-    (notice,) = scene.notices
-    assert (notice.code, notice.kind) == ("camera-shift-not-applied", NoticeKind.ASSUMED)
+    (warning,) = scene.warnings
+    assert (warning.code, warning.kind) == ("camera-shift-not-applied", WarningKind.ASSUMED)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"cameras": {}}', '{"cameras": [3]}', '{"lidars": "none"}'])
@@ -304,21 +308,21 @@ LEVER = [[0.0, 1.0, 0.0, 0.5], [-1.0, 0.0, 0.0, 0.25], [0.0, 0.0, 1.0, -1.5], [0
 def gnss_mount(recording, **further):
     recording.lines([FIX]).calibration((), **further)
     with FORMAT.open(recording.path) as scene:
-        return scene.sensor("gnss").mount, {notice.code for notice in scene.notices}
+        return scene.sensor("gnss").mount, {warning.code for warning in scene.warnings}
 
 
 def test_the_antenna_sits_where_imu_to_gnss_says(recording):
-    mount, notices = gnss_mount(recording, imuToGnss=LEVER)
+    mount, warnings = gnss_mount(recording, imuToGnss=LEVER)
     # p_gnss = T p_imu, so the antenna, the origin of its own frame, is at the inverse's last column
     np.testing.assert_allclose(mount.matrix, np.linalg.inv(LEVER), atol=1e-15)
-    assert not notices
+    assert not warnings
 
 
-@pytest.mark.parametrize("place", [[0.5, -0.2, 1.25], {"x": 0.5, "y": -0.2, "z": 1.25}])
-def test_an_antenna_given_by_its_place_is_assumed_to_be_there(recording, place):
-    mount, notices = gnss_mount(recording, imuToGnss=place)
+@pytest.mark.parametrize("location", [[0.5, -0.2, 1.25], {"x": 0.5, "y": -0.2, "z": 1.25}])
+def test_an_antenna_given_by_its_location_is_assumed_to_be_there(recording, location):
+    mount, warnings = gnss_mount(recording, imuToGnss=location)
     np.testing.assert_array_equal(mount.translation, [0.5, -0.2, 1.25])
-    assert notices == {"antenna-place"}
+    assert warnings == {"antenna-location"}
 
 
 def test_a_receiver_without_a_calibrated_antenna_has_no_mounting(recording):
@@ -348,7 +352,7 @@ def test_unusable_fields_of_the_device_are_named_and_left_out_when_lenient(recor
     with pytest.raises((CalibrationError, DataError), match=re.escape(problem)):
         open_with(recording, **further)
     scene = open_with(recording, lenient=True, **further)
-    assert "unusable-calibrations" in {notice.code for notice in scene.notices}
+    assert "unusable-calibrations" in {warning.code for warning in scene.warnings}
     assert scene.metadata["recording"]["calibration"].keys() == {"cameras", *further}
 
 
@@ -364,10 +368,10 @@ def test_rotations_without_translation_are_read_by_rows_or_nine_numbers_by_colum
         np.testing.assert_array_equal(mount.translation, np.zeros(3))
 
 
-def test_another_frame_of_the_output_is_told_not_applied(recording):
+def test_another_frame_of_the_output_is_reported_not_applied(recording):
     scene = open_with(recording, imuToOutput=LEVER)
-    assert {notice.code for notice in scene.notices} == {"poses-of-imu"}
-    assert not open_with(recording, imuToOutput=np.eye(4).tolist()).notices
+    assert {warning.code for warning in scene.warnings} == {"poses-of-imu"}
+    assert not open_with(recording, imuToOutput=np.eye(4).tolist()).warnings
 
 
 @pytest.mark.parametrize(
@@ -394,14 +398,14 @@ def test_shutters_are_kept_with_the_camera(recording):
     ("camera_shift", "expected_ns"),
     [("ignore", 1_000_000_000), ("apply", 1_015_000_000), ("subtract", 985_000_000)],
 )
-def test_camera_shifts_move_the_pictures_only_where_asked_for(recording, pinhole, camera_shift, expected_ns):
+def test_camera_shifts_move_the_images_only_where_asked_for(recording, pinhole, camera_shift, expected_ns):
     recording.lines([{"frames": [{"cameraInd": 0}], "number": 0, "time": 1.0}]).video("data.mkv", 1)
     recording.calibration([{**pinhole, "imuToCameraShiftSeconds": 0.015}])
     with FORMAT.open(recording.path, camera_shift=camera_shift) as scene:
         camera, asked = scene.cameras[0], camera_shift != "ignore"
-        assert camera.pictures.timestamps_ns.tolist() == [expected_ns]
-        assert camera.pictures[0].extras["file_seconds"] == 1.0
-        assert [notice.code for notice in scene.notices] == [
+        assert camera.images.timestamps_ns.tolist() == [expected_ns]
+        assert camera.images[0].extras["file_seconds"] == 1.0
+        assert [warning.code for warning in scene.warnings] == [
             "camera-shift-applied" if asked else "camera-shift-not-applied"
         ]
         # a shift that was applied must not be applied again by those who read what is written

@@ -1,4 +1,4 @@
-"""Videos in every container, whole and cut off anywhere: which pictures are read, and that each is the right one."""
+"""Videos in every container, whole and cut off anywhere: which images are read, and that each is the right one."""
 
 import av
 import numpy as np
@@ -17,11 +17,11 @@ CODECS = {
     "data.avi": ("mpeg4", "yuv420p"),
     "data.ts": ("libx264", "yuv420p"),
 }
-"""By name of the video: an encoder that its container is usual with. H.264 stores pictures out of their order."""
+"""By name of the video: an encoder that its container is usual with. H.264 stores images out of their order."""
 
 
 def video(path, codec, pixels):
-    """Pictures that get brighter by 8 levels each, with noise so that all take some room."""
+    """Images that get brighter by 8 levels each, with noise so that all take some room."""
     rng = np.random.default_rng(5)
     options = {"movflags": "faststart"} if path.suffix == ".mp4" else {}
     with av.open(str(path), "w", options=options) as container:
@@ -30,8 +30,8 @@ def video(path, codec, pixels):
         stream.codec_context.gop_size = 8
         stream.options = {"bf": "2", "crf": "12"} if codec == "libx264" else {}
         for k in range(COUNT):
-            picture = (20 + 8 * k + rng.integers(-15, 16, (48, 64, 1))).repeat(3, axis=2).astype(np.uint8)
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+            image = (20 + 8 * k + rng.integers(-15, 16, (48, 64, 1))).repeat(3, axis=2).astype(np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
         container.mux(stream.encode())
 
 
@@ -43,31 +43,31 @@ def drive(recording, pinhole):
     return recording.lines(frames).calibration([{**pinhole, **size}])
 
 
-def brightness(picture):
-    """Number of the picture as its brightness tells it; encoding loses less than half of the 8 levels."""
-    return round((float(picture.rgb.mean()) - 20) / 8)
+def brightness(image):
+    """Number of the image as its brightness reports it; encoding loses less than half of the 8 levels."""
+    return round((float(image.rgb.mean()) - 20) / 8)
 
 
 @pytest.mark.parametrize("name", CODECS)
-def test_each_line_gets_its_picture_from_a_video_of_any_container(drive, name):
+def test_each_line_gets_its_image_from_a_video_of_any_container(drive, name):
     video(drive.path / name, *CODECS[name])
     with FORMAT.open(drive.path) as scene:
         camera = scene.cameras[0]
-        assert [brightness(picture) for picture in camera.pictures] == list(range(COUNT))
-        assert not scene.notices
+        assert [brightness(image) for image in camera.images] == list(range(COUNT))
+        assert not scene.warnings
 
 
-def test_folders_of_pictures_are_cameras_too(recording, pinhole):
+def test_folders_of_images_are_cameras_too(recording, pinhole):
     lines = [{"frames": [{"cameraInd": 0}, {"cameraInd": 1}], "number": k, "time": 0.1 * k} for k in range(5)]
     recording.lines(lines).calibration([pinhole, pinhole]).pngs("frames1", 5).video("data2.mkv", 5)
     with FORMAT.open(recording.path) as scene:
         for camera in scene.cameras:
-            assert [picture.rgb[0, 0, 0] for picture in camera.pictures] == [0, 10, 20, 30, 40]
+            assert [image.rgb[0, 0, 0] for image in camera.images] == [0, 10, 20, 30, 40]
 
 
 @pytest.mark.parametrize("share", [0.3, 0.55, 0.8])
 @pytest.mark.parametrize("name", CODECS)
-def test_of_a_video_that_is_cut_off_the_whole_pictures_are_read_when_lenient(drive, name, share):
+def test_of_a_video_that_is_cut_off_the_whole_images_are_read_when_lenient(drive, name, share):
     path = drive.path / name
     video(path, *CODECS[name])
     path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
@@ -75,30 +75,30 @@ def test_of_a_video_that_is_cut_off_the_whole_pictures_are_read_when_lenient(dri
         FORMAT.open(drive.path)
     assert name in str(error.value)
     with FORMAT.open(drive.path, lenient=True) as scene:
-        pictures = scene.cameras[0].pictures if scene.cameras else ()
-        assert [brightness(picture) for picture in pictures] == list(range(len(pictures)))
-        assert 0 <= len(pictures) < COUNT
-        assert {"unreadable-videos", "unmatched-pictures"} & {notice.code for notice in scene.notices}
-    # the tables of these stand before the pictures, or between them
+        images = scene.cameras[0].images if scene.cameras else ()
+        assert [brightness(image) for image in images] == list(range(len(images)))
+        assert 0 <= len(images) < COUNT
+        assert {"unreadable-videos", "unmatched-images"} & {warning.code for warning in scene.warnings}
+    # the tables of these stand before the images, or between them
     if name in {"data.mkv", "data.mp4", "data.ts"}:
         # a group of 8 and what is stored ahead of its time may be incomplete at the end
-        assert len(pictures) >= COUNT * share - 10
+        assert len(images) >= COUNT * share - 10
 
 
-def test_what_is_left_of_a_video_is_told_with_its_count(drive):
+def test_what_is_left_of_a_video_is_reported_with_its_count(drive):
     path = drive.path / "data.mkv"
     video(path, "ffv1", "bgr0")
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with pytest.raises(DataError, match=r"data\.mkv: byte \d+: is cut off: the container goes on"):
         FORMAT.open(drive.path)
     with FORMAT.open(drive.path, lenient=True) as scene:
-        count = len(scene.cameras[0].pictures)
+        count = len(scene.cameras[0].images)
         assert COUNT // 2 - 3 < count < COUNT // 2 + 3
-        messages = {notice.code: notice.message for notice in scene.notices}
-        assert f"its first {count} pictures are read" in messages["unreadable-videos"]
-        assert f"{count} pictures, but data.jsonl has {COUNT} frames lines" in messages["unmatched-pictures"]
-        assert "The video is cut off" in messages["unmatched-pictures"]
-        assert "is open" not in messages["unmatched-pictures"]
+        messages = {warning.code: warning.message for warning in scene.warnings}
+        assert f"its first {count} images are read" in messages["unreadable-videos"]
+        assert f"{count} images, but data.jsonl has {COUNT} frames lines" in messages["unmatched-images"]
+        assert "The video is cut off" in messages["unmatched-images"]
+        assert "is open" not in messages["unmatched-images"]
     report = validate(drive.path)
     assert not report.passed
     assert "unreadable-videos" in {finding.rule for finding in report.findings}
@@ -110,20 +110,20 @@ def test_what_is_left_of_a_video_can_be_written(drive, tmp_path, target):
     video(path, "libx264", "yuv420p")
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with FORMAT.open(drive.path, lenient=True) as scene:
-        count = len(scene.cameras[0].pictures)
+        count = len(scene.cameras[0].images)
         sceneloom.write(scene, tmp_path / target)
     with sceneloom.open(tmp_path / target) as scene:
-        assert [brightness(picture) for picture in scene.cameras[0].pictures] == list(range(count))
-    report = validate(drive.path, fix=tmp_path / "mended")
+        assert [brightness(image) for image in scene.cameras[0].images] == list(range(count))
+    report = validate(drive.path, fix=tmp_path / "repaired")
     assert report.passed
     assert "unreadable-videos" in {finding.rule for finding in report.left_out}
 
 
-def test_a_video_of_which_nothing_is_left_is_told_and_left_out(drive):
+def test_a_video_of_which_nothing_is_left_is_reported_and_left_out(drive):
     path = drive.path / "data.mp4"
     video(path, "libx264", "yuv420p")
     path.write_bytes(path.read_bytes()[:600])
     with pytest.raises(DataError, match="cannot be read as video"):
         FORMAT.open(drive.path)
     with FORMAT.open(drive.path, lenient=True) as scene:
-        assert [len(camera.pictures) for camera in scene.cameras] == [0]
+        assert [len(camera.images) for camera in scene.cameras] == [0]

@@ -1,4 +1,4 @@
-"""Depth videos and 16-bit pictures against the numbers that were put into them, and what is assumed of them."""
+"""Depth videos and 16-bit images against the numbers that were put into them, and what is assumed of them."""
 
 import pickle
 import re
@@ -12,7 +12,7 @@ from sceneloom.editing import crop_scene, merge_scenes, thin_scene, to_ego, to_w
 from sceneloom.errors import DataError
 from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.formats.sfs.writing import write_scene as write_sfs
-from sceneloom.pipeline.woven.origin import moved_scene
+from sceneloom.pipeline.aligned.origin import moved_scene
 from sceneloom.scene import DepthCameraSensor
 from sceneloom.scene.summary import summarise
 from sceneloom.scene.watched import watched
@@ -59,7 +59,7 @@ def scene(depth_recording):
 
 
 def codes(scene):
-    return {notice.code for notice in scene.notices}
+    return {warning.code for warning in scene.warnings}
 
 
 def test_depths_are_steps_times_their_scale(scene, images):
@@ -86,7 +86,7 @@ def test_videos_of_either_container_hold_the_same_depths(recording, pinhole, ima
     np.testing.assert_allclose(depth, images[2] * 0.001, rtol=1e-6)  # float32
 
 
-def test_pictures_of_16_bits_are_depths_too(recording, pinhole, images):
+def test_images_of_16_bits_are_depths_too(recording, pinhole, images):
     two_cameras(recording, pinhole, lambda _: {"depthScale": 0.005}).depth_pngs("frames2", images)
     with FORMAT.open(recording.path) as scene:
         camera = scene.sensor("camera1")
@@ -104,7 +104,7 @@ def test_every_line_may_have_a_scale_of_its_own(recording, pinhole, images):
             np.testing.assert_allclose(frame.depth, images[k] * (0.001 * (k + 1)), rtol=1e-6)  # float32
 
 
-def test_a_scale_that_is_not_said_is_a_millimetre_with_a_notice(recording, pinhole, images):
+def test_a_scale_that_is_not_stated_is_a_millimetre_with_a_warning(recording, pinhole, images):
     two_cameras(recording, pinhole, lambda _: {}).depth_video("data2.mkv", images)
     with FORMAT.open(recording.path) as scene:
         assert codes(scene) == {"depth-scale-assumed"}
@@ -131,7 +131,7 @@ def test_aligned_images_without_a_calibration_take_that_of_the_first_camera(reco
 
 def test_depths_in_a_video_of_colours_are_refused(recording, pinhole):
     two_cameras(recording, pinhole, lambda _: {"colorFormat": "gray16"}).video("data2.mkv", COUNT)
-    with pytest.raises(DataError, match="pixels are no 16-bit grey, while lines say colorFormat 'gray16'"):
+    with pytest.raises(DataError, match="pixels are no 16-bit grey, while lines state colorFormat 'gray16'"):
         FORMAT.open(recording.path)
 
 
@@ -153,7 +153,7 @@ def test_depth_cameras_go_to_other_processes(scene, images):
 
 
 def test_validation_reads_depth_images_and_finds_nothing_wrong(depth_recording):
-    report = validate(depth_recording.path, places=None)
+    report = validate(depth_recording.path, locations=None)
     assert [f for f in report.findings if f.severity == "error"] == []
     assert report.passed
 
@@ -162,13 +162,13 @@ def test_validation_names_a_depth_image_that_cannot_be_decoded(recording, pinhol
     two_cameras(recording, pinhole, lambda _: {"depthScale": 0.001}).depth_pngs("frames2", images)
     broken = recording.path / "frames2" / "00000002.png"
     broken.write_bytes(broken.read_bytes()[:-60])
-    report = validate(recording.path, places=None)
+    report = validate(recording.path, locations=None)
     assert [f.path for f in report.findings if f.rule == "frame-readable"] == ["sensors[1].frames[2]"]
 
 
 def test_the_summary_counts_depth_images(scene):
     summary = summarise(scene).sensors[1]
-    assert (summary.type, summary.count, summary.lens, summary.video) == (
+    assert (summary.type, summary.count, summary.camera_model, summary.video) == (
         "depth_camera",
         COUNT,
         "pinhole 32x16",
@@ -210,30 +210,32 @@ def test_depth_cameras_are_placed_as_cameras_are(scene):
     np.testing.assert_allclose(moved.poses.positions, depth.poses.positions - [1, 2, 3], atol=1e-12)
 
 
-def test_differences_of_depths_are_told(depth_recording, pinhole, images, tmp_path):
+def test_differences_of_depths_are_reported(depth_recording, pinhole, images, tmp_path):
     other = type(depth_recording)(tmp_path / "other")
     two_cameras(other, pinhole, lambda _: {"colorFormat": "gray16", "depthScale": 0.002, "aligned": True})
     images[1][5, 7] ^= 512
     other.depth_video("data2.mkv", images)
     with FORMAT.open(depth_recording.path) as first, FORMAT.open(other.path) as second:
         assert not diff(first, first, pixels=True).differences
-        told = {d.path: d.amount for d in diff(first, second, pixels=True).differences}
-    paths = {path.partition(".frames")[2] for path in told if "camera1" in path}
+        reported = {d.path: d.amount for d in diff(first, second, pixels=True).differences}
+    paths = {path.partition(".frames")[2] for path in reported if "camera1" in path}
     # 512 steps of 2 mm in one of 512 pixels
     assert paths == {"[].depth"}
-    assert told["sensors['camera1'].frames[].depth"] == pytest.approx(512 * 0.002 / 512, rel=1e-5)  # float32
+    assert reported["sensors['camera1'].frames[].depth"] == pytest.approx(
+        512 * 0.002 / 512, rel=1e-5
+    )  # float32
 
 
-def test_scene_files_leave_depth_cameras_out_and_say_so(scene, tmp_path):
+def test_scene_files_leave_depth_cameras_out_and_report_it(scene, tmp_path):
     losses = {loss.field: loss.what for loss in write_sfs(scene, tmp_path / "drive.sfs")}
     assert "4 depth images" in losses["sensors[camera1]"]
 
 
-def test_who_watches_a_scene_is_told_of_depth_images(scene):
-    told = []
-    for frame in watched(scene, lambda *what: told.append(what)).sensor("camera1").frames:
+def test_who_watches_a_scene_is_reported_depth_images(scene):
+    reported = []
+    for frame in watched(scene, lambda *what: reported.append(what)).sensor("camera1").frames:
         assert frame.depth.shape == (16, 32)
-    assert [what[:2] for what in told] == [("camera1", k) for k in range(4)]
+    assert [what[:2] for what in reported] == [("camera1", k) for k in range(4)]
 
 
 def test_undistorting_leaves_depth_images_and_says_so(recording, pinhole, images):
@@ -244,4 +246,4 @@ def test_undistorting_leaves_depth_images_and_says_so(recording, pinhole, images
         plain = undistort_scene(scene)
         assert plain.sensor("camera0").camera.model == "pinhole"
         assert plain.sensor("camera1").camera == scene.sensor("camera1").camera
-        assert {"depth-not-undistorted"} == {notice.code for notice in plain.notices}
+        assert {"depth-not-undistorted"} == {warning.code for warning in plain.warnings}

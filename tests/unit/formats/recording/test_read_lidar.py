@@ -10,7 +10,7 @@ import pytest
 
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.recording.spec import FORMAT
-from sceneloom.scene import NoticeKind
+from sceneloom.scene import WarningKind
 
 POINTS = [
     (1.5, -2.25, 0.125, 200, 17, 0.100000001),
@@ -169,8 +169,8 @@ def test_a_lenient_reading_leaves_unusable_files_out_and_counts_them(recording):
     recording.lines([sweep("missing.bin", 0.0), sweep("1.bin", 0.1), sweep("0.bin", 0.2)])
     scene = FORMAT.open(recording.path, lenient=True)
     assert [frame.timestamp_ns for frame in scene.lidars[0].frames] == [200_000_000]
-    skipped = next(notice for notice in scene.notices if notice.code == "unusable-lidar-files")
-    assert (skipped.kind, skipped.count) == (NoticeKind.SKIPPED, 2)
+    skipped = next(warning for warning in scene.warnings if warning.code == "unusable-lidar-files")
+    assert (skipped.kind, skipped.count) == (WarningKind.SKIPPED, 2)
 
 
 def test_the_mounting_is_the_inverse_of_imu_to_lidar(recording):
@@ -181,11 +181,11 @@ def test_the_mounting_is_the_inverse_of_imu_to_lidar(recording):
     assert mount is not None
     assert mount.translation.tolist() == [-1.0, -2.0, -3.0]
     assert scene.lidars[0].extras["calibration"]["imuToLidar"] == SHIFTED
-    assert scene.notices == ()
+    assert scene.warnings == ()
 
 
 @pytest.mark.parametrize("entries", [None, [], [{"model": "RoboSense M1 XYZIRT"}]])
-def test_without_imu_to_lidar_the_mounting_is_the_identity_with_a_notice(recording, entries):
+def test_without_imu_to_lidar_the_mounting_is_the_identity_with_a_warning(recording, entries):
     recording.points("0.bin", POINTS).lines([sweep("0.bin", 0.0)])
     if entries is not None:
         recording.calibration(lidars=entries)
@@ -193,12 +193,12 @@ def test_without_imu_to_lidar_the_mounting_is_the_identity_with_a_notice(recordi
     mount = scene.lidars[0].mount
     assert mount is not None
     np.testing.assert_array_equal(mount.matrix, np.eye(4))
-    assert [(notice.code, notice.kind) for notice in scene.notices] == [
-        ("lidar-mount-identity", NoticeKind.ASSUMED)
+    assert [(warning.code, warning.kind) for warning in scene.warnings] == [
+        ("lidar-mount-identity", WarningKind.ASSUMED)
     ]
 
 
-def test_several_lidars_are_told_apart_by_their_index(recording):
+def test_several_lidars_are_distinguished_by_their_index(recording):
     recording.points("a.bin", POINTS).points("b.bin", POINTS[:2])
     recording.lines([sweep("a.bin", 0.0), sweep("b.bin", 0.05, lidarInd=1), sweep("a.bin", 0.1, lidarInd=0)])
     recording.calibration(lidars=[{"lidarInd": 1, "imuToLidar": SHIFTED}, {"imuToLidar": np.eye(4).tolist()}])

@@ -8,9 +8,9 @@ import pytest
 
 from sceneloom.errors import DataError
 from sceneloom.formats.recording.spec import FORMAT
-from sceneloom.scene import GnssSensor, ImuSensor, NoticeKind, Scene
+from sceneloom.scene import GnssSensor, ImuSensor, Scene, WarningKind
 
-TURN = {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}
+ROTATION = {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}
 
 
 def imu_line(time: float, value: float = 0.0, sensor: str = "gyroscope") -> dict[str, Any]:
@@ -18,10 +18,10 @@ def imu_line(time: float, value: float = 0.0, sensor: str = "gyroscope") -> dict
 
 
 def pose_line(
-    key: str, time: float, x: float = 0.0, *, turn: dict[str, float] | None = TURN
+    key: str, time: float, x: float = 0.0, *, rotation: dict[str, float] | None = ROTATION
 ) -> dict[str, Any]:
     pose: dict[str, Any] = {"position": {"x": x, "y": 2.0, "z": 3.0}}
-    return {key: pose | ({"orientation": turn} if turn else {}), "time": time}
+    return {key: pose | ({"orientation": rotation} if rotation else {}), "time": time}
 
 
 def imu_of(scene: Scene) -> ImuSensor:
@@ -54,8 +54,8 @@ def test_every_kind_of_sample_lands_in_its_stream(recording):
 def test_times_become_nanoseconds_rounded_half_to_even(recording):
     times = [-3.5, -1e-9, 0.0, 0.5e-9, 1.5e-9, 1.436207275390625, 1.44976953125, 1_700_000_000.123456789]
     recording.lines([imu_line(time) for time in times])
-    stamps = imu_of(FORMAT.open(recording.path)).streams["gyroscope"].timestamps_ns
-    assert stamps.tolist() == [round(time * 1e9) for time in times]
+    timestamps = imu_of(FORMAT.open(recording.path)).streams["gyroscope"].timestamps_ns
+    assert timestamps.tolist() == [round(time * 1e9) for time in times]
 
 
 def test_arrays_are_read_only(recording):
@@ -76,7 +76,7 @@ def test_barometer_lines_are_a_stream_of_hectopascals(recording):
     stream = imu_of(scene).streams["barometer"]
     assert stream.values.tolist() == [[1013.25], [1013.0]]
     assert stream.timestamps_ns.tolist() == [500_000_000, 1_500_000_000]
-    assert scene.notices == ()
+    assert scene.warnings == ()
 
 
 def test_further_receivers_are_sensors_of_their_own(recording):
@@ -137,9 +137,12 @@ def test_the_default_trajectory_stands_first(recording):
 
 
 def test_poses_keep_position_and_orientation(recording):
-    turn = {"w": 0.53464, "x": -0.15299, "y": -0.826976, "z": -0.082863}
+    rotation = {"w": 0.53464, "x": -0.15299, "y": -0.826976, "z": -0.082863}
     recording.lines(
-        [pose_line("groundTruth", 1.5, 7.0, turn=turn), pose_line("groundTruth", 2.5, 8.0, turn=turn)]
+        [
+            pose_line("groundTruth", 1.5, 7.0, rotation=rotation),
+            pose_line("groundTruth", 2.5, 8.0, rotation=rotation),
+        ]
     )
     trajectory = FORMAT.open(recording.path).trajectories["groundTruth"]
     assert trajectory.positions.tolist() == [[7.0, 2.0, 3.0], [8.0, 2.0, 3.0]]
@@ -149,10 +152,12 @@ def test_poses_keep_position_and_orientation(recording):
 
 
 def test_positions_alone_make_a_trajectory_without_orientations_and_sensors_without_poses(recording):
-    recording.lines([pose_line("groundTruth", 0.0, turn=None), pose_line("groundTruth", 1.0, turn=None)])
+    recording.lines(
+        [pose_line("groundTruth", 0.0, rotation=None), pose_line("groundTruth", 1.0, rotation=None)]
+    )
     scene = FORMAT.open(recording.path)
     assert scene.trajectories["groundTruth"].quaternions_xyzw is None
-    assert [notice.code for notice in scene.notices] == ["orientations-missing"]
+    assert [warning.code for warning in scene.warnings] == ["orientations-missing"]
 
 
 def test_names_that_are_taken_get_their_root_key_in_front(recording):
@@ -161,24 +166,24 @@ def test_names_that_are_taken_get_their_root_key_in_front(recording):
     assert list(FORMAT.open(recording.path).trajectories) == ["groundTruth", "pose:groundTruth", "gnss:gnss"]
 
 
-def test_of_two_poses_at_one_time_the_first_is_kept_with_a_notice(recording):
+def test_of_two_poses_at_one_time_the_first_is_kept_with_a_warning(recording):
     recording.lines([pose_line("pose", 1.0, 1.0), pose_line("pose", 1.0, 2.0), pose_line("pose", 2.0, 3.0)])
     scene = FORMAT.open(recording.path)
     assert scene.trajectories["pose"].positions[:, 0].tolist() == [1.0, 3.0]
-    (notice,) = scene.notices
-    assert (notice.code, notice.kind, notice.count) == ("repeated-poses", NoticeKind.SKIPPED, 1)
-    assert notice.place.endswith("data.jsonl: line 2")
+    (warning,) = scene.warnings
+    assert (warning.code, warning.kind, warning.count) == ("repeated-poses", WarningKind.SKIPPED, 1)
+    assert warning.location.endswith("data.jsonl: line 2")
 
 
-def test_unsorted_lines_are_sorted_stably_with_a_notice(recording):
+def test_unsorted_lines_are_sorted_stably_with_a_warning(recording):
     recording.lines([imu_line(2.0, 0.0), imu_line(1.0, 1.0), imu_line(2.0, 2.0), imu_line(0.5, 3.0)])
     scene = FORMAT.open(recording.path)
     stream = imu_of(scene).streams["gyroscope"]
     assert stream.values[:, 0].tolist() == [3.0, 1.0, 0.0, 2.0]
     assert stream.timestamps_ns.tolist() == [500_000_000, 1_000_000_000, 2_000_000_000, 2_000_000_000]
-    (notice,) = scene.notices
-    assert (notice.code, notice.kind, notice.count) == ("lines-sorted", NoticeKind.REPAIRED, 2)
-    assert notice.place.endswith("line 2")
+    (warning,) = scene.warnings
+    assert (warning.code, warning.kind, warning.count) == ("lines-sorted", WarningKind.REPAIRED, 2)
+    assert warning.location.endswith("line 2")
 
 
 def test_the_example_of_the_formats_description_is_read(recording):
@@ -200,7 +205,7 @@ def test_the_example_of_the_formats_description_is_read(recording):
     assert gnss_of(scene).positions_lla.tolist() == [
         [60.173783793064594, 24.906486344581662, 14.18831106834269]
     ]
-    assert [notice.code for notice in scene.notices] == ["lines-sorted"]
+    assert [warning.code for warning in scene.warnings] == ["lines-sorted"]
 
 
 def test_lines_of_other_kinds_are_counted_and_kept_word_by_word(recording):
@@ -212,10 +217,10 @@ def test_lines_of_other_kinds_are_counted_and_kept_word_by_word(recording):
     recording.lines([imu_line(0.0), *lines])
     scene = FORMAT.open(recording.path)
     assert scene.metadata["recording"]["other_lines"] == lines
-    (notice,) = scene.notices
-    assert (notice.code, notice.count) == ("lines-kept-as-text", 3)
+    (warning,) = scene.warnings
+    assert (warning.code, warning.count) == ("lines-kept-as-text", 3)
     for key in ("barometer", "sdkVersion", "status"):
-        assert key in notice.message
+        assert key in warning.message
 
 
 def test_keys_beyond_what_is_understood_are_kept_with_their_line(recording):
@@ -227,17 +232,17 @@ def test_keys_beyond_what_is_understood_are_kept_with_their_line(recording):
     assert json.loads(further["imu.gyroscope"]["250000000"]) == hot
     assert json.loads(further["trajectories.output"]["500000000"]) == sdk
     assert imu_of(scene).streams["gyroscope"].values[1].tolist() == [1.0, 2.0, 3.0]
-    assert [(notice.code, notice.count) for notice in scene.notices] == [("further-keys-kept", 2)]
+    assert [(warning.code, warning.count) for warning in scene.warnings] == [("further-keys-kept", 2)]
 
 
 def test_other_trajectories_without_further_keys_are_not_kept_twice(recording):
     recording.lines([pose_line("arcore", 0.0), {"time": 0.5, **pose_line("pose", 0.0)["pose"]}])
     scene = FORMAT.open(recording.path)
-    assert scene.notices == ()
+    assert scene.warnings == ()
     assert "further_keys" not in scene.metadata["recording"]
 
 
-def test_a_line_may_say_two_things(recording):
+def test_a_line_may_state_two_things(recording):
     recording.lines([{**imu_line(0.0), **pose_line("groundTruth", 0.0)}])
     scene = FORMAT.open(recording.path)
     assert len(imu_of(scene).streams["gyroscope"]) == 1
@@ -309,7 +314,7 @@ FAULTS = {
     '{"sensor":{"type":"gyroscope","values":[1,2,3]},"time":1} {"time":2}': ["not a JSON object"],
     '{"sensor":{"type":"gyroscope","values":[1,2,3]},"gps":{"latitude":60},"time":1}': ["gps", "longitude"],
 }
-"""Wrong lines, and what is said of each."""
+"""Wrong lines, and what is stated for each."""
 
 SOUND = [
     '{"sensor":{"type":"magnetometer","values":[1,2,3]},"time":1}',
@@ -331,7 +336,7 @@ SOUND = [
 def test_a_sound_line_is_taken_whole(recording, line):
     recording.lines([line])
     scene = FORMAT.open(recording.path)
-    assert {notice.code for notice in scene.notices} <= {
+    assert {warning.code for warning in scene.warnings} <= {
         "lines-kept-as-text",
         "further-keys-kept",
         "orientations-missing",
@@ -353,7 +358,7 @@ def test_a_wrong_line_is_named_with_its_number_its_value_and_what_was_expected(r
     with pytest.raises(DataError) as caught:
         FORMAT.open(recording.path)
     assert caught.value.file.endswith("data.jsonl")
-    assert caught.value.place == "line 2"
+    assert caught.value.location == "line 2"
     for part in FAULTS[line]:
         assert part in caught.value.problem
 
@@ -363,16 +368,16 @@ def test_a_lenient_reading_leaves_a_wrong_line_out_and_counts_it(recording, line
     recording.lines([imu_line(0.0), line, line, imu_line(2.0)])
     scene = FORMAT.open(recording.path, lenient=True)
     assert imu_of(scene).streams["gyroscope"].timestamps_ns.tolist() == [0, 2_000_000_000]
-    (notice,) = scene.notices
-    assert (notice.kind, notice.count) == (NoticeKind.SKIPPED, 2)
-    assert notice.place.endswith("line 2")
+    (warning,) = scene.warnings
+    assert (warning.kind, warning.count) == (WarningKind.SKIPPED, 2)
+    assert warning.location.endswith("line 2")
 
 
 def test_orientations_that_are_none_are_faults_of_their_line(recording):
-    recording.lines([pose_line("pose", 0.0), pose_line("pose", 1.0, turn={**TURN, "z": 0.9})])
+    recording.lines([pose_line("pose", 0.0), pose_line("pose", 1.0, rotation={**ROTATION, "z": 0.9})])
     with pytest.raises(DataError, match=r"0\.9.*length 1") as caught:
         FORMAT.open(recording.path)
-    assert caught.value.place == "line 2"
+    assert caught.value.location == "line 2"
     lenient = FORMAT.open(recording.path, lenient=True)
     assert lenient.trajectories["pose"].timestamps_ns.tolist() == [0]
 
@@ -380,20 +385,20 @@ def test_orientations_that_are_none_are_faults_of_their_line(recording):
 def test_poses_without_the_orientation_that_others_have_are_left_out_counted_and_written_again(
     recording, tmp_path
 ):
-    lines = [pose_line("groundTruth", 0.1 * k, turn=None if k in (3, 7) else TURN) for k in range(10)]
+    lines = [pose_line("groundTruth", 0.1 * k, rotation=None if k in (3, 7) else ROTATION) for k in range(10)]
     recording.lines(lines)
     with FORMAT.open(recording.path) as scene:
         times = scene.trajectories["groundTruth"].timestamps_ns
         assert times.tolist() == [k * 100_000_000 for k in range(10) if k not in (3, 7)]
         assert scene.trajectories["groundTruth"].quaternions_xyzw is not None
-        (notice,) = scene.notices
-        assert (notice.code, notice.kind, notice.count) == (
+        (warning,) = scene.warnings
+        assert (warning.code, warning.kind, warning.count) == (
             "poses-without-orientation",
-            NoticeKind.SKIPPED,
+            WarningKind.SKIPPED,
             2,
         )
-        assert notice.place.endswith("line 4")
-        assert "2 of 10 poses" in notice.message
+        assert warning.location.endswith("line 4")
+        assert "2 of 10 poses" in warning.message
         FORMAT.write(scene, tmp_path / "again")
     again = (tmp_path / "again" / "data.jsonl").read_text().splitlines()
     assert [json.loads(text) for text in again] == lines
@@ -404,9 +409,9 @@ def test_blank_lines_at_the_end_are_left_out_with_a_warning(recording):
     (recording.path / "data.jsonl").write_bytes((text + "\n \t\n\r\n").encode())
     with FORMAT.open(recording.path) as scene:
         assert len(imu_of(scene).streams["gyroscope"]) == 3
-        (notice,) = scene.notices
-        assert (notice.code, notice.count) == ("blank-lines-at-end", 3)
-        assert notice.place.endswith("line 4")
+        (warning,) = scene.warnings
+        assert (warning.code, warning.count) == ("blank-lines-at-end", 3)
+        assert warning.location.endswith("line 4")
 
 
 @pytest.mark.parametrize("blank", [1, pytest.param(200_000, marks=pytest.mark.slow)])
@@ -417,7 +422,9 @@ def test_blank_lines_before_others_are_faults_however_many(recording, blank):
     with pytest.raises(DataError, match="line 2: blank"):
         FORMAT.open(recording.path)
     with FORMAT.open(recording.path, lenient=True) as scene:
-        found = {notice.code: (notice.count, notice.place.split(": ")[-1]) for notice in scene.notices}
+        found = {
+            warning.code: (warning.count, warning.location.split(": ")[-1]) for warning in scene.warnings
+        }
         assert found == {
             "unfit-lines": (blank, "line 2"),
             "blank-lines-at-end": (2, f"line {blank + 3}"),
@@ -430,7 +437,7 @@ def test_a_file_of_blank_lines_is_empty(recording):
         FORMAT.open(recording.path, lenient=True)
 
 
-def test_a_byte_order_mark_is_passed_over_with_a_warning_and_lines_keep_their_places(recording):
+def test_a_byte_order_mark_is_passed_over_with_a_warning_and_lines_keep_their_locations(recording):
     # what a line says beyond the columns is read again by the byte at which it begins
     frames = {"frames": [{"cameraInd": 0, "features": [1]}], "number": 0, "time": 0.5}
     recording.lines([imu_line(0.0), frames, imu_line(1.0)]).video("data.mkv", 1)
@@ -440,9 +447,9 @@ def test_a_byte_order_mark_is_passed_over_with_a_warning_and_lines_keep_their_pl
     recording.calibration([{"model": "pinhole", "imuToCamera": rows, **entry}])
     path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
     with FORMAT.open(recording.path) as scene:
-        assert [notice.code for notice in scene.notices] == ["byte-order-mark"]
+        assert [warning.code for warning in scene.warnings] == ["byte-order-mark"]
         assert len(imu_of(scene).streams["gyroscope"]) == 2
-        assert scene.cameras[0].pictures[0].extras["features"] == [1]
+        assert scene.cameras[0].images[0].extras["features"] == [1]
     alone = recording.path.rename(recording.path.with_name("other")) / "lines.log"
     (alone.parent / "data.jsonl").rename(alone)
     assert FORMAT.sniff(alone)

@@ -37,13 +37,15 @@ def test_a_file_of_output_is_a_scene_with_a_trajectory(output):
     assert find_format(output).name == "recording"
     with FORMAT.open(output) as scene:
         assert (scene.source, list(scene.trajectories), scene.sensors) == (str(output), ["output"], ())
-        way = scene.trajectories["output"]
+        trajectory = scene.trajectories["output"]
         np.testing.assert_allclose(
-            way.positions, [[-0.01, -0.14, 0.046], [0.49, -0.14, 0.046], [0.99, -0.14, 0.046]]
+            trajectory.positions, [[-0.01, -0.14, 0.046], [0.49, -0.14, 0.046], [0.99, -0.14, 0.046]]
         )
-        np.testing.assert_array_equal(way.quaternions_xyzw[0], [0.453153, -0.603051, 0.532354, -0.384162])
-        assert way.timestamps_ns[0] == 7323558535105
-        # what a trajectory has no place for is kept word by word
+        np.testing.assert_array_equal(
+            trajectory.quaternions_xyzw[0], [0.453153, -0.603051, 0.532354, -0.384162]
+        )
+        assert trajectory.timestamps_ns[0] == 7323558535105
+        # what a trajectory has no field for is kept word by word
         kept = scene.metadata["recording"]["further_keys"]["trajectories.output"]
         assert json.loads(kept["7323558535105"]) == json.loads(OUTPUT)
 
@@ -76,10 +78,10 @@ def test_what_lies_beside_output_is_not_taken_for_its_own(output, recording, pin
     with FORMAT.open(recording.path / "out.jsonl") as scene:
         assert scene.sensors == ()
         assert not {"calibration", "vio_config"} & scene.metadata["recording"].keys()
-        assert {notice.code for notice in scene.notices} == {"further-keys-kept"}
+        assert {warning.code for warning in scene.warnings} == {"further-keys-kept"}
 
 
-def test_a_log_under_another_name_has_the_pictures_beside_it(recording, pinhole):
+def test_a_log_under_another_name_has_the_images_beside_it(recording, pinhole):
     recording.lines([{"frames": [{"cameraInd": 0}], "number": 0, "time": 0.0}]).calibration([pinhole])
     recording.video("data.mkv", 1).path.joinpath("data.jsonl").rename(recording.path / "log.jsonl")
     with FORMAT.open(recording.path / "log.jsonl") as scene:
@@ -108,18 +110,18 @@ def test_other_files_are_no_logs(tmp_path, text):
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "reported"),
     [
         ("data.jsonl.gz", "there is data.jsonl.gz: unpack it to data.jsonl"),
         ("Data.JSONL", "there is Data.JSONL: is it the recording's data.jsonl?"),
         ("log.jsonl", "there is log.jsonl: is it the recording's data.jsonl?"),
     ],
 )
-def test_of_a_folder_that_is_nearly_a_recording_it_is_told_what_is_in_the_way(tmp_path, name, told):
+def test_of_a_folder_that_is_nearly_a_recording_it_is_reported_what_is_in_the_way(tmp_path, name, reported):
     (tmp_path / name).write_text(OUTPUT)
     with pytest.raises(UnknownFormatError) as caught:
         find_format(tmp_path)
-    assert told in caught.value.problem
+    assert reported in caught.value.problem
 
 
 def test_faults_of_output_are_named_with_their_line(output):

@@ -19,9 +19,9 @@ IMU_TO_SENSOR = np.array([[0.0, -1, 0, 0.5], [0, 0, -1, 1.5], [1, 0, 0, -0.25], 
 def pose_line(
     time: float, rotation: Rotation, position: np.ndarray, key: str = "groundTruth"
 ) -> dict[str, Any]:
-    turn = dict(zip("xyzw", rotation.as_quat().tolist(), strict=True))
+    delta_rotation = dict(zip("xyzw", rotation.as_quat().tolist(), strict=True))
     return {
-        key: {"position": dict(zip("xyz", position.tolist(), strict=True)), "orientation": turn},
+        key: {"position": dict(zip("xyz", position.tolist(), strict=True)), "orientation": delta_rotation},
         "time": time,
     }
 
@@ -85,7 +85,7 @@ def test_settings_that_are_no_text_are_a_fault(recording):
     recording.lines([IMU_LINE])
     with pytest.raises(DataError, match=r"vio_config\.yaml: cannot be read as text"):
         FORMAT.open(recording.path)
-    assert [notice.code for notice in FORMAT.open(recording.path, lenient=True).notices] == [
+    assert [warning.code for warning in FORMAT.open(recording.path, lenient=True).warnings] == [
         "unreadable-vio-config"
     ]
 

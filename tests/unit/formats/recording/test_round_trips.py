@@ -1,4 +1,4 @@
-"""A drive that is written as a recording and read back is the same, but for what the loss report tells."""
+"""A drive that is written as a recording and read back is the same, but for what the loss report reports."""
 
 import re
 from dataclasses import replace
@@ -14,6 +14,7 @@ from sceneloom.editing.differences.scenes import diff_scenes
 from sceneloom.formats.recording.writer import write_recording
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
+    CameraImage,
     CameraSensor,
     DepthCameraSensor,
     DepthFrame,
@@ -21,8 +22,7 @@ from sceneloom.scene import (
     ImuSensor,
     LazyFrames,
     OdometrySensor,
-    Picture,
-    PosePath,
+    Poses,
     Scene,
     Trajectory,
     VectorSamples,
@@ -40,32 +40,35 @@ from sceneloom.simulate import (
 MS = 1_000_000
 
 _KEPT = re.compile(r"(metadata|.*\.extras)\[|trajectories\['[^']*'\]$|.*\.(file_seconds|mount|fps|model)$")
-"""What reading adds: the file's own numbers and texts, a way and mountings found from poses, a rate, a layout."""
+"""What reading adds: the file's own numbers and texts, a trajectory and mountings found from poses, a rate.
+
+A layout.
+"""
 
 
 def as_named(back, report):
     """The scene that was read back, with the ids that the report says it had."""
     names = {}
     for loss in report:
-        said = re.fullmatch(r"read back as '(.*)'", loss.what)
-        if said:
-            names[said[1]] = re.fullmatch(r"sensors\[(.*)\]\.id", loss.field)[1]
+        stated = re.fullmatch(r"read back as '(.*)'", loss.what)
+        if stated:
+            names[stated[1]] = re.fullmatch(r"sensors\[(.*)\]\.id", loss.field)[1]
     return replace(back, sensors=tuple(replace(s, id=names.get(s.id, s.id)) for s in back.sensors))
 
 
 def untold(scene, back, report, **tolerances):
-    """The differences that no loss tells."""
+    """The differences that no loss reports."""
     back = as_named(back, report)
     fields = [re.sub(r"\[([^\]]+)\]", r"['\1']", loss.field) for loss in report]
     fields = [re.sub(r"^metadata\.(\w+)$", r"metadata['\1']", field) for field in fields]
-    found = diff_scenes(scene, back, pixels=True, other_stamps=True, **tolerances)
+    found = diff_scenes(scene, back, pixels=True, other_timestamps=True, **tolerances)
     assert not found.not_compared
     return [
         difference
         for difference in found.differences
         if not any(_covers(field, difference.path) for field in fields)
         and not (difference.change is Change.ADDED and _KEPT.match(difference.path))
-        and not _same_way(scene, back, difference.path)
+        and not _same_direction(scene, back, difference.path)
     ]
 
 
@@ -73,45 +76,49 @@ def _covers(field, path):
     if field == "sensors":
         return path == field
     if field.endswith(".camera"):
-        # pictures have their camera's lens, unless they say another
-        path = path.replace(".pictures[].camera", ".camera")
+        # images have their camera model, unless they state another
+        path = path.replace(".images[].camera", ".camera")
     if field.startswith("sensors[]"):
         return re.sub(r"\['[^']*'\]", "[]", path, count=1).startswith(field)
     return path.startswith(field)
 
 
-def _same_way(scene, back, path):
-    """Whether poses differ in their stamps only; those of recordings stand at the times of the frames."""
+def _same_direction(scene, back, path):
+    """Whether poses differ in their timestamps only; those of recordings stand at the times of the frames."""
     match = re.fullmatch(r"sensors\['([^']*)'\]\.poses\..*", path)
     if not match:
         return False
     a, b = (next(s for s in each.sensors if str(s.id) == match[1]).poses for each in (scene, back))
-    stamps = np.clip(b.timestamps_ns, a.timestamps_ns[0], a.timestamps_ns[-1])
-    positions = np.stack([np.interp(stamps, a.timestamps_ns, column) for column in a.positions.T], axis=1)
-    turns = Slerp(a.timestamps_ns, Rotation.from_quat(a.quaternions_xyzw))(stamps)
-    angles = (turns.inv() * Rotation.from_quat(b.quaternions_xyzw)).magnitude()
+    timestamps = np.clip(b.timestamps_ns, a.timestamps_ns[0], a.timestamps_ns[-1])
+    positions = np.stack([np.interp(timestamps, a.timestamps_ns, column) for column in a.positions.T], axis=1)
+    rotations = Slerp(a.timestamps_ns, Rotation.from_quat(a.quaternions_xyzw))(timestamps)
+    angles = (rotations.inv() * Rotation.from_quat(b.quaternions_xyzw)).magnitude()
     # between poses 10 ms apart, a sensor on an arm of 2 m and its ego do not move on the very same line
     return np.abs(positions - b.positions).max() < 1e-3 and np.degrees(angles.max()) < 0.01
 
 
-def cameras(lens):
-    return [CameraSpec(lens, camera_mount(position=(1.5, y, 1.5))) for y in (0.25, -0.25)]
+def cameras(camera_model):
+    return [CameraSpec(camera_model, camera_mount(position=(1.5, y, 1.5))) for y in (0.25, -0.25)]
 
 
 @pytest.fixture(scope="module")
 def stereo():
     """Two cameras, lidar, IMU, GNSS and ground truth."""
-    lens = Camera("pinhole", 64, 40, 40.0, 40.0, 31.5, 19.5)
+    camera_model = Camera("pinhole", 64, 40, 40.0, 40.0, 31.5, 19.5)
     return simulate_street(
-        1, frames=4, lidar=LidarSpec(beams=16, steps=100), cameras=cameras(lens), imu=ImuSpec(rate_hz=200.0)
+        1,
+        frames=4,
+        lidar=LidarSpec(beams=16, steps=100),
+        cameras=cameras(camera_model),
+        imu=ImuSpec(rate_hz=200.0),
     ).scene
 
 
 @pytest.fixture(scope="module", params=["png", "ffv1", "h264"])
 def kept(request, stereo, tmp_path_factory):
-    """The drive read back, the way its pictures were kept, and the loss report."""
+    """The drive read back, the trajectory its images were kept, and the loss report."""
     folder = tmp_path_factory.mktemp("recording") / "drive"
-    report = write_recording(stereo, folder, pictures=request.param)
+    report = write_recording(stereo, folder, images=request.param)
     with sceneloom.open(folder) as scene:
         yield scene, request.param, report
 
@@ -129,9 +136,9 @@ def test_numbers_come_back_to_the_bit(stereo, kept):
     fixes, found = by_id(stereo, "gnss"), by_id(scene, "gnss")
     for field in ("timestamps_ns", "positions_lla", "accuracies", "vertical_accuracies"):
         np.testing.assert_array_equal(getattr(found, field), getattr(fixes, field))
-    way, found = stereo.trajectories["groundTruth"], scene.trajectories["groundTruth"]
+    trajectory, found = stereo.trajectories["groundTruth"], scene.trajectories["groundTruth"]
     for field in ("timestamps_ns", "positions", "quaternions_xyzw"):
-        np.testing.assert_array_equal(getattr(found, field), getattr(way, field))
+        np.testing.assert_array_equal(getattr(found, field), getattr(trajectory, field))
 
 
 def test_points_come_back_to_the_bit(stereo, kept):
@@ -143,16 +150,16 @@ def test_points_come_back_to_the_bit(stereo, kept):
             np.testing.assert_array_equal(getattr(found.points, field), getattr(sweep.points, field))
 
 
-def test_pictures_come_back_as_they_were_kept(stereo, kept):
-    scene, pictures, _ = kept
+def test_images_come_back_as_they_were_kept(stereo, kept):
+    scene, images, _ = kept
     assert [camera.id for camera in scene.cameras] == ["camera0", "camera1"]
     for camera, found in zip(stereo.cameras, scene.cameras, strict=True):
         assert found.camera == camera.camera
         np.testing.assert_allclose(found.mount.matrix, camera.mount.matrix, atol=1e-12)
-        np.testing.assert_array_equal(found.pictures.timestamps_ns, camera.pictures.timestamps_ns)
-        for shot, again in zip(camera.pictures, found.pictures, strict=True):
+        np.testing.assert_array_equal(found.images.timestamps_ns, camera.images.timestamps_ns)
+        for shot, again in zip(camera.images, found.images, strict=True):
             off = np.abs(shot.rgb.astype(int) - again.rgb)
-            if pictures == "h264":
+            if images == "h264":
                 # chroma has half the resolution: edges of colours bleed, planes stay within a few levels
                 assert np.median(off) <= 4
                 assert off.mean() <= 12
@@ -160,17 +167,17 @@ def test_pictures_come_back_as_they_were_kept(stereo, kept):
                 assert off.max() == 0
 
 
-def test_what_differs_is_told(stereo, kept):
-    scene, pictures, report = kept
-    told = [loss.field for loss in report]
-    assert ("sensors[camera0].pictures[].rgb" in told) == (pictures == "h264")
-    # a mounting is turned round on writing, and on reading again
+def test_what_differs_is_reported(stereo, kept):
+    scene, images, report = kept
+    reported = [loss.field for loss in report]
+    assert ("sensors[camera0].images[].rgb" in reported) == (images == "h264")
+    # a mounting is reversed on writing, and on reading again
     assert untold(stereo, scene, report, tolerance_m=1e-12, tolerance_deg=1e-10) == []
 
 
 def whole_street():
-    """A drive with radar, two lidars, boxes, odd lenses, attributes and a way that is told twice."""
-    lens = Camera("fisheye_rad_tan_prism", 64, 40, 40.0, 40.0, 31.5, 19.5, (0.05, -0.01))
+    """A drive with radar, two lidars, boxes, odd camera models, attributes and a trajectory that is reported twice."""
+    camera_model = Camera("fisheye_rad_tan_prism", 64, 40, 40.0, 40.0, 31.5, 19.5, (0.05, -0.01))
     scene = simulate_street(
         2,
         frames=3,
@@ -178,70 +185,75 @@ def whole_street():
             LidarSpec(beams=8, steps=60),
             LidarSpec(beams=8, steps=60, mount=sensor_mount(position=(0.0, 0.5, 1.0))),
         ],
-        cameras=cameras(lens),
+        cameras=cameras(camera_model),
         radars=[RadarSpec()],
     ).scene
-    way = scene.trajectories["groundTruth"].poses
-    moved = PosePath(way.timestamps_ns, way.positions + 1.0, way.quaternions_xyzw)
+    trajectory = scene.trajectories["groundTruth"].poses
+    moved = Poses(trajectory.timestamps_ns, trajectory.positions + 1.0, trajectory.quaternions_xyzw)
     named = [replace(sensor, id=f"my {sensor.id}") for sensor in scene.sensors]
     return replace(scene, sensors=(*named, OdometrySensor("wheels", moved)))
 
 
 def depth_pair():
     """A camera and one that measures depth, with a step of its own."""
-    lens = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
+    camera_model = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
     rng = np.random.default_rng(5)
-    stamps = np.arange(3, dtype=np.int64) * 100 * MS
-    shots = [Picture.of(int(t), lens, rng.integers(0, 256, (16, 32, 3)).astype(np.uint8)) for t in stamps]
+    timestamps = np.arange(3, dtype=np.int64) * 100 * MS
+    shots = [
+        CameraImage.of(int(t), camera_model, rng.integers(0, 256, (16, 32, 3)).astype(np.uint8))
+        for t in timestamps
+    ]
     steps = rng.integers(0, 65536, (3, 16, 32))
     images = [
-        DepthFrame(int(t), lens, lambda k=k: (steps[k] * 0.002).astype(np.float32), 0.002)
-        for k, t in enumerate(stamps)
+        DepthFrame(int(t), camera_model, lambda k=k: (steps[k] * 0.002).astype(np.float32), 0.002)
+        for k, t in enumerate(timestamps)
     ]
     here = RigidTransform.identity()
     return Scene(
         (
-            DepthCameraSensor("depth", lens, LazyFrames.of(images, stamps), mount=here),
-            CameraSensor("colour", lens, LazyFrames.of(shots, stamps), mount=here),
+            DepthCameraSensor("depth", camera_model, LazyFrames.of(images, timestamps), mount=here),
+            CameraSensor("colour", camera_model, LazyFrames.of(shots, timestamps), mount=here),
         )
     )
 
 
 def poses_alone():
-    """Cameras with poses in the world, and no way of the ego."""
-    lens = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
-    stamps = np.arange(3, dtype=np.int64) * 100 * MS
+    """Cameras with poses in the world, and no ego trajectory."""
+    camera_model = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
+    timestamps = np.arange(3, dtype=np.int64) * 100 * MS
     positions = np.arange(9.0).reshape(3, 3)
-    turns = np.tile([0.0, 0.0, 0.6, 0.8], (3, 1))
+    rotations = np.tile([0.0, 0.0, 0.6, 0.8], (3, 1))
     sensors = []
     for k, name in enumerate(("left", "right")):
-        shots = [Picture.of(int(t), lens, np.full((16, 32, 3), 9 * k, np.uint8)) for t in stamps]
-        poses = PosePath(stamps, positions + np.array([0, k, 0]), turns)
-        sensors.append(CameraSensor(name, lens, LazyFrames.of(shots, stamps), poses=poses))
+        shots = [
+            CameraImage.of(int(t), camera_model, np.full((16, 32, 3), 9 * k, np.uint8)) for t in timestamps
+        ]
+        poses = Poses(timestamps, positions + np.array([0, k, 0]), rotations)
+        sensors.append(CameraSensor(name, camera_model, LazyFrames.of(shots, timestamps), poses=poses))
     return Scene(tuple(sensors))
 
 
 def numbers_alone():
-    """Two receivers, the pressure of the air, and a way without orientations."""
-    stamps = np.arange(20, dtype=np.int64) * 50 * MS
+    """Two receivers, the pressure of the air, and a trajectory without orientations."""
+    timestamps = np.arange(20, dtype=np.int64) * 50 * MS
     rng = np.random.default_rng(1)
-    streams = {"accelerometer": VectorSamples(stamps, rng.normal(size=(20, 3)))}
-    streams["barometer"] = VectorSamples(stamps, rng.normal(1013.0, 1.0, (20, 1)))
+    streams = {"accelerometer": VectorSamples(timestamps, rng.normal(size=(20, 3)))}
+    streams["barometer"] = VectorSamples(timestamps, rng.normal(1013.0, 1.0, (20, 1)))
     lla = np.stack([60 + rng.random(20), 24 + rng.random(20), rng.random(20)], axis=1)
     accuracies = np.where(rng.random(20) < 0.5, np.nan, 2.0)
-    fixes = [GnssSensor(name, stamps, lla, accuracies, accuracies[::-1]) for name in ("gnss", "rtkgps")]
-    way = Trajectory("arcore", stamps, rng.normal(size=(20, 3)), None)
-    return Scene((ImuSensor("imu", streams), *fixes), trajectories={"arcore": way})
+    fixes = [GnssSensor(name, timestamps, lla, accuracies, accuracies[::-1]) for name in ("gnss", "rtkgps")]
+    trajectory = Trajectory("arcore", timestamps, rng.normal(size=(20, 3)), None)
+    return Scene((ImuSensor("imu", streams), *fixes), trajectories={"arcore": trajectory})
 
 
 SCENES = {made.__name__: made for made in (whole_street, depth_pair, poses_alone, numbers_alone)}
 
 
 @pytest.mark.parametrize("name", SCENES)
-@pytest.mark.parametrize("pictures", ["copy", "png"])
-def test_a_scene_loses_only_what_its_loss_report_says(tmp_path, name, pictures):
+@pytest.mark.parametrize("images", ["copy", "png"])
+def test_a_scene_loses_only_what_its_loss_report_says(tmp_path, name, images):
     scene = SCENES[name]()
-    report = write_recording(scene, tmp_path / "drive", pictures=pictures)
+    report = write_recording(scene, tmp_path / "drive", images=images)
     with sceneloom.open(tmp_path / "drive") as back:
         assert untold(scene, back, report, tolerance_m=1e-12, tolerance_deg=1e-10) == []
 
@@ -266,7 +278,8 @@ def test_a_scene_file_of_another_program_loses_only_what_its_loss_report_says(da
         report = write_recording(scene, tmp_path / "drive")
         with sceneloom.open(tmp_path / "drive") as back:
             assert untold(scene, back, report) == []
-    # and what is told is little: the scene has boxes, and points in the world, of a lidar that nothing else places
+    # and what is reported is little: the scene has boxes, and points in the world, of a lidar that nothing else
+    # locations
     assert {loss.field for loss in report} == {
         "annotations",
         "metadata.source",
@@ -284,7 +297,7 @@ def test_a_scene_file_of_another_program_loses_only_what_its_loss_report_says(da
 def test_a_video_that_was_written_anew_without_loss_is_equal_by_its_pixels(stereo, tmp_path):
     write_recording(stereo, tmp_path / "h264")
     with sceneloom.open(tmp_path / "h264") as scene:
-        write_recording(scene, tmp_path / "ffv1", pictures="ffv1")
+        write_recording(scene, tmp_path / "ffv1", images="ffv1")
         with sceneloom.open(tmp_path / "ffv1") as back:
             by_bytes = {difference.message for difference in diff_scenes(scene, back).differences}
             assert by_bytes == {"h264; then ffv1 of other bytes"}

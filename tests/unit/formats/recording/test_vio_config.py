@@ -39,7 +39,7 @@ def test_settings_are_read_with_their_lines():
     assert dict(config.strange) == {14: "visualR:0.01"}
 
 
-def test_known_settings_are_not_told():
+def test_known_settings_are_not_reported():
     assert unknown_keys(TEXT) == []
     assert unknown_keys("") == []
     assert len(KNOWN_KEYS) > 250
@@ -53,7 +53,7 @@ def test_known_settings_are_not_told():
         ("odometry:\n  visualR: 0.1\n", ["odometry"]),
     ],
 )
-def test_unknown_settings_are_told_in_their_order(text, unknown):
+def test_unknown_settings_are_reported_in_their_order(text, unknown):
     assert unknown_keys(text) == unknown
 
 
@@ -63,7 +63,7 @@ def test_the_nearest_known_name_is_offered():
     assert similar_key("colour") is None
 
 
-def test_settings_that_stand_there_twice_are_told():
+def test_settings_that_stand_there_twice_are_reported():
     assert repeated_keys("useSlam: true\nvisualR: 1\nuseSlam: false\n") == ["useSlam"]
     assert repeated_keys(TEXT) == []
 

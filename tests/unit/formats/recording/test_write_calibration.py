@@ -1,4 +1,4 @@
-"""Lenses and mountings are written in the spelling that the vendor's software reads."""
+"""Camera models and mountings are written in the spelling that the vendor's software reads."""
 
 from types import MappingProxyType
 
@@ -13,17 +13,17 @@ from sceneloom.errors import CalibrationError
 from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.recording.mounts import rigid_transform
 from sceneloom.formats.recording.spec import FORMAT
-from sceneloom.formats.recording.written_calibration import camera_entry, lens_entry
+from sceneloom.formats.recording.written_calibration import camera_entry, camera_model_entry
 from sceneloom.formats.recording.written_mounts import matrix_entry, mount_entry, mounting
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import CameraSensor, Coordinates, GnssSensor, LazyFrames, PosePath, Scene
+from sceneloom.scene import CameraSensor, Coordinates, GnssSensor, LazyFrames, Poses, Scene
 
 
 def camera(model, *coefficients):
     return Camera(model, 640, 480, 500.0, 501.0, 320.5, 240.25, coefficients)
 
 
-LENSES = {
+CAMERA_MODELS = {
     "pinhole": (camera("pinhole"), "pinhole", []),
     "fisheye": (camera("fisheye", 0.1, -0.2, 0.3, -0.4), "kannala-brandt4", [0.1, -0.2, 0.3, -0.4]),
     "fisheye, short": (camera("fisheye", 0.1), "kannala-brandt4", [0.1, 0.0, 0.0, 0.0]),
@@ -48,10 +48,10 @@ LENSES = {
 }
 
 
-@pytest.mark.parametrize("kind", LENSES)
-def test_lenses_are_written_under_the_format_s_names(kind):
-    lens, model, coefficients = LENSES[kind]
-    fields, how_far = lens_entry(lens)
+@pytest.mark.parametrize("kind", CAMERA_MODELS)
+def test_camera_models_are_written_under_the_format_s_names(kind):
+    camera_model, model, coefficients = CAMERA_MODELS[kind]
+    fields, how_far = camera_model_entry(camera_model)
     assert how_far is None
     assert fields == {
         "model": model,
@@ -66,10 +66,10 @@ def test_lenses_are_written_under_the_format_s_names(kind):
 
 
 def read_again(fields):
-    """The lens that the format's own reader makes of the fields."""
-    from sceneloom.formats.recording.lenses import CameraParameters, lens
+    """The camera model that the format's own reader makes of the fields."""
+    from sceneloom.formats.recording.camera_models import CameraParameters, camera_model
 
-    return lens(msgspec.convert(fields, CameraParameters), None, "calibration.json")
+    return camera_model(msgspec.convert(fields, CameraParameters), None, "calibration.json")
 
 
 STRANGERS = {
@@ -86,35 +86,36 @@ STRANGERS = {
 
 
 def test_every_model_is_either_written_or_fitted():
-    assert {lens.model for lens, _, _ in LENSES.values()} | {
-        lens.model for lens in STRANGERS.values()
+    assert {camera_model.model for camera_model, _, _ in CAMERA_MODELS.values()} | {
+        camera_model.model for camera_model in STRANGERS.values()
     } == set(MODELS)
 
 
 @pytest.mark.parametrize("kind", STRANGERS)
 @pytest.mark.few(3)
-def test_a_lens_that_the_format_lacks_is_fitted_and_the_error_that_is_left_is_said(kind):
+def test_a_camera_model_that_the_format_lacks_is_fitted_and_the_error_that_is_left_is_stated(kind):
     exact = STRANGERS[kind]
-    fields, how_far = lens_entry(exact)
-    assert how_far.startswith(f"{exact.model} lens told as ")
+    fields, how_far = camera_model_entry(exact)
+    assert how_far.startswith(f"{exact.model} camera model reported as ")
     written = read_again(fields)
     u, v = np.meshgrid(np.linspace(-0.5, 639.5, 50), np.linspace(-0.5, 479.5, 40))
     pixels = np.stack([u.ravel(), v.ravel()], axis=1)
     off = np.hypot(*(project_unbounded(written, unproject(exact, pixels)) - pixels).T)
-    said = float(how_far.split("up to ")[1].split()[0])
-    assert np.nanmax(off) <= 1.1 * said
-    assert said < 1.5
+    stated = float(how_far.split("up to ")[1].split()[0])
+    assert np.nanmax(off) <= 1.1 * stated
+    assert stated < 1.5
 
 
-def test_a_lens_that_nothing_of_the_format_comes_near_is_refused():
+def test_a_camera_model_that_nothing_of_the_format_comes_near_is_refused():
     with pytest.raises(
-        CalibrationError, match=r"cylindrical lens told as .* a recording can hold pinhole, fisheye"
+        CalibrationError,
+        match=r"cylindrical camera model reported as .* a recording can hold pinhole, fisheye",
     ):
-        lens_entry(Camera("cylindrical", 640, 480, 110.0, 200.0, 320.0, 240.0))
+        camera_model_entry(Camera("cylindrical", 640, 480, 110.0, 200.0, 320.0, 240.0))
     with pytest.raises(
         CalibrationError, match="camera model 'periscope'; a recording can hold pinhole, fisheye"
     ):
-        lens_entry(camera("periscope"))
+        camera_model_entry(camera("periscope"))
 
 
 MOUNT = RigidTransform(Rotation.from_euler("zyx", [0.3, -0.2, 0.9]).as_matrix(), np.array([1.5, -0.2, 0.7]))
@@ -130,7 +131,7 @@ def test_imu_to_camera_takes_points_of_the_ego_into_the_camera():
     np.testing.assert_allclose(camera_from_ego @ [*point_ego, 1.0], [*point_camera, 1.0], atol=1e-12)
 
 
-def test_what_else_a_recording_said_of_a_camera_is_written_back():
+def test_what_else_a_recording_stated_of_a_camera_is_written_back():
     before = {
         "shutterRollTimeSeconds": 0.02,
         "model": "pinhole",
@@ -148,9 +149,9 @@ def test_what_else_a_recording_said_of_a_camera_is_written_back():
 
 
 def ego_path():
-    turns = Rotation.from_rotvec(np.linspace(0, 1, 5)[:, None] * [0.0, 0.0, 1.0])
+    rotations = Rotation.from_rotvec(np.linspace(0, 1, 5)[:, None] * [0.0, 0.0, 1.0])
     positions = np.stack([np.arange(5.0), np.zeros(5), np.zeros(5)], axis=1)
-    return PosePath(np.arange(5, dtype=np.int64) * 10**8, positions, turns.as_quat())
+    return Poses(np.arange(5, dtype=np.int64) * 10**8, positions, rotations.as_quat())
 
 
 def sensor_path(mount, move=0.0):
@@ -160,7 +161,7 @@ def sensor_path(mount, move=0.0):
     ]
     positions = np.array([pose.translation for pose in poses])
     positions[-1, 2] += move
-    return PosePath(ego_path().timestamps_ns, positions, np.array([pose.quaternion_xyzw for pose in poses]))
+    return Poses(ego_path().timestamps_ns, positions, np.array([pose.quaternion_xyzw for pose in poses]))
 
 
 def posed_camera(**fields):
@@ -174,7 +175,7 @@ def test_a_mounting_is_found_from_poses_in_the_world():
 
 
 def test_a_mounting_is_found_from_poses_on_the_ego():
-    poses = PosePath(np.zeros(1, np.int64), MOUNT.translation[None], MOUNT.quaternion_xyzw[None])
+    poses = Poses(np.zeros(1, np.int64), MOUNT.translation[None], MOUNT.quaternion_xyzw[None])
     mount, losses = mounting(posed_camera(poses=poses, coordinates=Coordinates.EGO), None)
     assert losses == []
     np.testing.assert_allclose(mount.matrix, MOUNT.matrix, atol=1e-12)
@@ -186,18 +187,18 @@ def test_a_sensor_that_moves_on_the_vehicle_is_reported():
     assert "moves up to 0.5 m" in losses[0].what
 
 
-def test_poses_that_contradict_a_mounting_or_go_beyond_the_ego_s_way_are_reported():
+def test_poses_that_contradict_a_mounting_or_go_beyond_the_ego_s_trajectory_are_reported():
     raised = RigidTransform(MOUNT.rotation, MOUNT.translation + np.array([0, 0, 0.3]))
     mount, losses = mounting(posed_camera(poses=sensor_path(MOUNT), mount=raised), ego_path())
     assert mount is raised
     assert "up to 0.3 m and 0 degrees" in losses[0].what
-    turned = RigidTransform(
+    rotated = RigidTransform(
         MOUNT.rotation @ Rotation.from_rotvec([0.01, 0, 0]).as_matrix(), MOUNT.translation
     )
-    _, losses = mounting(posed_camera(poses=sensor_path(MOUNT), mount=turned), ego_path())
+    _, losses = mounting(posed_camera(poses=sensor_path(MOUNT), mount=rotated), ego_path())
     assert "0.573 degrees" in losses[0].what
     assert mounting(posed_camera(poses=sensor_path(MOUNT), mount=MOUNT), ego_path()) == (MOUNT, [])
-    short = PosePath(ego_path().timestamps_ns[:3], ego_path().positions[:3], ego_path().quaternions_xyzw[:3])
+    short = Poses(ego_path().timestamps_ns[:3], ego_path().positions[:3], ego_path().quaternions_xyzw[:3])
     _, losses = mounting(posed_camera(poses=sensor_path(MOUNT), mount=MOUNT), short)
     assert [(loss.count, loss.what.split(":")[0]) for loss in losses] == [(2, "left out")]
 
@@ -225,7 +226,7 @@ def test_a_matrix_is_four_rows():
     assert rows[0][3] == 1.5
 
 
-def test_the_place_of_an_antenna_is_written_and_comes_back(tmp_path):
+def test_the_position_of_an_antenna_is_written_and_comes_back(tmp_path):
     mount = RigidTransform.from_quaternion(np.array([0.4, -0.1, 1.2]), np.array([0.0, 0.0, 0.6, 0.8]))
     times, ones = np.arange(3, dtype=np.int64) * 10**9, np.ones(3)
     receivers = [

@@ -1,4 +1,4 @@
-"""Recordings of which some pictures are left: which pictures those are then, and what is told of their video."""
+"""Recordings of which some images are left: which images those are then, and what is reported their video."""
 
 import av
 import numpy as np
@@ -8,10 +8,10 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.editing import crop_scene, thin_scene
 from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import CameraSensor, LazyFrames, Picture, Scene
+from sceneloom.scene import CameraImage, CameraSensor, LazyFrames, Scene
 
-LENS = Camera("pinhole", 64, 48, 60.0, 60.0, 31.5, 23.5)
-STAMPS_NS = np.arange(12, dtype=np.int64) * 100_000_000
+CAMERA_MODEL = Camera("pinhole", 64, 48, 60.0, 60.0, 31.5, 23.5)
+TIMESTAMPS_NS = np.arange(12, dtype=np.int64) * 100_000_000
 GREYS = 15 + 20 * np.arange(12)
 # H.264 at its usual quality moves an even grey by a level or two, twice here; neighbours are 20 apart
 TWICE_ENCODED = 4
@@ -19,13 +19,17 @@ TWICE_ENCODED = 4
 
 @pytest.fixture
 def drive(tmp_path):
-    """A recording whose one camera has an H.264 video of greys, the first picture its only key frame."""
-    pictures = [
-        Picture.of(int(stamp), LENS, np.full((48, 64, 3), grey, np.uint8))
-        for stamp, grey in zip(STAMPS_NS, GREYS, strict=True)
+    """A recording whose one camera has an H.264 video of greys, the first image its only key frame."""
+    images = [
+        CameraImage.of(int(timestamp), CAMERA_MODEL, np.full((48, 64, 3), grey, np.uint8))
+        for timestamp, grey in zip(TIMESTAMPS_NS, GREYS, strict=True)
     ]
     camera = CameraSensor(
-        "camera0", LENS, LazyFrames.of(pictures, STAMPS_NS), mount=RigidTransform.identity(), fps=10.0
+        "camera0",
+        CAMERA_MODEL,
+        LazyFrames.of(images, TIMESTAMPS_NS),
+        mount=RigidTransform.identity(),
+        fps=10.0,
     )
     FORMAT.write(Scene((camera,)), tmp_path / "drive")
     with FORMAT.open(tmp_path / "drive") as scene:
@@ -35,9 +39,9 @@ def drive(tmp_path):
 def written(scene, folder, **options):
     report = FORMAT.write(scene, folder, **options)
     with FORMAT.open(folder) as again:
-        pictures = again.cameras[0].pictures
-        told = {loss.field: loss.what for loss in report if loss.field.startswith("sensors[camera0]")}
-        return told, pictures.timestamps_ns.tolist(), [int(np.median(shot.rgb)) for shot in pictures]
+        images = again.cameras[0].images
+        reported = {loss.field: loss.what for loss in report if loss.field.startswith("sensors[camera0]")}
+        return reported, images.timestamps_ns.tolist(), [int(np.median(shot.rgb)) for shot in images]
 
 
 @pytest.mark.parametrize(
@@ -49,27 +53,29 @@ def written(scene, folder, **options):
     ],
     ids=["thinned", "without its beginning", "its middle"],
 )
-def test_what_packets_cannot_give_alone_is_encoded_anew_and_told(drive, tmp_path, change, rows):
-    told, stamps_ns, greys = written(change(drive), tmp_path / "part")
-    assert stamps_ns == STAMPS_NS[rows].tolist()
+def test_what_packets_cannot_give_alone_is_encoded_anew_and_reported(drive, tmp_path, change, rows):
+    reported, timestamps_ns, greys = written(change(drive), tmp_path / "part")
+    assert timestamps_ns == TIMESTAMPS_NS[rows].tolist()
     np.testing.assert_allclose(greys, GREYS[rows], atol=TWICE_ENCODED)
-    assert told["sensors[camera0].video"].startswith("encoded anew as H.264: the video could not be copied")
-    assert told["sensors[camera0].pictures[].rgb"] == "encoded as H.264, which changes colours a little"
+    assert reported["sensors[camera0].video"].startswith(
+        "encoded anew as H.264: the video could not be copied"
+    )
+    assert reported["sensors[camera0].images[].rgb"] == "encoded as H.264, which changes colours a little"
 
 
-def test_a_key_frame_by_itself_is_copied_and_nothing_is_told_of_it(drive, tmp_path):
-    told, stamps_ns, greys = written(crop_scene(drive, stop=0.05), tmp_path / "part")
-    assert (told, stamps_ns) == ({}, STAMPS_NS[:1].tolist())
-    assert greys == [int(np.median(drive.cameras[0].pictures[0].rgb))]
+def test_a_key_frame_by_itself_is_copied_and_nothing_is_reported_it(drive, tmp_path):
+    reported, timestamps_ns, greys = written(crop_scene(drive, stop=0.05), tmp_path / "part")
+    assert (reported, timestamps_ns) == ({}, TIMESTAMPS_NS[:1].tolist())
+    assert greys == [int(np.median(drive.cameras[0].images[0].rgb))]
 
 
-def test_lossless_pictures_of_a_part_are_those_of_the_video(drive, tmp_path):
-    told, _, greys = written(thin_scene(drive, every=3), tmp_path / "part", pictures="lossless")
-    whole = [int(np.median(picture.rgb)) for picture in drive.cameras[0].pictures]
+def test_lossless_images_of_a_part_are_those_of_the_video(drive, tmp_path):
+    reported, _, greys = written(thin_scene(drive, every=3), tmp_path / "part", images="lossless")
+    whole = [int(np.median(image.rgb)) for image in drive.cameras[0].images]
     # colours of 8-bit YUV as 8-bit RGB, decoded once and kept
     assert greys == whole[::3]
-    assert list(told) == ["sensors[camera0].video"]
-    assert "FFV1, which loses nothing" in told["sensors[camera0].video"]
+    assert list(reported) == ["sensors[camera0].video"]
+    assert "FFV1, which loses nothing" in reported["sensors[camera0].video"]
 
 
 LOSSLESS = {
@@ -77,12 +83,12 @@ LOSSLESS = {
     "ffv1 in groups": ("data.mkv", "ffv1", "bgr0", {"g": "4"}),
     "mjpeg": ("data.avi", "mjpeg", "yuvj444p", {}),
     "png": ("data.mov", "png", "rgb24", {}),
-    "h264 of key pictures": ("data.mp4", "libx264", "yuv420p", {"g": "1"}),
+    "h264 of key images": ("data.mp4", "libx264", "yuv420p", {"g": "1"}),
 }
 
 
 @pytest.mark.parametrize("kind", LOSSLESS)
-def test_gaps_in_numbers_cost_no_picture_anything_and_stay(recording, pinhole, tmp_path, kind):
+def test_gaps_in_numbers_cost_no_image_anything_and_stay(recording, pinhole, tmp_path, kind):
     name, codec, pixels, options = LOSSLESS[kind]
     generator = np.random.default_rng(1)
     with av.open(str(recording.path / name), "w") as container:
@@ -99,15 +105,15 @@ def test_gaps_in_numbers_cost_no_picture_anything_and_stay(recording, pinhole, t
         {"frames": [{"cameraInd": 0}], "number": number, "time": 0.1 * number} for number in numbers
     )
     with FORMAT.open(recording.path) as scene:
-        before = [picture.rgb for picture in scene.cameras[0].pictures]
+        before = [image.rgb for image in scene.cameras[0].images]
         report = FORMAT.write(scene, tmp_path / "again")
     with FORMAT.open(tmp_path / "again") as scene:
-        assert [picture.extras["number"] for picture in scene.cameras[0].pictures] == numbers
-        np.testing.assert_array_equal([picture.rgb for picture in scene.cameras[0].pictures], before)
-    told = {loss.field: loss.what for loss in report if loss.field != "replay"}
+        assert [image.extras["number"] for image in scene.cameras[0].images] == numbers
+        np.testing.assert_array_equal([image.rgb for image in scene.cameras[0].images], before)
+    reported = {loss.field: loss.what for loss in report if loss.field != "replay"}
     encoded = kind in {"ffv1 in groups", "png"}
-    assert list(told) == (["sensors[camera0].video"] if encoded else [])
-    assert not encoded or "FFV1, which loses nothing" in told["sensors[camera0].video"]
+    assert list(reported) == (["sensors[camera0].video"] if encoded else [])
+    assert not encoded or "FFV1, which loses nothing" in reported["sensors[camera0].video"]
     if not encoded:
         assert packets(tmp_path / "again" / "data.mkv") == [
             packets(recording.path / name)[k - 3] for k in numbers

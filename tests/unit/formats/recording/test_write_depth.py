@@ -13,27 +13,27 @@ from sceneloom.formats.recording.writer import write_recording
 from sceneloom.formats.recording.written_depth import to_steps
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
+    CameraImage,
     CameraSensor,
     DepthCameraSensor,
     DepthFrame,
     LazyFrames,
-    Picture,
     Scene,
     VideoContent,
 )
 
 MS = 1_000_000
-LENS = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
+CAMERA_MODEL = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
 HERE = RigidTransform.identity()
 
 
 def depth_camera(images, scales, **fields):
-    stamps = np.arange(len(images), dtype=np.int64) * 100 * MS
+    timestamps = np.arange(len(images), dtype=np.int64) * 100 * MS
     frames = [
-        DepthFrame(int(t), LENS, lambda image=image: image, scale)
-        for t, image, scale in zip(stamps, images, scales, strict=True)
+        DepthFrame(int(t), CAMERA_MODEL, lambda image=image: image, scale)
+        for t, image, scale in zip(timestamps, images, scales, strict=True)
     ]
-    return DepthCameraSensor("depth", LENS, LazyFrames.of(frames, stamps), mount=HERE, **fields)
+    return DepthCameraSensor("depth", CAMERA_MODEL, LazyFrames.of(frames, timestamps), mount=HERE, **fields)
 
 
 def constant(metres):
@@ -100,10 +100,10 @@ def test_what_steps_cannot_hold_is_counted():
     assert (found.rounded, found.beyond) == (2, 4)
 
 
-def test_depth_comes_after_the_pictures_and_a_line_without_it_repeats_the_last(tmp_path):
-    stamps = np.arange(4, dtype=np.int64) * 100 * MS
-    shots = [Picture.of(int(t), LENS, np.zeros((16, 32, 3), np.uint8)) for t in stamps]
-    colour = CameraSensor("colour", LENS, LazyFrames.of(shots, stamps), mount=HERE)
+def test_depth_comes_after_the_images_and_a_line_without_it_repeats_the_last(tmp_path):
+    timestamps = np.arange(4, dtype=np.int64) * 100 * MS
+    shots = [CameraImage.of(int(t), CAMERA_MODEL, np.zeros((16, 32, 3), np.uint8)) for t in timestamps]
+    colour = CameraSensor("colour", CAMERA_MODEL, LazyFrames.of(shots, timestamps), mount=HERE)
     depth = depth_camera([constant(1.0), constant(2.0)], [0.001, 0.001])
     report = write_recording(Scene((depth, colour)), tmp_path / "d")
     assert [[entry.get("depthScale") for entry in line] for line in entries_of(tmp_path / "d")] == [
@@ -130,9 +130,11 @@ def test_a_depth_video_whose_steps_are_known_is_copied(tmp_path):
     def undecoded():
         raise AssertionError("decoded")
 
-    stamps = np.arange(2, dtype=np.int64) * 100 * MS
-    frames = [DepthFrame(int(t), LENS, undecoded, 0.001) for t in stamps]
-    copied = DepthCameraSensor("camera0", LENS, LazyFrames.of(frames, stamps), mount=HERE, video=video)
+    timestamps = np.arange(2, dtype=np.int64) * 100 * MS
+    frames = [DepthFrame(int(t), CAMERA_MODEL, undecoded, 0.001) for t in timestamps]
+    copied = DepthCameraSensor(
+        "camera0", CAMERA_MODEL, LazyFrames.of(frames, timestamps), mount=HERE, video=video
+    )
     report = write_recording(Scene((copied,)), tmp_path / "second")
     assert (tmp_path / "second" / "data.mkv").read_bytes() == content
     assert lost(report) == {}

@@ -25,41 +25,41 @@ SPANS = {
 def some_times(span):
     low, high = SPANS[span]
     rng = np.random.default_rng(low % 1000)
-    # whole milliseconds, and multiples of 2^-9 s, which lie halfway between two numbers in places
+    # whole milliseconds, and multiples of 2^-9 s, which lie halfway between two numbers in locations
     steps = [rng.integers(low // step, high // step, 300) * step for step in (1, 10**6, 1_953_125, 10**9)]
     return np.concatenate(steps).astype(np.int64)
 
 
 @pytest.mark.parametrize("span", SPANS)
 def test_times_are_written_exactly_and_without_zeros_at_the_end(span):
-    stamps = some_times(span)
-    for stamp, text in zip(stamps.tolist(), seconds_texts(stamps, None), strict=True):
-        assert Decimal(text) == Decimal(stamp).scaleb(-9)
+    timestamps = some_times(span)
+    for timestamp, text in zip(timestamps.tolist(), seconds_texts(timestamps, None), strict=True):
+        assert Decimal(text) == Decimal(timestamp).scaleb(-9)
         assert "e" not in text
         assert text.endswith(".0") or not text.endswith("0")
 
 
 @pytest.mark.parametrize("span", SPANS)
 def test_the_nearest_numbers_are_those_that_reading_gives(span):
-    stamps = some_times(span)
-    expected = [float(Decimal(stamp).scaleb(-9)) for stamp in stamps.tolist()]
-    assert exact_seconds(stamps).tolist() == expected
+    timestamps = some_times(span)
+    expected = [float(Decimal(timestamp).scaleb(-9)) for timestamp in timestamps.tolist()]
+    assert exact_seconds(timestamps).tolist() == expected
 
 
 def test_a_file_s_own_numbers_are_written_where_they_still_mean_the_times():
     seconds = np.array([1.444770263671875, 0.1 + 0.2, np.nan, np.inf, 1e300, 1700000000.1234567, -2.5])
-    stamps = np.array([1_444_770_264, 300_000_000, 7, 8, 9, 1_700_000_000_123_456_717, -2_400_000_000])
-    texts = seconds_texts(stamps, seconds)
+    timestamps = np.array([1_444_770_264, 300_000_000, 7, 8, 9, 1_700_000_000_123_456_717, -2_400_000_000])
+    texts = seconds_texts(timestamps, seconds)
     assert [float(texts[k]) for k in (0, 1, 5)] == [seconds[k] for k in (0, 1, 5)]
     assert [texts[k] for k in (2, 3, 4, 6)] == ["0.000000007", "0.000000008", "0.000000009", "-2.4"]
 
 
 def test_times_that_numbers_cannot_hold_are_counted_in_blocks_as_one_by_one():
-    stamps = some_times("today")
+    timestamps = some_times("today")
     block, single = TimeWriter(), TimeWriter()
-    block.texts(stamps, None)
-    for stamp in stamps.tolist():
-        single.text(stamp)
+    block.texts(timestamps, None)
+    for timestamp in timestamps.tolist():
+        single.text(timestamp)
     assert (block.inexact, block.worst_ns) == (single.inexact, single.worst_ns)
     assert block.inexact > 0
 
@@ -75,15 +75,15 @@ def test_numbers_are_read_as_they_were():
 
 
 def a_stream(name, pairs, asked=None):
-    """Lines that say their stream, their time and their number."""
+    """Lines that state their stream, their time and their number."""
 
     def make():
-        for stamp, seconds in pairs:
+        for timestamp, seconds in pairs:
             if asked is not None:
                 asked.append(name)
-            yield WrittenLine(stamp, seconds, f"{name} {stamp} {seconds!r}")
+            yield WrittenLine(timestamp, seconds, f"{name} {timestamp} {seconds!r}")
 
-    return OneByOne(np.array([stamp for stamp, _ in pairs], np.int64), make())
+    return OneByOne(np.array([timestamp for timestamp, _ in pairs], np.int64), make())
 
 
 def test_lines_come_by_time_then_by_number_then_by_stream():
@@ -100,7 +100,7 @@ def test_lines_come_by_time_then_by_number_then_by_stream():
     ]
 
 
-def test_thousands_of_lines_come_in_order_each_asked_for_when_its_turn_comes():
+def test_thousands_of_lines_come_in_order_each_asked_for_when_its_rotation_comes():
     rng = np.random.default_rng(3)
     asked: list[str] = []
     pairs = {
@@ -110,6 +110,6 @@ def test_thousands_of_lines_come_in_order_each_asked_for_when_its_turn_comes():
     streams = [a_stream(name, found, asked) for name, found in pairs.items()]
     lines = [line.split() for block in merged_lines(streams) for line in block]
     assert len(lines) == 7300
-    keys = [(int(stamp), float(seconds), name) for name, stamp, seconds in lines]
+    keys = [(int(timestamp), float(seconds), name) for name, timestamp, seconds in lines]
     assert all(before <= after for before, after in pairwise(keys))
     assert asked == [name for name, _, _ in lines]

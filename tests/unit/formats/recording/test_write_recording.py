@@ -22,6 +22,7 @@ from sceneloom.formats.recording.writer import write_recording
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
     AttributePath,
+    CameraImage,
     CameraSensor,
     CuboidAnnotation,
     CuboidPath,
@@ -32,10 +33,9 @@ from sceneloom.scene import (
     LidarPoints,
     LidarSensor,
     OdometrySensor,
-    Picture,
     PlainSensor,
     PointsFrame,
-    PosePath,
+    Poses,
     RadarSensor,
     Scene,
     Trajectory,
@@ -52,17 +52,18 @@ def times(count, *, start_ms=0, step_ms=100):
     return (np.arange(count, dtype=np.int64) * step_ms + start_ms) * MS
 
 
-def picture_rgb(index, width=32, height=16):
+def image_rgb(index, width=32, height=16):
     return np.full((height, width, 3), (10 * index, 200 - 10 * index, 77), np.uint8)
 
 
-def a_camera(name="camera0", *, stamps=None, width=32, height=16, **fields):
-    stamps = times(4, start_ms=50) if stamps is None else stamps
-    lens = Camera("pinhole", width, height, 30.0, 31.0, width / 2, height / 2)
-    pictures = LazyFrames.of(
-        [Picture.of(int(t), lens, picture_rgb(k, width, height)) for k, t in enumerate(stamps)], stamps
+def a_camera(name="camera0", *, timestamps=None, width=32, height=16, **fields):
+    timestamps = times(4, start_ms=50) if timestamps is None else timestamps
+    camera_model = Camera("pinhole", width, height, 30.0, 31.0, width / 2, height / 2)
+    images = LazyFrames.of(
+        [CameraImage.of(int(t), camera_model, image_rgb(k, width, height)) for k, t in enumerate(timestamps)],
+        timestamps,
     )
-    return CameraSensor(name, lens, pictures, **({"mount": MOUNT} | fields))
+    return CameraSensor(name, camera_model, images, **({"mount": MOUNT} | fields))
 
 
 def some_points(seed, start_ns, count=5):
@@ -87,12 +88,15 @@ def a_lidar(name="lidar", *, frames=None, **fields):
 
 
 def an_imu(**streams):
-    stamps = times(30, start_ms=3, step_ms=10)
+    timestamps = times(30, start_ms=3, step_ms=10)
     values = np.random.default_rng(1).normal(size=(30, 3))
     return ImuSensor(
         "imu",
         streams
-        or {"accelerometer": VectorSamples(stamps, values), "gyroscope": VectorSamples(stamps, -values)},
+        or {
+            "accelerometer": VectorSamples(timestamps, values),
+            "gyroscope": VectorSamples(timestamps, -values),
+        },
     )
 
 
@@ -102,9 +106,9 @@ def a_gnss():
 
 
 def ego_path(count=6):
-    turns = Rotation.from_rotvec(np.linspace(0, 1, count)[:, None] * [0.0, 0.0, 1.0])
+    rotations = Rotation.from_rotvec(np.linspace(0, 1, count)[:, None] * [0.0, 0.0, 1.0])
     positions = np.stack([np.arange(count, dtype=float), np.zeros(count), np.zeros(count)], axis=1)
-    return PosePath(times(count), positions, turns.as_quat())
+    return Poses(times(count), positions, rotations.as_quat())
 
 
 def a_trajectory(name="groundTruth"):
@@ -142,14 +146,14 @@ def replay_of(report):
 def test_lines_are_sorted_and_each_says_one_thing(tmp_path):
     report = write_recording(whole_scene(), tmp_path / "drive")
     lines = lines_of(tmp_path / "drive")
-    stamps = [line["time"] for line in lines]
-    assert stamps == sorted(stamps)
+    timestamps = [line["time"] for line in lines]
+    assert timestamps == sorted(timestamps)
     kinds = [next(iter(line)) for line in lines]
     counts = {kind: kinds.count(kind) for kind in kinds}
     assert counts == {"groundTruth": 6, "sensor": 60, "gps": 2, "lidar": 3, "frames": 4}
     assert losses_of(report) == {
-        "sensors[camera0].pictures[].rgb": "encoded as H.264, which changes colours a little",
-        "sensors[camera1].pictures[].rgb": "encoded as H.264, which changes colours a little",
+        "sensors[camera0].images[].rgb": "encoded as H.264, which changes colours a little",
+        "sensors[camera1].images[].rgb": "encoded as H.264, which changes colours a little",
     }
 
 
@@ -188,7 +192,7 @@ def test_samples_fixes_and_poses_are_written_in_the_format_s_words(tmp_path):
     ]
     pose = [line for line in lines if "groundTruth" in line][3]["groundTruth"]
     assert pose["position"] == {"x": 3.0, "y": 0.0, "z": 0.0}
-    # a turn by 0.6 rad about z
+    # a rotation by 0.6 rad about z
     assert pose["orientation"] == pytest.approx(
         {"x": 0, "y": 0, "z": np.sin(0.3), "w": np.cos(0.3)}, abs=1e-15
     )
@@ -220,26 +224,26 @@ def test_the_calibration_takes_points_of_the_imu_into_the_sensors(tmp_path):
 
 
 def read_video(path):
-    capture, pictures = cv2.VideoCapture(str(path)), []
+    capture, images = cv2.VideoCapture(str(path)), []
     while (found := capture.read())[0]:
-        pictures.append(found[1][:, :, ::-1])
-    return pictures
+        images.append(found[1][:, :, ::-1])
+    return images
 
 
-def test_videos_are_h264_with_one_picture_per_frames_line(tmp_path):
+def test_videos_are_h264_with_one_image_per_frames_line(tmp_path):
     write_recording(whole_scene(), tmp_path / "drive")
     for name in ("data.mkv", "data2.mkv"):
         with av.open(str(tmp_path / "drive" / name)) as container:
             assert container.streams.video[0].codec_context.name == "h264"
-        pictures = read_video(tmp_path / "drive" / name)
-        assert len(pictures) == 4
-        for index, rgb in enumerate(pictures):
+        images = read_video(tmp_path / "drive" / name)
+        assert len(images) == 4
+        for index, rgb in enumerate(images):
             # flat colours survive but for rounding, 1 to 3 levels
-            assert np.abs(rgb.astype(int) - picture_rgb(index)).max() <= 4
+            assert np.abs(rgb.astype(int) - image_rgb(index)).max() <= 4
 
 
-def test_png_pictures_lose_nothing(tmp_path):
-    report = write_recording(whole_scene(), tmp_path / "drive", pictures="png")
+def test_png_images_lose_nothing(tmp_path):
+    report = write_recording(whole_scene(), tmp_path / "drive", images="png")
     assert len(report) == 0
     assert not list((tmp_path / "drive").glob("*.mkv"))
     for folder in ("frames1", "frames2"):
@@ -247,10 +251,10 @@ def test_png_pictures_lose_nothing(tmp_path):
         assert names == [f"{index:08d}.png" for index in range(4)]
         for index, name in enumerate(names):
             bgr = cv2.imread(str(tmp_path / "drive" / folder / name))
-            np.testing.assert_array_equal(bgr[:, :, ::-1], picture_rgb(index))
+            np.testing.assert_array_equal(bgr[:, :, ::-1], image_rgb(index))
 
 
-def test_odd_pictures_lose_a_line_in_h264_and_say_so(tmp_path):
+def test_odd_images_lose_a_line_in_h264_and_report_it(tmp_path):
     scene = a_scene(a_camera(width=33, height=17))
     report = write_recording(scene, tmp_path / "drive")
     assert "cut from 33x17 to 32x16: H.264 needs even sizes" in [loss.what for loss in report]
@@ -267,7 +271,7 @@ def encoded(tmp_path, codec="libx264", count=4, container="mkv"):
         stream = output.add_stream(codec, rate=10)
         stream.width, stream.height, stream.pix_fmt = 32, 16, "yuv420p"
         for index in range(count):
-            output.mux(stream.encode(av.VideoFrame.from_ndarray(picture_rgb(index), format="rgb24")))
+            output.mux(stream.encode(av.VideoFrame.from_ndarray(image_rgb(index), format="rgb24")))
         output.mux(stream.encode(None))
     return path
 
@@ -278,13 +282,13 @@ def packets_of(path):
 
 
 @pytest.mark.parametrize(
-    ("codec", "pictures", "copied"),
+    ("codec", "images", "copied"),
     [("libx264", "copy", True), ("libx264", "h264", True), ("ffv1", "copy", True), ("ffv1", "h264", False)],
 )
-def test_a_camera_s_own_video_is_copied_packet_by_packet(tmp_path, codec, pictures, copied):
+def test_a_camera_s_own_video_is_copied_packet_by_packet(tmp_path, codec, images, copied):
     path = encoded(tmp_path, codec)
     video = VideoContent(lambda: path.open("rb"), "h264" if codec == "libx264" else codec)
-    report = write_recording(a_scene(a_camera(video=video)), tmp_path / "drive", pictures=pictures)
+    report = write_recording(a_scene(a_camera(video=video)), tmp_path / "drive", images=images)
     assert (packets_of(tmp_path / "drive" / "data.mkv") == packets_of(path)) == copied
     assert (not losses_of(report)) == copied
     assert len(read_video(tmp_path / "drive" / "data.mkv")) == 4
@@ -309,7 +313,7 @@ def test_a_matroska_file_is_copied_byte_by_byte(tmp_path):
     assert (tmp_path / "drive" / "data.mkv").read_bytes() == path.read_bytes()
 
 
-def test_a_recording_can_take_its_own_place(tmp_path):
+def test_a_recording_can_take_its_own_location(tmp_path):
     write_recording(whole_scene(), tmp_path / "drive")
     before = {path: path.read_bytes() for path in (tmp_path / "drive").rglob("*") if path.is_file()}
     with open_recording(tmp_path / "drive") as scene:
@@ -318,7 +322,7 @@ def test_a_recording_can_take_its_own_place(tmp_path):
     assert after == before
 
 
-def test_a_video_of_which_not_all_pictures_belong_to_the_camera_is_encoded(tmp_path):
+def test_a_video_of_which_not_all_images_belong_to_the_camera_is_encoded(tmp_path):
     path = encoded(tmp_path, count=6)
     content = VideoContent(lambda: path.open("rb"), "h264", frame_indices=(0, 1, 2, 4))
     write_recording(a_scene(a_camera(video=content)), tmp_path / "some")
@@ -327,21 +331,21 @@ def test_a_video_of_which_not_all_pictures_belong_to_the_camera_is_encoded(tmp_p
         assert len(read_video(tmp_path / name / "data.mkv")) == 4
 
 
-def test_a_camera_out_of_step_repeats_a_picture_and_is_reported(tmp_path):
-    second = a_camera("camera1", stamps=times(4, start_ms=50)[[0, 2, 3]])
-    report = write_recording(a_scene(a_camera(), second), tmp_path / "drive", pictures="png")
+def test_a_camera_out_of_step_repeats_an_image_and_is_reported(tmp_path):
+    second = a_camera("camera1", timestamps=times(4, start_ms=50)[[0, 2, 3]])
+    report = write_recording(a_scene(a_camera(), second), tmp_path / "drive", images="png")
     frames = [line["frames"] for line in lines_of(tmp_path / "drive")]
     assert [entries[1].get("missingBitmap", False) for entries in frames] == [False, True, False, False]
     assert all([entry["cameraInd"] for entry in entries] == [0, 1] for entries in frames)
     written = [cv2.imread(str(path))[0, 0, 2] for path in sorted((tmp_path / "drive" / "frames2").iterdir())]
     assert written == [0, 0, 10, 20]
-    assert list(losses_of(report)) == ["sensors[camera1].pictures"]
-    assert "not in step" in losses_of(report)["sensors[camera1].pictures"]
+    assert list(losses_of(report)) == ["sensors[camera1].images"]
+    assert "not in step" in losses_of(report)["sensors[camera1].images"]
 
 
 def test_cameras_a_little_apart_share_a_line_and_keep_their_times(tmp_path):
-    second = a_camera("camera1", stamps=times(4, start_ms=50) - 7 * MS)
-    write_recording(a_scene(a_camera(), second), tmp_path / "drive", pictures="png")
+    second = a_camera("camera1", timestamps=times(4, start_ms=50) - 7 * MS)
+    write_recording(a_scene(a_camera(), second), tmp_path / "drive", images="png")
     assert lines_of(tmp_path / "drive")[0] == {
         "frames": [{"cameraInd": 0, "time": 0.05}, {"cameraInd": 1, "time": 0.043}],
         "number": 0,
@@ -349,15 +353,15 @@ def test_cameras_a_little_apart_share_a_line_and_keep_their_times(tmp_path):
     }
 
 
-def test_a_picture_s_own_lens_and_mounting_stand_in_its_line(tmp_path):
-    lens = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
+def test_an_image_s_own_camera_model_and_mounting_stand_in_its_line(tmp_path):
+    camera_model = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
     own = Camera("fisheye", 32, 16, 40.0, 41.0, 15.0, 7.0, (0.1, 0.2, 0.3, 0.4))
-    pictures = [
-        Picture.of(0, lens, picture_rgb(0)),
-        Picture(100 * MS, own, lambda: picture_rgb(1), mount=RigidTransform.identity()),
+    images = [
+        CameraImage.of(0, camera_model, image_rgb(0)),
+        CameraImage(100 * MS, own, lambda: image_rgb(1), mount=RigidTransform.identity()),
     ]
-    camera = CameraSensor("camera0", lens, LazyFrames.of(pictures, [0, 100 * MS]), mount=MOUNT)
-    write_recording(a_scene(camera), tmp_path / "drive", pictures="png")
+    camera = CameraSensor("camera0", camera_model, LazyFrames.of(images, [0, 100 * MS]), mount=MOUNT)
+    write_recording(a_scene(camera), tmp_path / "drive", images="png")
     first, second = (line["frames"][0] for line in lines_of(tmp_path / "drive"))
     assert set(first) == {"cameraInd", "time"}
     assert second["cameraParameters"] == {
@@ -371,7 +375,7 @@ def test_a_picture_s_own_lens_and_mounting_stand_in_its_line(tmp_path):
     assert second["imuToCamera"] == np.eye(4).tolist()
 
 
-def test_several_lidars_are_told_apart_by_an_index(tmp_path):
+def test_several_lidars_are_distinguished_by_an_index(tmp_path):
     write_recording(a_scene(a_lidar("lidar0"), a_lidar("lidar1")), tmp_path / "drive")
     sweeps = [line["lidar"] for line in lines_of(tmp_path / "drive")]
     assert sweeps[:2] == [
@@ -408,16 +412,19 @@ def test_what_points_lack_is_filled_and_what_they_have_too_much_is_named(tmp_pat
 
 def world_lidar(**fields):
     """A lidar whose points were brought into the world, each at its own time, and the points before that."""
-    start, stamps = 120 * MS, 120 * MS + np.arange(5, dtype=np.int64) * 17 * MS
+    start, timestamps = 120 * MS, 120 * MS + np.arange(5, dtype=np.int64) * 17 * MS
     positions = np.random.default_rng(7).normal(size=(5, 3)) * 20
     moving = ego_path()
     world = []
-    for stamp, position in zip(stamps, positions, strict=True):
-        body = moving.interpolate(np.array([stamp]))
+    for timestamp, position in zip(timestamps, positions, strict=True):
+        body = moving.interpolate(np.array([timestamp]))
         ego = RigidTransform.from_quaternion(body.positions[0], body.quaternions_xyzw[0])
         world.append((ego @ MOUNT).apply(position))
     points = LidarPoints(
-        np.array(world, np.float32), np.zeros(5, np.uint8), timestamps_ns=stamps, rings=np.zeros(5, np.uint16)
+        np.array(world, np.float32),
+        np.zeros(5, np.uint8),
+        timestamps_ns=timestamps,
+        rings=np.zeros(5, np.uint16),
     )
     return a_lidar(frames=[LidarFrame(start, points)], points_frame=PointsFrame.WORLD, **fields), positions
 
@@ -429,7 +436,7 @@ def mounted_path():
     positions, quaternions = (
         np.array([getattr(p, name) for p in poses]) for name in ("translation", "quaternion_xyzw")
     )
-    return PosePath(path.timestamps_ns, positions, quaternions)
+    return Poses(path.timestamps_ns, positions, quaternions)
 
 
 def positions_in(path):
@@ -488,7 +495,7 @@ def test_points_in_the_world_without_any_poses_are_refused(tmp_path):
 
 def test_points_beyond_the_poses_are_refused(tmp_path):
     lidar, _ = world_lidar(
-        poses=PosePath(times(2, start_ms=5000), np.zeros((2, 3)), np.array([[0.0, 0, 0, 1]] * 2))
+        poses=Poses(times(2, start_ms=5000), np.zeros((2, 3)), np.array([[0.0, 0, 0, 1]] * 2))
     )
     with pytest.raises(PoseError, match="sweep at 120000000 ns: no pose for 5 of its points"):
         write_recording(a_scene(lidar), tmp_path / "drive")
@@ -531,7 +538,7 @@ def test_what_a_recording_cannot_hold_is_named_field_by_field(tmp_path):
 
 
 def test_ids_that_the_format_forgets_are_named(tmp_path):
-    report = write_recording(a_scene(a_camera("front"), a_lidar("roof")), tmp_path / "drive", pictures="png")
+    report = write_recording(a_scene(a_camera("front"), a_lidar("roof")), tmp_path / "drive", images="png")
     assert losses_of(report) == {
         "sensors[front].id": "read back as 'camera0'",
         "sensors[roof].id": "read back as 'lidar'",
@@ -585,8 +592,8 @@ def test_an_odometry_sensor_becomes_a_trajectory_unless_it_is_one(tmp_path):
 
 
 def test_times_keep_their_digits_and_the_loss_of_64_bit_numbers_is_reported(tmp_path):
-    stamps = np.array([1_700_000_000_123_456_789, 1_700_000_001_000_000_000], np.int64)
-    imu = an_imu(gyroscope=VectorSamples(stamps, np.ones((2, 3))))
+    timestamps = np.array([1_700_000_000_123_456_789, 1_700_000_001_000_000_000], np.int64)
+    imu = an_imu(gyroscope=VectorSamples(timestamps, np.ones((2, 3))))
     report = write_recording(a_scene(imu), tmp_path / "drive")
     texts = (tmp_path / "drive" / "data.jsonl").read_text().splitlines()
     found = [json.loads(text, parse_float=Decimal)["time"] for text in texts]
@@ -596,9 +603,9 @@ def test_times_keep_their_digits_and_the_loss_of_64_bit_numbers_is_reported(tmp_
 
 def test_numbers_that_times_were_read_from_are_written_back(tmp_path):
     seconds = np.array([1.43846240234375, 1.444770263671875, 1.4387])
-    stamps = np.rint(seconds * 1e9).astype(np.int64)
+    timestamps = np.rint(seconds * 1e9).astype(np.int64)
     seconds[2] = 99.0  # no longer means its time
-    imu = an_imu(gyroscope=VectorSamples(stamps, np.ones((3, 3)), seconds))
+    imu = an_imu(gyroscope=VectorSamples(timestamps, np.ones((3, 3)), seconds))
     write_recording(a_scene(imu), tmp_path / "drive")
     assert [line["time"] for line in lines_of(tmp_path / "drive")] == [
         1.43846240234375,
@@ -607,8 +614,8 @@ def test_numbers_that_times_were_read_from_are_written_back(tmp_path):
     ]
 
 
-def test_what_a_recording_said_beside_is_written_back(tmp_path):
-    stamps = np.array([0, 10 * MS], np.int64)
+def test_what_a_recording_stated_beside_is_written_back(tmp_path):
+    timestamps = np.array([0, 10 * MS], np.int64)
     text = '{"sensor": {"type": "gyroscope", "values": [9], "bias": 1}, "time": 1, "note": "x"}'
     notes = {
         "calibration": {"imuForward": [1, 0, 0], "cameras": [{"model": "old"}]},
@@ -618,8 +625,8 @@ def test_what_a_recording_said_beside_is_written_back(tmp_path):
         "trajectory_origins": {"pose:lidar": ["pose", "lidar"]},
     }
     scene = a_scene(
-        an_imu(gyroscope=VectorSamples(stamps, np.ones((2, 3)))),
-        trajectories=[Trajectory("pose:lidar", stamps[:1] + 20 * MS, np.zeros((1, 3)))],
+        an_imu(gyroscope=VectorSamples(timestamps, np.ones((2, 3)))),
+        trajectories=[Trajectory("pose:lidar", timestamps[:1] + 20 * MS, np.zeros((1, 3)))],
         metadata={"recording": notes},
     )
     assert len(write_recording(scene, tmp_path / "drive")) == 0
@@ -646,20 +653,20 @@ def test_a_scene_with_nothing_for_a_recording_is_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_camera_without_pictures_is_calibrated_alone_and_left_out_beside_others(tmp_path):
-    empty = a_camera("camera1", stamps=times(0))
-    report = write_recording(a_scene(a_camera(), empty), tmp_path / "both", pictures="png")
-    assert "has no pictures" in losses_of(report)["sensors[camera1]"]
+def test_a_camera_without_images_is_calibrated_alone_and_left_out_beside_others(tmp_path):
+    empty = a_camera("camera1", timestamps=times(0))
+    report = write_recording(a_scene(a_camera(), empty), tmp_path / "both", images="png")
+    assert "has no images" in losses_of(report)["sensors[camera1]"]
     assert len(json.loads((tmp_path / "both" / "calibration.json").read_text())["cameras"]) == 1
     write_recording(a_scene(a_lidar(), empty), tmp_path / "alone")
     assert len(json.loads((tmp_path / "alone" / "calibration.json").read_text())["cameras"]) == 1
     assert not list((tmp_path / "alone").glob("*.mkv"))
 
 
-@pytest.mark.parametrize("pictures", ["jpeg", ""])
-def test_an_unknown_way_of_keeping_pictures_is_refused(tmp_path, pictures):
+@pytest.mark.parametrize("images", ["jpeg", ""])
+def test_an_unknown_way_of_keeping_images_is_refused(tmp_path, images):
     with pytest.raises(OptionError, match="expected one of: copy, lossless, h264, ffv1, png"):
-        write_recording(whole_scene(), tmp_path / "drive", pictures=pictures)
+        write_recording(whole_scene(), tmp_path / "drive", images=images)
 
 
 def test_an_existing_recording_is_replaced_only_on_request_and_whole(tmp_path):
@@ -692,34 +699,35 @@ def test_an_empty_folder_is_replaced_on_request_and_a_file_never(tmp_path):
     assert (tmp_path / "file").read_text() == "mine"
 
 
-@pytest.mark.parametrize("pictures", ["h264", "png"])
-def test_a_failure_in_the_middle_leaves_what_was_there(tmp_path, pictures):
+@pytest.mark.parametrize("images", ["h264", "png"])
+def test_a_failure_in_the_middle_leaves_what_was_there(tmp_path, images):
     write_recording(a_scene(an_imu()), tmp_path / "drive")
     before = (tmp_path / "drive" / "data.jsonl").read_bytes()
-    lens = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
+    camera_model = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
     shots = [
-        Picture(k * 100 * MS, lens, lambda k=k: picture_rgb(k, 32, 16 if k < 2 else 14)) for k in range(4)
+        CameraImage(k * 100 * MS, camera_model, lambda k=k: image_rgb(k, 32, 16 if k < 2 else 14))
+        for k in range(4)
     ]
-    camera = CameraSensor("camera0", lens, LazyFrames.of(shots, times(4)), mount=MOUNT)
-    with pytest.raises(ArrayError, match=r"picture.*\(14, 32, 3\)"):
-        write_recording(a_scene(camera), tmp_path / "drive", overwrite=True, pictures=pictures)
+    camera = CameraSensor("camera0", camera_model, LazyFrames.of(shots, times(4)), mount=MOUNT)
+    with pytest.raises(ArrayError, match=r"image.*\(14, 32, 3\)"):
+        write_recording(a_scene(camera), tmp_path / "drive", overwrite=True, images=images)
     assert (tmp_path / "drive" / "data.jsonl").read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["drive"]
 
 
-@pytest.mark.parametrize("pictures", ["copy", "png", "ffv1"])
-def test_who_stops_in_the_middle_finds_nothing_new(tmp_path, pictures):
-    lens = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
+@pytest.mark.parametrize("images", ["copy", "png", "ffv1"])
+def test_who_stops_in_the_middle_finds_nothing_new(tmp_path, images):
+    camera_model = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
 
     def decode(k):
         if k == 2:
             raise KeyboardInterrupt
-        return picture_rgb(k)
+        return image_rgb(k)
 
-    shots = [Picture(k * 100 * MS, lens, lambda k=k: decode(k)) for k in range(4)]
-    camera = CameraSensor("camera0", lens, LazyFrames.of(shots, times(4)), mount=MOUNT)
+    shots = [CameraImage(k * 100 * MS, camera_model, lambda k=k: decode(k)) for k in range(4)]
+    camera = CameraSensor("camera0", camera_model, LazyFrames.of(shots, times(4)), mount=MOUNT)
     with pytest.raises(KeyboardInterrupt):
-        write_recording(a_scene(camera, a_lidar()), tmp_path / "drive", pictures=pictures)
+        write_recording(a_scene(camera, a_lidar()), tmp_path / "drive", images=images)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -742,9 +750,9 @@ def test_the_same_scene_gives_the_same_files(tmp_path):
         assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "second" / file).read_bytes()
 
 
-@pytest.mark.parametrize("pictures", ["copy", "png", "ffv1"])
-def test_no_more_than_a_frame_of_each_sensor_is_held(tmp_path, pictures):
-    alive, most = {"lidar": 0, "picture": 0}, {"lidar": 0, "picture": 0}
+@pytest.mark.parametrize("images", ["copy", "png", "ffv1"])
+def test_no_more_than_a_frame_of_each_sensor_is_held(tmp_path, images):
+    alive, most = {"lidar": 0, "image": 0}, {"lidar": 0, "image": 0}
 
     def born(kind, array):
         alive[kind] += 1
@@ -752,27 +760,27 @@ def test_no_more_than_a_frame_of_each_sensor_is_held(tmp_path, pictures):
         weakref.finalize(array, lambda: alive.__setitem__(kind, alive[kind] - 1))
         return array
 
-    lens = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
-    stamps = times(40)
+    camera_model = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
+    timestamps = times(40)
 
     def sweep(k):
-        points = some_points(k, int(stamps[k]))
+        points = some_points(k, int(timestamps[k]))
         born("lidar", points.positions)
-        return LidarFrame(int(stamps[k]), points)
+        return LidarFrame(int(timestamps[k]), points)
 
     def shot(k):
-        return Picture(int(stamps[k]), lens, lambda: born("picture", picture_rgb(k)))
+        return CameraImage(int(timestamps[k]), camera_model, lambda: born("image", image_rgb(k)))
 
-    camera = CameraSensor("camera0", lens, LazyFrames(stamps, shot), mount=MOUNT)
-    lidar = LidarSensor("lidar", LazyFrames(stamps, sweep), mount=MOUNT)
-    write_recording(a_scene(lidar, camera), tmp_path / "drive", pictures=pictures)
+    camera = CameraSensor("camera0", camera_model, LazyFrames(timestamps, shot), mount=MOUNT)
+    lidar = LidarSensor("lidar", LazyFrames(timestamps, sweep), mount=MOUNT)
+    write_recording(a_scene(lidar, camera), tmp_path / "drive", images=images)
     gc.collect()
-    # the one before is let go when the next is there; a camera keeps its last picture for lines without one
-    assert most == {"lidar": 2, "picture": 2}
-    assert alive == {"lidar": 0, "picture": 0}
+    # the one before is let go when the next is there; a camera keeps its last image for lines without one
+    assert most == {"lidar": 2, "image": 2}
+    assert alive == {"lidar": 0, "image": 0}
 
 
-def test_frames_and_pictures_are_asked_for_one_by_one_in_the_order_of_time(tmp_path):
+def test_frames_and_images_are_asked_for_one_by_one_in_the_order_of_time(tmp_path):
     asked: list[tuple[str, int]] = []
     sweeps, shots = times(4), times(4, start_ms=50)
 
@@ -780,42 +788,42 @@ def test_frames_and_pictures_are_asked_for_one_by_one_in_the_order_of_time(tmp_p
         asked.append(("lidar", int(sweeps[k])))
         return LidarFrame(int(sweeps[k]), some_points(k, int(sweeps[k])))
 
-    lens = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
+    camera_model = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
 
     def decode(k):
-        asked.append(("picture", int(shots[k])))
-        return picture_rgb(k)
+        asked.append(("image", int(shots[k])))
+        return image_rgb(k)
 
     camera = CameraSensor(
         "camera0",
-        lens,
-        LazyFrames(shots, lambda k: Picture(int(shots[k]), lens, lambda: decode(k))),
+        camera_model,
+        LazyFrames(shots, lambda k: CameraImage(int(shots[k]), camera_model, lambda: decode(k))),
         mount=MOUNT,
     )
     write_recording(
         a_scene(LidarSensor("lidar", LazyFrames(sweeps, sweep), mount=MOUNT), camera), tmp_path / "drive"
     )
-    assert [kind for kind, _ in asked].count("picture") == 4
+    assert [kind for kind, _ in asked].count("image") == 4
     assert [kind for kind, _ in asked].count("lidar") == 4
     # a merge looks one line ahead in every stream, and no farther
-    order = [stamp for _, stamp in asked]
+    order = [timestamp for _, timestamp in asked]
     assert all(later > earlier - 101 * MS for earlier, later in pairwise(order))
 
 
-def test_further_fields_of_sweeps_are_told_as_lost(tmp_path):
-    said = MappingProxyType({"left_skewed": "in a gap", "dataFile": "0.bin", "file_seconds": 0.0})
-    frames = [LidarFrame(0, some_points(0, 0), said), LidarFrame(100 * MS, some_points(1, 100 * MS))]
+def test_further_fields_of_sweeps_are_reported_as_lost(tmp_path):
+    stated = MappingProxyType({"left_skewed": "in a gap", "dataFile": "0.bin", "file_seconds": 0.0})
+    frames = [LidarFrame(0, some_points(0, 0), stated), LidarFrame(100 * MS, some_points(1, 100 * MS))]
     scene = Scene(sensors=(a_lidar("top", frames=frames), a_camera()))
     lost = {loss.field: loss.count for loss in write_recording(scene, tmp_path / "drive")}
     assert lost["sensors[top].frames[].left_skewed"] == 1
     assert not [field for field in lost if "dataFile" in field or "file_seconds" in field]
 
 
-@pytest.mark.parametrize("place", ["mended", "lidar/mended", "frames1/../mended"])
-def test_no_recording_is_written_into_another(tmp_path, place):
+@pytest.mark.parametrize("location", ["repaired", "lidar/repaired", "frames1/../repaired"])
+def test_no_recording_is_written_into_another(tmp_path, location):
     outer = tmp_path / "drive"
     write_recording(whole_scene(), outer)
     before = sorted(outer.rglob("*"))
     with pytest.raises(OutputError, match="inside the recording"):
-        write_recording(a_scene(an_imu()), outer / place)
+        write_recording(a_scene(an_imu()), outer / location)
     assert sorted(outer.rglob("*")) == before

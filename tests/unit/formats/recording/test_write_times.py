@@ -49,7 +49,7 @@ def test_times_that_a_64_bit_number_cannot_hold_are_counted():
 
 
 def test_samples_of_one_nanosecond_are_written_in_the_order_of_their_numbers():
-    stamps = np.array([5, 1, 1, 1], np.int64)
+    timestamps = np.array([5, 1, 1, 1], np.int64)
     seconds = np.array([5e-9, 1.4e-9, 0.6e-9, 1e-9])
-    assert writing_order(stamps, seconds).tolist() == [2, 3, 1, 0]
-    assert writing_order(stamps, None).tolist() == [1, 2, 3, 0]
+    assert writing_order(timestamps, seconds).tolist() == [2, 3, 1, 0]
+    assert writing_order(timestamps, None).tolist() == [1, 2, 3, 0]

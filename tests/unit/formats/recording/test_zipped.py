@@ -59,9 +59,7 @@ def test_a_zipped_drive_is_the_same_scene(drive, scratch, tmp_path, top):
         assert scene.source == str(path)
         assert [s.id for s in scene.sensors] == [s.id for s in expected.sensors]
         for k in range(2):
-            np.testing.assert_array_equal(
-                scene.cameras[0].pictures[k].rgb, expected.cameras[0].pictures[k].rgb
-            )
+            np.testing.assert_array_equal(scene.cameras[0].images[k].rgb, expected.cameras[0].images[k].rgb)
         np.testing.assert_array_equal(scene.lidars[0].frames[0].points.positions, [[1.0, 2.0, 3.0]])
         assert len(list(scratch.iterdir())) == 1
     assert list(scratch.iterdir()) == []
@@ -71,14 +69,14 @@ def test_frames_go_to_other_processes_while_the_scene_is_open(drive, scratch, tm
     with open_scene(zip_of(drive, tmp_path / "drive.zip")) as scene:
         other = (
             "import pickle, sys; scene = pickle.load(sys.stdin.buffer);"
-            "print(scene.cameras[0].pictures[1].rgb.mean()); scene.close()"
+            "print(scene.cameras[0].images[1].rgb.mean()); scene.close()"
         )
         done = subprocess.run(
             [sys.executable, "-c", other], input=pickle.dumps(scene), capture_output=True, check=True
         )
-        assert float(done.stdout) == 10.0  # picture k is grey 10 k
+        assert float(done.stdout) == 10.0  # image k is grey 10 k
         # the other process closed its scene and ended; the files are this one's
-        assert scene.cameras[0].pictures[1].rgb.mean() == 10.0
+        assert scene.cameras[0].images[1].rgb.mean() == 10.0
     assert list(scratch.iterdir()) == []
 
 
@@ -87,7 +85,7 @@ def test_nothing_is_left_when_the_interpreter_ends(drive, tmp_path):
     scratch.mkdir()
     code = (
         f"import sceneloom, os; scene = sceneloom.open({str(path)!r});"
-        "frames = scene.cameras[0].pictures; del scene;"
+        "frames = scene.cameras[0].images; del scene;"
         "print(frames[1].rgb.mean(), len(os.listdir(os.environ['TMPDIR'])))"
     )
     done = subprocess.run(
@@ -97,14 +95,14 @@ def test_nothing_is_left_when_the_interpreter_ends(drive, tmp_path):
     assert list(scratch.iterdir()) == []
 
 
-def test_faults_of_a_zipped_drive_are_told_as_those_of_a_folder(drive, scratch, tmp_path):
+def test_faults_of_a_zipped_drive_are_reported_as_those_of_a_folder(drive, scratch, tmp_path):
     with (drive / "data.jsonl").open("a") as file:
         file.write("{broken\n")
     path = zip_of(drive, tmp_path / "drive.zip", top="drive/")
     with pytest.raises(DataError, match=r"drive\.zip/data\.jsonl: line 5: {broken"):
         FORMAT.open(path)
     assert list(scratch.iterdir()) == []
-    findings = validate(path, places=None).findings
+    findings = validate(path, locations=None).findings
     assert [(f.rule, f.path) for f in findings if f.severity == "error"] == [
         ("broken-lines", "data.jsonl: line 5")
     ]
@@ -217,7 +215,7 @@ def test_an_archive_cut_anywhere_raises_errors_of_ours_only(drive, scratch, tmp_
     assert list(scratch.iterdir()) == []
 
 
-def test_of_an_archive_that_is_cut_off_that_is_told(drive, tmp_path):
+def test_of_an_archive_that_is_cut_off_that_is_reported(drive, tmp_path):
     path = zip_of(drive, tmp_path / "drive.zip")
     path.write_bytes(path.read_bytes()[:-300])
     with pytest.raises(DataError, match="a zip archive that is damaged or cut off"):

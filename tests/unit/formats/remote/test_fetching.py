@@ -1,4 +1,4 @@
-"""What is fetched behind URLs: told, bounded, and gone when the drive is closed."""
+"""What is fetched behind URLs: reported, bounded, and gone when the drive is closed."""
 
 from pathlib import Path
 
@@ -31,9 +31,9 @@ def memory():
     files.pseudo_dirs[:] = [""]
 
 
-def place_of(scene):
+def location_of(scene):
     return Path(
-        next(notice for notice in scene.notices if notice.code == "fetched")
+        next(warning for warning in scene.warnings if warning.code == "fetched")
         .message.split(" to ")[1]
         .split(";")[0]
     )
@@ -43,9 +43,9 @@ def test_a_folder_opens_as_on_disk_and_goes_when_it_is_closed(memory):
     with sceneloom.open("memory://bucket/clouds") as scene:
         assert scene.source == "memory://bucket/clouds"
         assert [frame.points.positions[0, 0] for frame in scene.lidars[0].frames] == [1, 2, 3, 4, 5]
-        place = place_of(scene)
-        assert sorted(path.name for path in place.iterdir()) == [f"{k}.pcd" for k in range(5)]
-    assert not place.parent.exists()
+        location = location_of(scene)
+        assert sorted(path.name for path in location.iterdir()) == [f"{k}.pcd" for k in range(5)]
+    assert not location.parent.exists()
 
 
 def test_a_folder_of_no_format_leaves_nothing_behind(memory, monkeypatch, tmp_path):
@@ -95,7 +95,7 @@ def test_patterns_find_drives_in_stores_for_batches(memory):
     found = find_inputs(
         ["memory://bucket/clouds/[13].pcd", "memory://bucket/*/0.pcd", "https://host/a*b.sfs?x=*"]
     )
-    assert [drive.place for drive in found] == [
+    assert [drive.location for drive in found] == [
         "memory://bucket/clouds/1.pcd",
         "memory://bucket/clouds/3.pcd",
         "memory://bucket/clouds/0.pcd",

@@ -22,7 +22,7 @@ from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 COUNT = 40
 POINTS = 8_000
-PICTURES = 200
+IMAGES = 200
 FILE = POINTS * 16
 """What one of the clouds takes [bytes]; more than the beginning of a file that is looked at."""
 
@@ -63,7 +63,7 @@ def numbers(names, folder):
 
 def test_a_frame_costs_its_own_file(clouds, fetched):
     with sceneloom.open(f"local://{clouds}") as scene:
-        assert numbers(fetched, clouds) == [0], "what brightness means is told by the first one"
+        assert numbers(fetched, clouds) == [0], "what brightness means is known by the first one"
         np.testing.assert_array_equal(scene.lidars[0].frames[17].points.positions, cloud(17))
         assert numbers(fetched, clouds) == [0, 17]
         np.testing.assert_array_equal(scene.lidars[0].frames[17].points.positions, cloud(17))
@@ -84,15 +84,15 @@ def test_files_are_fetched_ahead_of_who_reads_on_and_each_once(clouds, fetched):
 
 def test_no_more_stays_on_disk_than_may_and_what_went_comes_again(clouds, fetched, monkeypatch):
     monkeypatch.setattr(mirror, "_STAY", 2)
-    place = fetch(f"local://{clouds}", largest=6 * FILE)
-    with sceneloom.open(place.path) as scene:
+    location = fetch(f"local://{clouds}", largest=6 * FILE)
+    with sceneloom.open(location.path) as scene:
         for _ in range(2):
             for k in (2, 5, 9, 14, 20, 26, 30, 33, 37):
                 np.testing.assert_array_equal(scene.lidars[0].frames[k].points.positions, cloud(k))
-                used = sum(path.stat().st_blocks * 512 for path in Path(str(place.path)).iterdir())
+                used = sum(path.stat().st_blocks * 512 for path in Path(str(location.path)).iterdir())
                 assert used <= 6 * (FILE + 4096)
     assert len(numbers(fetched, clouds)) == 19
-    place.remove()
+    location.remove()
 
 
 @pytest.mark.parametrize("change", ["longer", "newer", "removed"])
@@ -111,18 +111,18 @@ def test_a_file_that_changed_since_the_folder_was_opened_is_an_error(clouds, cha
         expected = (
             "cannot be found" if change == "removed" else "was changed after it was opened|the server gave"
         )
-        with pytest.raises(DataError, match=expected) as told:
+        with pytest.raises(DataError, match=expected) as reported:
             scene.lidars[0].frames[7].points.positions  # noqa: B018
-        assert file.name in str(told.value)
+        assert file.name in str(reported.value)
 
 
 READER = """
 import hashlib, json, pickle, sys
 with open(sys.argv[1], "rb") as file:
     scene = pickle.load(file)
-said = [hashlib.sha256(scene.lidars[0].frames[k].points.positions.tobytes()).hexdigest() for k in (30, 31, 32, 33)]
+stated = [hashlib.sha256(scene.lidars[0].frames[k].points.positions.tobytes()).hexdigest() for k in (30, 31, 32, 33)]
 scene.close()
-print(json.dumps(said))
+print(json.dumps(stated))
 """
 
 
@@ -143,13 +143,13 @@ def test_other_processes_fetch_what_they_read(clouds, tmp_path):
 
 @pytest.fixture
 def filmed(tmp_path, monkeypatch):
-    """A recording with an mp4 of noise, in groups of ten pictures; a store of this machine serves it."""
+    """A recording with an mp4 of noise, in groups of ten images; a store of this machine serves it."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.setattr(mirrored_path, "_WORTHWHILE", 100_000)
     for module in (mirror, mirrored_path):
         monkeypatch.setattr(module, "HEAD", 8192)
         monkeypatch.setattr(module, "PIECE", 16384)
-    lens = {
+    camera_model = {
         "model": "pinhole",
         "focalLengthX": 90,
         "focalLengthY": 90,
@@ -160,9 +160,9 @@ def filmed(tmp_path, monkeypatch):
         {
             "time": 0.1 * k,
             "number": k,
-            "frames": [{"cameraInd": 0, "cameraParameters": lens, "imuToCamera": np.eye(4).tolist()}],
+            "frames": [{"cameraInd": 0, "cameraParameters": camera_model, "imuToCamera": np.eye(4).tolist()}],
         }
-        for k in range(PICTURES)
+        for k in range(IMAGES)
     ]
     folder = tmp_path / "filmed"
     folder.mkdir()
@@ -178,7 +178,7 @@ def filmed(tmp_path, monkeypatch):
     return folder
 
 
-def test_pictures_of_an_mp4_come_in_pieces_until_much_of_it_was_read(filmed, fetched, monkeypatch):
+def test_images_of_an_mp4_come_in_chunks_until_much_of_it_was_read(filmed, fetched, monkeypatch):
     sent, read = [], stores.Handle.read
 
     def counted(self, start, stop, **how):
@@ -188,16 +188,16 @@ def test_pictures_of_an_mp4_come_in_pieces_until_much_of_it_was_read(filmed, fet
     monkeypatch.setattr(stores.Handle, "read", counted)
     size = (filmed / "data.mp4").stat().st_size
     with sceneloom.open(filmed) as local, sceneloom.open(f"local://{filmed}") as scene:
-        expected, pictures = local.cameras[0].pictures, scene.cameras[0].pictures
-        assert len(pictures) == PICTURES
-        elsewhere = pickle.loads(pickle.dumps(pictures))
+        expected, images = local.cameras[0].images, scene.cameras[0].images
+        assert len(images) == IMAGES
+        elsewhere = pickle.loads(pickle.dumps(images))
         for k in (101, 102):
             np.testing.assert_array_equal(elsewhere[k].rgb, expected[k].rgb)
-        np.testing.assert_array_equal(pictures[102].rgb, expected[102].rgb)
+        np.testing.assert_array_equal(images[102].rgb, expected[102].rgb)
         assert fetched == ["data.jsonl"]
         assert sum(sent) < size / 4
-        for k in range(PICTURES):
-            np.testing.assert_array_equal(pictures[k].rgb, expected[k].rgb)
+        for k in range(IMAGES):
+            np.testing.assert_array_equal(images[k].rgb, expected[k].rgb)
         assert fetched == ["data.jsonl", "data.mp4"]
         with scene.cameras[0].video.open() as video:
             assert video.read() == (filmed / "data.mp4").read_bytes()
@@ -209,24 +209,24 @@ def test_an_mp4_that_changed_since_the_folder_was_opened_is_an_error(filmed):
         content[len(content) // 2] ^= 1
         (filmed / "data.mp4").write_bytes(content)
         with pytest.raises(DataError, match="was changed after it was opened"):
-            scene.cameras[0].pictures[101].rgb  # noqa: B018
+            scene.cameras[0].images[101].rgb  # noqa: B018
 
 
 def test_what_gets_around_the_fetching_finds_nothing_rather_than_zeros(clouds):
-    place = fetch(f"local://{clouds}")
-    first = min(place.path.glob("*.bin"))
+    location = fetch(f"local://{clouds}")
+    first = min(location.path.glob("*.bin"))
     assert first.stat().st_size == FILE
     assert Path(str(first)).read_bytes() == b""
     assert len(first.read_bytes()) == FILE
     assert Path(str(first)).stat().st_size == FILE
-    place.remove()
+    location.remove()
     with pytest.raises(FileNotFoundError):
         first.read_bytes()
 
 
 def test_the_beginning_of_a_file_is_fetched_alone_until_more_is_read(clouds, fetched):
-    place = fetch(f"local://{clouds}")
-    first = min(place.path.glob("*.bin"))
+    location = fetch(f"local://{clouds}")
+    first = min(location.path.glob("*.bin"))
     content = (clouds / first.name).read_bytes()
     with first.open("rb") as file:
         assert file.read(100) == content[:100]
@@ -236,38 +236,38 @@ def test_the_beginning_of_a_file_is_fetched_alone_until_more_is_read(clouds, fet
         assert fetched == []
         assert file.read() == content[60:]
         assert fetched == [first.name]
-    other = sorted(place.path.glob("*.bin"))[1]
+    other = sorted(location.path.glob("*.bin"))[1]
     with other.open("rb", buffering=0) as file:
         assert os.fstat(file.fileno()).st_size == FILE
-    place.remove()
+    location.remove()
 
 
 @pytest.fixture(scope="module")
 def drive():
-    lens = Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5)
+    camera_model = Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5)
     spec = LidarSpec(beams=8, steps=90)
-    return simulate_street(1, frames=4, lidar=spec, cameras=(CameraSpec(lens),)).scene
+    return simulate_street(1, frames=4, lidar=spec, cameras=(CameraSpec(camera_model),)).scene
 
 
 def content(scene):
-    """All that can be read of points and pictures, and what of the ways."""
-    said = hashlib.sha256()
+    """All that can be read of points and images, and what of the trajectories."""
+    stated = hashlib.sha256()
     for lidar in scene.lidars:
         for frame in lidar.frames:
-            said.update(repr(frame.timestamp_ns).encode() + frame.points.positions.tobytes())
+            stated.update(repr(frame.timestamp_ns).encode() + frame.points.positions.tobytes())
     for camera in scene.cameras:
-        for picture in camera.pictures:
-            said.update(repr((picture.timestamp_ns, picture.camera)).encode() + picture.rgb.tobytes())
-    for name, way in sorted(scene.trajectories.items()):
-        said.update(name.encode() + way.positions.tobytes())
-    return said.hexdigest(), len(scene.annotations)
+        for image in camera.images:
+            stated.update(repr((image.timestamp_ns, image.camera)).encode() + image.rgb.tobytes())
+    for name, trajectory in sorted(scene.trajectories.items()):
+        stated.update(name.encode() + trajectory.positions.tobytes())
+    return stated.hexdigest(), len(scene.annotations)
 
 
 @pytest.mark.few(7)
 @pytest.mark.parametrize(
     ("form", "options"),
     [
-        *[("recording", {"pictures": kind}) for kind in ("png", "ffv1", "h264")],
+        *[("recording", {"images": kind}) for kind in ("png", "ffv1", "h264")],
         *[(form, {}) for form in ("nuscenes", "pcd", "ply", "las", "laz", "nuscenes-bin", "npz", "ros2")],
         *[(form, {}) for form in ("kitti-raw", "kitti-odometry", "kitti-object", "kitti-tracking")],
     ],
@@ -282,8 +282,8 @@ def test_folders_of_all_formats_hold_what_they_hold_on_disk(drive, tmp_path, for
 
 def test_a_connection_that_is_busy_while_a_drive_is_closed_ends_with_its_answer(clouds, monkeypatch):
     closed, read, close = [], stores.Handle.read, stores.Handle.close
-    place = fetch(f"local://{clouds}")
-    fetching = mirrored_path.mirror_of(place.path)
+    location = fetch(f"local://{clouds}")
+    fetching = mirrored_path.mirror_of(location.path)
 
     def slow(self, start, stop, **how):
         found = read(self, start, stop, **how)

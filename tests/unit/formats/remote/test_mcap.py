@@ -45,13 +45,13 @@ def test_faults_that_pass_do_not_show(served, drive, waits):
     assert waits
 
 
-def test_a_drive_goes_to_other_processes_and_is_told_from_another_one(served, drive):
+def test_a_drive_goes_to_other_processes_and_is_distinguished_from_another_one(served, drive):
     served.files["drive.mcap"] = drive.read_bytes()
     with sceneloom.open(served.url("drive.mcap") + "?sig=hidden") as scene:
         again = pickle.loads(pickle.dumps(scene))
         assert len(again.lidars[0].frames[3].points.positions) == 8_000
         late = pickle.loads(pickle.dumps(scene))
     served.files["drive.mcap"] += b"\0"
-    with pytest.raises(DataError, match="was changed after it was opened") as told:
+    with pytest.raises(DataError, match="was changed after it was opened") as reported:
         _ = late.lidars[0].frames[5].points.positions
-    assert "hidden" not in str(told.value)
+    assert "hidden" not in str(reported.value)

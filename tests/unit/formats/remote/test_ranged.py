@@ -1,4 +1,4 @@
-"""Range reads over a network that fails: what may pass is tried again, what does not is told without secrets."""
+"""Range reads over a network that fails: what may pass is tried again, what does not is reported without secrets."""
 
 import pickle
 import traceback
@@ -52,11 +52,11 @@ def test_a_fault_that_stays_says_that_it_may_pass(served, waits, fault):
     served.faults[:] = [fault] * 50
     with pytest.raises(
         DataError, match=r"bytes 5 to 5000: (cannot be read: .*503|.*Not enough data|the server gave)"
-    ) as told:
+    ) as reported:
         file.fetch(5, 5000)
-    assert told.value.passing
-    told.value.__context__ = None  # pickled, too, once a library for clusters was imported
-    assert may_pass(pickle.loads(pickle.dumps(told.value)))
+    assert reported.value.passing
+    reported.value.__context__ = None  # pickled, too, once a library for clusters was imported
+    assert may_pass(pickle.loads(pickle.dumps(reported.value)))
     assert len(waits) == Patience().tries - 1
     assert all(first > 0 for first in waits)
     file.close()
@@ -71,9 +71,9 @@ def test_a_server_that_is_busy_at_first_is_opened(served, waits, encode_sfs):
 
 
 def test_what_is_missing_is_not_tried_again(served, waits):
-    with pytest.raises(DataError, match="cannot be found") as told:
+    with pytest.raises(DataError, match="cannot be found") as reported:
         opened(served, "absent.sfs")
-    assert not told.value.passing
+    assert not reported.value.passing
     assert waits == []
 
 
@@ -84,19 +84,23 @@ def test_no_message_shows_secrets(served, fault, encode_sfs):
     served.files["drive.sfs"] = encode_sfs({"version": "1.0", "sensors": [{"id": 1.5, "type": "lidar"}]})
     served.faults[:] = [fault] * 40
     for url in (served.url("drive.sfs"), user, served.url("absent.sfs"), "http://127.0.0.1:9/drive.sfs"):
-        with pytest.raises(DataError) as told:
+        with pytest.raises(DataError) as reported:
             sceneloom.open(url + SIGNED)
-        shown = "".join(traceback.format_exception(told.value)) + repr(told.value) + str(told.value.args)
+        shown = (
+            "".join(traceback.format_exception(reported.value))
+            + repr(reported.value)
+            + str(reported.value.args)
+        )
         assert "hidden" not in shown.replace("hidden)", "")
         done = CliRunner().invoke(program, ["info", url + SIGNED])
         assert done.exit_code == 1
         assert "hidden" not in done.output + str(done.exception)
         served.faults[:] = [fault] * 40
     if fault is None:
-        assert "sig=hidden" in served.queries[0], "the server has to get what the user said"
+        assert "sig=hidden" in served.queries[0], "the server has to get what the user stated"
 
 
-def test_a_scene_tells_its_source_without_secrets(served, encode_sfs):
+def test_a_scene_reports_its_source_without_secrets(served, encode_sfs):
     served.files["drive.sfs"] = encode_sfs({"version": "1.0", "sensors": []})
     url = served.url("drive.sfs").replace("http://", "http://me:hidden@") + SIGNED
     for arguments in (["info", url], ["info", "--json", url], ["validate", url]):

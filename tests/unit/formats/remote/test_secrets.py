@@ -32,29 +32,29 @@ def test_an_error_brings_nothing_of_what_the_back_end_raised(served, fault):
     served.files["drive.sfs"] = b'{"version": "1.0"' + b" " * 100_000
     served.faults[:] = [fault] * 40
     for url in (served.url("drive.sfs"), served.url("absent.sfs"), "http://127.0.0.1:9/drive.sfs"):
-        with pytest.raises(DataError) as told:
+        with pytest.raises(DataError) as reported:
             sceneloom.open(url + SIGNED)
-        seen, text = all_that_hangs_on(told.value)
+        seen, text = all_that_hangs_on(reported.value)
         assert "hidden" not in text
         assert all(type(one).__module__.startswith("sceneloom") for one in seen)
-        assert b"hidden" not in pickle.dumps(told.value)
+        assert b"hidden" not in pickle.dumps(reported.value)
         served.faults[:] = [fault] * 40
 
 
 def test_the_other_doors_bring_nothing_either(tmp_path):
     (tmp_path / "file").write_bytes(b"x")
     url = "nosuch://me:hidden@host/a.sfs" + SIGNED
-    for door in (find_urls, lambda place: upload(tmp_path / "file", place)):
-        with pytest.raises(sceneloom.SceneloomError) as told:
+    for door in (find_urls, lambda location: upload(tmp_path / "file", location)):
+        with pytest.raises(sceneloom.SceneloomError) as reported:
             door(url)
-        assert "hidden" not in all_that_hangs_on(told.value)[1]
+        assert "hidden" not in all_that_hangs_on(reported.value)[1]
 
 
 @pytest.mark.slow
-def test_what_is_said_of_a_drive_that_cannot_be_read_shows_none():
-    told = sceneloom.validate("http://me:hidden@127.0.0.1:9/drive.sfs" + SIGNED)
-    assert "127.0.0.1" in told.source
-    assert "hidden" not in repr(told)
+def test_what_is_stated_for_a_drive_that_cannot_be_read_shows_none():
+    reported = sceneloom.validate("http://me:hidden@127.0.0.1:9/drive.sfs" + SIGNED)
+    assert "127.0.0.1" in reported.source
+    assert "hidden" not in repr(reported)
 
 
 POOL = """
@@ -114,7 +114,7 @@ def test_errors_of_worker_processes_show_none_in_tracebacks_and_logs(served, enc
     )
     assert done.returncode == 1
     assert done.stdout.splitlines()[:2] == ["90000.0", "90000.0"]
-    assert done.stderr.count("cannot be found") > 4, "each fault is told in traceback and log"
+    assert done.stderr.count("cannot be found") > 4, "each fault is reported in traceback and log"
     assert "in the log" in done.stderr
     # the last line of the program is shown as it stands, without its values
     assert "hidden" not in done.stdout + done.stderr

@@ -75,27 +75,27 @@ def test_an_upload_that_is_cut_is_begun_anew(memory, tmp_path, waits, monkeypatc
     assert memory.cat_file("/bucket/a.bin") == b"x" * 100
 
 
-def test_pieces_that_were_sent_are_given_up_where_one_fails(memory, tmp_path, waits, monkeypatch):
+def test_chunks_that_were_sent_are_given_up_where_one_fails(memory, tmp_path, waits, monkeypatch):
     """Nothing may put them together later, neither a commit nor the file's end."""
     (tmp_path / "a.bin").write_bytes(b"x" * 100)
-    told = []
+    reported = []
 
     class File:
         closed = False
 
         def write(self, piece):
-            told.append(len(piece))
-            if len(told) == 3:
+            reported.append(len(piece))
+            if len(reported) == 3:
                 raise PermissionError(13, "not any more")
 
         def __getattr__(self, name):
-            return lambda: told.append(name)
+            return lambda: reported.append(name)
 
     monkeypatch.setattr(stores, "_PART", 40)
     monkeypatch.setattr(type(memory), "open", lambda *_, **__: File())
     with pytest.raises(OutputError, match=r"memory://bucket/a\.bin: cannot be written: .*not any more"):
         upload(tmp_path / "a.bin", "memory://bucket/a.bin")
-    assert told == [40, 40, 20, "discard"]
+    assert reported == [40, 40, 20, "discard"]
     assert waits == []
 
 
@@ -145,7 +145,7 @@ def test_a_folder_that_is_replaced_keeps_nothing_of_the_old_one(memory, tmp_path
     assert memory.cat_file("/bucket/drive/data.jsonl") == b"data.jsonl"
 
 
-def test_web_servers_and_places_without_a_name_are_refused():
+def test_web_servers_and_locations_without_a_name_are_refused():
     with pytest.raises(OutputError, match="web server, which is only read from"):
         check_remote_output("https://me:hidden@host/drive.sfs", overwrite=False)
     with pytest.raises(OutputError, match="names no file or folder"):

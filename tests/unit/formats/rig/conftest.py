@@ -34,7 +34,7 @@ type = "camera"
 files = "front/*.png"
 times = { rate_hz = 10, start_s = 1532402927.65 }
 axes = "flu"
-lens = { fx = 6.0, cx = 3.5, cy = 2.5 }
+camera_model = { fx = 6.0, cx = 3.5, cy = 2.5 }
 extrinsic = { to = "top", translation = [0.5, 0.0, -0.5] }
 
 [[trajectories]]
@@ -49,14 +49,14 @@ POSES = """\
 
 
 def write_folder(tmp_path: Path) -> Path:
-    """Write three sweeps of four points, three pictures of 8x6, a trajectory, and the manifest."""
+    """Write three sweeps of four points, three images of 8x6, a trajectory, and the manifest."""
     (tmp_path / "top").mkdir()
     (tmp_path / "front").mkdir()
     for k in range(3):
         points = np.arange(16, dtype="<f4").reshape(4, 4) + k
         (tmp_path / "top" / f"{START_NS + k * 100_000_000}.bin").write_bytes(points.tobytes())
-        picture = np.full((6, 8, 3), (10 * k, 20, 30), np.uint8)
-        Image.fromarray(picture).save(tmp_path / "front" / f"{k}.png")
+        image = np.full((6, 8, 3), (10 * k, 20, 30), np.uint8)
+        Image.fromarray(image).save(tmp_path / "front" / f"{k}.png")
     (tmp_path / "poses.txt").write_text(POSES)
     (tmp_path / "rig.toml").write_text(MANIFEST)
     return tmp_path

@@ -1,4 +1,4 @@
-"""Cameras: lenses in all their spellings, and pictures from files and videos."""
+"""Cameras: camera models in all their spellings, and images from files and videos."""
 
 import io
 import os
@@ -12,7 +12,7 @@ from PIL import Image
 
 from sceneloom.cameras import MODELS, project
 from sceneloom.errors import CalibrationError, DataError
-from sceneloom.formats.rig.lenses import frame_from_camera, read_lens
+from sceneloom.formats.rig.camera_models import frame_from_camera, read_camera_model
 from sceneloom.scene.shutter import Shutter
 
 SIZE = (640, 480)
@@ -26,9 +26,9 @@ def test_lists_of_coefficients_have_opencvs_order(count):
     given = [-0.2, 0.05, 0.001, -0.002, 0.01, 0.02, 0.003, 0.001, 0.001, 0.0005, -0.001, 0.0003, 0.01, -0.02][
         :count
     ]
-    lens = read_lens({"K": K, "coefficients": given, "model": "plumb_bob"}, SIZE)
+    camera_model = read_camera_model({"K": K, "coefficients": given, "model": "plumb_bob"}, SIZE)
     expected = cv2.projectPoints(POINTS, np.zeros(3), np.zeros(3), K, np.array(given))[0][:, 0]
-    pixels, visible = project(lens, POINTS)
+    pixels, visible = project(camera_model, POINTS)
     assert visible.any()
     # two programs, both in float64
     np.testing.assert_allclose(pixels[visible], expected[visible], atol=1e-8)
@@ -36,17 +36,19 @@ def test_lists_of_coefficients_have_opencvs_order(count):
 
 def test_fisheye_coefficients_are_opencvs():
     given = [0.01, -0.02, 0.003, -0.0004]
-    lens = read_lens({"K": K, "coefficients": given, "model": "equidistant"}, SIZE)
+    camera_model = read_camera_model({"K": K, "coefficients": given, "model": "equidistant"}, SIZE)
     expected = cv2.fisheye.projectPoints(POINTS[:, None], np.zeros(3), np.zeros(3), K, np.array(given))[0][
         :, 0
     ]
-    pixels, visible = project(lens, POINTS)
+    pixels, visible = project(camera_model, POINTS)
     np.testing.assert_allclose(pixels[visible], expected[visible], atol=1e-8)
 
 
 def test_coefficients_may_have_names():
-    named = read_lens({"fx": 5.0, "cx": 1.0, "cy": 1.0, "coefficients": {"k3": 0.1, "k1": -0.2}}, SIZE)
-    listed = read_lens(
+    named = read_camera_model(
+        {"fx": 5.0, "cx": 1.0, "cy": 1.0, "coefficients": {"k3": 0.1, "k1": -0.2}}, SIZE
+    )
+    listed = read_camera_model(
         {"fx": 5.0, "fy": 5.0, "cx": 1.0, "cy": 1.0, "coefficients": [-0.2, 0, 0, 0, 0.1]}, SIZE
     )
     probe = np.array([[0.1, 0.2, 1.0]])
@@ -57,27 +59,29 @@ def test_coefficients_may_have_names():
 def test_every_model_of_the_table_is_read_with_its_own_coefficients(model):
     names = MODELS[model].coefficient_names
     values = {name: 1e-3 * (k + 1) for k, name in enumerate(names)}
-    lens = read_lens({"K": K, "model": model.replace("_", "-").upper(), "coefficients": values}, SIZE)
-    assert lens.model == model
-    assert dict(zip(names, lens.coefficients, strict=True)) == values
+    camera_model = read_camera_model(
+        {"K": K, "model": model.replace("_", "-").upper(), "coefficients": values}, SIZE
+    )
+    assert camera_model.model == model
+    assert dict(zip(names, camera_model.coefficients, strict=True)) == values
     if model != "brown_conrady":  # whose lists are OpenCV's, without lx and ly
-        listed = read_lens({"K": K, "model": model, "coefficients": list(values.values())}, SIZE)
-        assert listed == lens
+        listed = read_camera_model({"K": K, "model": model, "coefficients": list(values.values())}, SIZE)
+        assert listed == camera_model
         with pytest.raises(CalibrationError, match=f"{len(names) + 1} distortion coefficients; {model} has"):
-            read_lens({"K": K, "model": model, "coefficients": [0.0] * (len(names) + 1)}, SIZE)
+            read_camera_model({"K": K, "model": model, "coefficients": [0.0] * (len(names) + 1)}, SIZE)
 
 
 def test_a_projection_matrix_moves_the_camera_within_its_frame():
     P = np.column_stack([K, [45.0, -0.3, 0.005]])
-    lens, shift = read_lens({"P": P}, SIZE), frame_from_camera({"P": P})
+    camera_model, shift = read_camera_model({"P": P}, SIZE), frame_from_camera({"P": P})
     homogeneous = np.column_stack([POINTS, np.ones(50)]) @ P.T
-    pixels, visible = project(lens, shift.inverse().apply(POINTS))
+    pixels, visible = project(camera_model, shift.inverse().apply(POINTS))
     np.testing.assert_allclose(pixels[visible], (homogeneous[:, :2] / homogeneous[:, 2:])[visible], atol=1e-9)
 
 
-def test_coefficients_of_rectified_pictures_are_not_used():
-    lens = read_lens({"K": K, "coefficients": [-0.2, 0.1, 0, 0], "undistorted": True}, SIZE)
-    assert (lens.model, lens.coefficients) == ("pinhole", ())
+def test_coefficients_of_rectified_images_are_not_used():
+    camera_model = read_camera_model({"K": K, "coefficients": [-0.2, 0.1, 0, 0], "undistorted": True}, SIZE)
+    assert (camera_model.model, camera_model.coefficients) == ("pinhole", ())
 
 
 @pytest.mark.parametrize(
@@ -99,24 +103,24 @@ def test_coefficients_of_rectified_pictures_are_not_used():
         ({"K": K, "width": 640}, "width without height"),
     ],
 )
-def test_what_is_no_lens_is_refused(record, problem):
+def test_what_is_no_camera_model_is_refused(record, problem):
     with pytest.raises(CalibrationError, match=problem):
-        read_lens(record, SIZE)
+        read_camera_model(record, SIZE)
 
 
-def test_a_lens_for_another_size_is_scaled_with_a_notice(opened):
+def test_a_camera_model_for_another_size_is_scaled_with_a_warning(opened):
     scene = opened(("cy = 2.5 }", "cy = 2.5, width = 4, height = 3 }"))
-    lens = scene.cameras[0].camera
-    assert (lens.width, lens.fx, lens.cx) == (8, 12.0, (3.5 + 0.5) * 2 - 0.5)
-    assert [notice.code for notice in scene.notices] == ["lens-scaled"]
+    camera_model = scene.cameras[0].camera
+    assert (camera_model.width, camera_model.fx, camera_model.cx) == (8, 12.0, (3.5 + 0.5) * 2 - 0.5)
+    assert [warning.code for warning in scene.warnings] == ["camera-model-scaled"]
 
 
-def test_a_lens_for_another_shape_is_refused(opened):
-    with pytest.raises(DataError, match=r"for 8x8, the pictures are 8x6, another shape"):
+def test_a_camera_model_for_another_shape_is_refused(opened):
+    with pytest.raises(DataError, match=r"for 8x8, the images are 8x6, another shape"):
         opened(("cy = 2.5 }", "cy = 2.5, width = 8, height = 8 }"))
 
 
-def test_rolling_shutters_are_kept_as_recordings_say_them(opened):
+def test_rolling_shutters_are_kept_as_recordings_state_them(opened):
     rolling = ("cy = 2.5 }", "cy = 2.5 }\nshutter_roll_s = 0.033\nshutter_left_to_right = true")
     assert Shutter.of(opened(rolling).cameras[0]) == Shutter(0.033, over_columns=True)
     assert Shutter.of(opened().cameras[0]) == Shutter()
@@ -124,7 +128,7 @@ def test_rolling_shutters_are_kept_as_recordings_say_them(opened):
         opened(("cy = 2.5 }", "cy = 2.5 }\nshutter_roll_s = 33"))
 
 
-def test_jpeg_pictures_are_decoded_and_their_bytes_are_at_hand(opened, folder):
+def test_jpeg_images_are_decoded_and_their_bytes_are_at_hand(opened, folder):
     rng = np.random.default_rng(1)
     smooth = cv2.resize(rng.integers(0, 255, (3, 4, 3)).astype(np.uint8), (80, 60))
     for path in (folder / "front").iterdir():
@@ -132,37 +136,37 @@ def test_jpeg_pictures_are_decoded_and_their_bytes_are_at_hand(opened, folder):
     Image.fromarray(smooth).save(folder / "front" / "0.jpg", quality=98, subsampling=0)
     Image.fromarray(smooth[:, :, 0]).save(folder / "front" / "1.jpg", quality=98)
     content = (folder / "front" / "0.jpg").read_bytes()
-    pictures = opened(("front/*.png", "front/*.jpg")).cameras[0].pictures
+    images = opened(("front/*.png", "front/*.jpg")).cameras[0].images
     # quality 98 leaves a few levels
-    assert np.abs(pictures[0].rgb.astype(int) - smooth).max() < 12
-    assert np.abs(pictures[1].rgb.astype(int) - smooth[:, :, :1]).max() < 12
-    assert pictures[0].encoded() == content
+    assert np.abs(images[0].rgb.astype(int) - smooth).max() < 12
+    assert np.abs(images[1].rgb.astype(int) - smooth[:, :, :1]).max() < 12
+    assert images[0].encoded() == content
 
 
 @pytest.mark.parametrize("mode", ["L", "P", "RGBA", "1"])
-def test_pictures_of_other_kinds_become_red_green_blue(opened, folder, mode):
+def test_images_of_other_kinds_become_red_green_blue(opened, folder, mode):
     Image.new(mode, (8, 6), 1 if mode != "RGBA" else (1, 2, 3, 4)).save(folder / "front" / "0.png")
-    assert opened().cameras[0].pictures[0].rgb.shape == (6, 8, 3)
+    assert opened().cameras[0].images[0].rgb.shape == (6, 8, 3)
 
 
-def test_pictures_of_16_bits_are_refused(opened, folder):
+def test_images_of_16_bits_are_refused(opened, folder):
     Image.new("I;16", (8, 6), 70).save(folder / "front" / "0.png")
     with pytest.raises(DataError, match="'I;16'; expected 8-bit grey or colour"):
-        _ = opened().cameras[0].pictures[0].rgb
+        _ = opened().cameras[0].images[0].rgb
 
 
 @pytest.mark.parametrize("channels", [3, 4])
 def test_colours_of_16_bits_are_refused_rather_than_cut(opened, folder, channels):
     cv2.imwrite(str(folder / "front" / "0.png"), np.full((6, 8, channels), 300, np.uint16))
     with pytest.raises(DataError, match=r"'RGBA?;16'; expected 8-bit grey or colour"):
-        _ = opened().cameras[0].pictures[0].rgb
+        _ = opened().cameras[0].images[0].rgb
 
 
-def test_a_picture_of_another_size_is_told(opened, folder):
+def test_an_image_of_another_size_is_reported(opened, folder):
     Image.new("RGB", (6, 8)).save(folder / "front" / "1.png")
     scene = opened()
     with pytest.raises(DataError, match=r"1\.png: is 6x8; expected 8x6"):
-        _ = scene.cameras[0].pictures[1].rgb
+        _ = scene.cameras[0].images[1].rgb
 
 
 def test_a_pipe_among_the_images_is_named_and_not_passed_over(opened, folder):
@@ -171,7 +175,7 @@ def test_a_pipe_among_the_images_is_named_and_not_passed_over(opened, folder):
         opened()
 
 
-def test_a_file_of_another_kind_among_the_pictures_is_refused(opened, folder):
+def test_a_file_of_another_kind_among_the_images_is_refused(opened, folder):
     (folder / "front" / "t.txt").write_text("1")
     with pytest.raises(DataError, match=r"'t.txt'; expected files that end with .png .jpg .jpeg"):
         opened(("front/*.png", "front/*"))
@@ -179,7 +183,7 @@ def test_a_file_of_another_kind_among_the_pictures_is_refused(opened, folder):
 
 @pytest.fixture
 def video(folder):
-    """Five pictures of growing brightness, 64x48 at 20 a second."""
+    """Five images of growing brightness, 64x48 at 20 a second."""
     path = folder / "front.mkv"
     with av.open(str(path), "w") as container:
         stream = container.add_stream("ffv1", rate=20)
@@ -203,19 +207,19 @@ AS_VIDEO = ('files = "front/*.png"', 'video = "front.mkv"')
         ('{ lines = "t.txt", unit = "milliseconds" }', [5, 7, 11, 13, 17]),
     ],
 )
-def test_videos_are_pictures_with_times(opened, folder, video, times, expected_ms):
+def test_videos_are_images_with_times(opened, folder, video, times, expected_ms):
     (folder / "t.csv").write_text("frame,time_ms\n0,5\n1,7\n2,11\n3,13\n4,17\n")
     (folder / "t.txt").write_text("5\n7\n11\n13\n17\n")
     with opened(AS_VIDEO, (BY_RATE, f"times = {times}")) as scene:
         camera = scene.cameras[0]
-        assert camera.pictures.timestamps_ns.tolist() == [ms * 1_000_000 for ms in expected_ms]
-        assert [int(picture.rgb[0, 0, 0]) for picture in camera.pictures] == [0, 40, 80, 120, 160]
+        assert camera.images.timestamps_ns.tolist() == [ms * 1_000_000 for ms in expected_ms]
+        assert [int(image.rgb[0, 0, 0]) for image in camera.images] == [0, 40, 80, 120, 160]
         assert (camera.video.codec, camera.video.frame_indices) == ("ffv1", None)
-        assert pickle.loads(pickle.dumps(scene)).cameras[0].pictures[3].rgb[0, 0, 0] == 120
+        assert pickle.loads(pickle.dumps(scene)).cameras[0].images[3].rgb[0, 0, 0] == 120
         with camera.video.open() as file:
             assert isinstance(file, io.IOBase)
     with pytest.raises(DataError, match="is closed"):
-        _ = camera.pictures[0].rgb
+        _ = camera.images[0].rgb
 
 
 def test_of_a_video_that_breaks_off_a_lenient_reading_keeps_the_images_before_the_cut(opened, folder, video):
@@ -227,19 +231,19 @@ def test_of_a_video_that_breaks_off_a_lenient_reading_keeps_the_images_before_th
         opened(*changes)
     with opened(*changes, lenient=True) as scene:
         camera = scene.cameras[0]
-        count = len(camera.pictures)
+        count = len(camera.images)
         assert 0 < count < 5
-        assert [int(image.rgb[0, 0, 0]) for image in camera.pictures] == [0, 40, 80, 120, 160][:count]
-        assert pickle.loads(pickle.dumps(scene)).cameras[0].pictures[0].rgb[0, 0, 0] == 0
+        assert [int(image.rgb[0, 0, 0]) for image in camera.images] == [0, 40, 80, 120, 160][:count]
+        assert pickle.loads(pickle.dumps(scene)).cameras[0].images[0].rgb[0, 0, 0] == 0
         assert camera.video is None
-        counts = {notice.code: notice.count for notice in scene.notices}
+        counts = {warning.code: warning.count for warning in scene.warnings}
         assert counts["unreadable-videos"] == 1
         assert counts["counts-disagree"] == 5 - count
 
 
-def test_times_and_pictures_of_a_video_have_to_be_as_many(opened, folder, video):
+def test_times_and_images_of_a_video_have_to_be_as_many(opened, folder, video):
     (folder / "t.txt").write_text("1\n2\n")
-    with pytest.raises(DataError, match="2 times for 5 files or pictures"):
+    with pytest.raises(DataError, match="2 times for 5 files or images"):
         opened(AS_VIDEO, (BY_RATE, 'times = { lines = "t.txt" }'))
 
 
@@ -250,22 +254,22 @@ def test_files_and_video_exclude_each_other(opened, video):
         opened(('files = "front/*.png"\n', ""))
 
 
-def test_a_video_that_is_none_is_told(opened, folder):
+def test_a_video_that_is_none_is_reported(opened, folder):
     (folder / "front.mkv").write_bytes(b"no video")
     with pytest.raises(DataError, match="cannot be read as video"):
         opened(AS_VIDEO)
 
 
-def test_a_lenient_reading_takes_the_size_of_the_first_picture_that_can_be_read(opened, folder):
+def test_a_lenient_reading_takes_the_size_of_the_first_image_that_can_be_read(opened, folder):
     (folder / "front" / "0.png").write_bytes(b"torn")
     scene = opened(lenient=True)
-    assert len(scene.cameras[0].pictures) == 2
-    assert [notice.code for notice in scene.notices] == ["unreadable-files"]
-    with pytest.raises(DataError, match=r"0\.png: is no PNG and no JPEG picture"):
+    assert len(scene.cameras[0].images) == 2
+    assert [warning.code for warning in scene.warnings] == ["unreadable-files"]
+    with pytest.raises(DataError, match=r"0\.png: is no PNG and no JPEG image"):
         opened()
 
 
-def test_a_lens_with_width_and_height_exchanged_is_told_so(opened):
-    lens = "lens = { fx = 6.0, cx = 3.5, cy = 2.5"
-    with pytest.raises(DataError, match=r"for 6x8, the pictures are 8x6, another shape; .* exchanged\?"):
-        opened((lens, f"{lens}, width = 6, height = 8"))
+def test_a_camera_model_with_width_and_height_exchanged_is_reported_so(opened):
+    camera_model = "camera_model = { fx = 6.0, cx = 3.5, cy = 2.5"
+    with pytest.raises(DataError, match=r"for 6x8, the images are 8x6, another shape; .* exchanged\?"):
+        opened((camera_model, f"{camera_model}, width = 6, height = 8"))

@@ -1,4 +1,4 @@
-"""Lidars: what stamps mean, which frame points are in, what is said about the first file."""
+"""Lidars: what timestamps mean, which frame points are in, what is stated about the first file."""
 
 import numpy as np
 import pytest
@@ -14,12 +14,12 @@ TIMED = 'fields = ["x", "y", "z", "t"]'
 
 
 def codes(scene):
-    return {notice.code for notice in scene.notices}
+    return {warning.code for warning in scene.warnings}
 
 
 @pytest.fixture
 def timed(folder):
-    """Sweeps whose points have times from 0 to 0.09 s after the stamp, as float32 seconds."""
+    """Sweeps whose points have times from 0 to 0.09 s after the timestamp, as float32 seconds."""
     for path in (folder / "top").iterdir():
         points = np.ones((4, 4), "<f4")
         points[:, 3] = [0.0, 0.03, 0.06, 0.09]
@@ -30,39 +30,39 @@ def timed(folder):
 POINT_TIMES = 'point_times = { field = "t", unit = "seconds" }'
 
 
-@pytest.mark.parametrize(("stamp", "before_ms"), [("start", 0), ("middle", 50), ("end", 100)])
-def test_a_frame_is_stamped_with_the_start_of_its_sweep(opened, timed, stamp, before_ms):
-    said = f'{POINT_TIMES}\nstamp = "{stamp}"\nsweep_s = 0.1'
-    frame = opened((FIELDS, TIMED), (SCALE, said)).lidars[0].frames[0]
+@pytest.mark.parametrize(("timestamp", "before_ms"), [("start", 0), ("middle", 50), ("end", 100)])
+def test_a_frame_is_timestamped_with_the_start_of_its_sweep(opened, timed, timestamp, before_ms):
+    stated = f'{POINT_TIMES}\nstamp = "{timestamp}"\nsweep_s = 0.1'
+    frame = opened((FIELDS, TIMED), (SCALE, stated)).lidars[0].frames[0]
     assert frame.timestamp_ns == START_NS - before_ms * 1_000_000
-    assert frame.points.timestamps_ns[0] == START_NS, "they count from the stamp"
+    assert frame.points.timestamps_ns[0] == START_NS, "they count from the timestamp"
     assert (frame.points.timestamps_ns - START_NS)[3] == pytest.approx(90_000_000, abs=10)
 
 
 def test_times_of_points_may_count_from_the_start_of_the_sweep(opened, timed):
-    said = f'stamp = "end"\nsweep_s = 0.1\n{POINT_TIMES}'.replace(" }", ', relative_to = "start" }')
-    frame = opened((FIELDS, TIMED), (SCALE, said)).lidars[0].frames[0]
+    stated = f'timestamp = "end"\nsweep_s = 0.1\n{POINT_TIMES}'.replace(" }", ', relative_to = "start" }')
+    frame = opened((FIELDS, TIMED), (SCALE, stated)).lidars[0].frames[0]
     assert frame.points.timestamps_ns[0] == frame.timestamp_ns == START_NS - 100_000_000
 
 
 @pytest.mark.parametrize(
-    ("said", "after_ms"),
+    ("stated", "after_ms"),
     [
         ("", 0),
         ("sweep_s = 0.1", 50),
-        ('stamp = "middle"\nsweep_s = 0.1', 0),
-        ('stamp = "end"\nsweep_s = 0.1', -50),
-        ('stamp = "end"', -50),
-        ('stamp = "end"\ndeskewed = true', 0),
+        ('timestamp = "middle"\nsweep_s = 0.1', 0),
+        ('timestamp = "end"\nsweep_s = 0.1', -50),
+        ('timestamp = "end"', -50),
+        ('timestamp = "end"\ndeskewed = true', 0),
     ],
 )
-def test_points_without_times_belong_to_the_middle_of_their_sweep(opened, said, after_ms):
-    lidar = opened((SCALE, f"{SCALE}\n{said}")).lidars[0]
+def test_points_without_times_belong_to_the_middle_of_their_sweep(opened, stated, after_ms):
+    lidar = opened((SCALE, f"{SCALE}\n{stated}")).lidars[0]
     assert lidar.frames.timestamps_ns[0] == START_NS + after_ms * 1_000_000
     assert lidar.frames[0].timestamp_ns == lidar.frames.timestamps_ns[0]
 
 
-def test_the_length_of_a_sweep_is_told_from_the_intervals_with_a_notice(opened):
+def test_the_length_of_a_sweep_is_distinguished_from_the_intervals_with_a_warning(opened):
     assert "sweep-length" in codes(opened((SCALE, f'{SCALE}\nstamp = "end"')))
 
 
@@ -71,7 +71,7 @@ def test_the_length_of_a_sweep_is_in_seconds(opened):
         opened((SCALE, f"{SCALE}\nsweep_s = 100"))
 
 
-def test_the_length_of_a_single_sweep_has_to_be_said(opened):
+def test_the_length_of_a_single_sweep_has_to_be_stated(opened):
     single = ("top/*.bin", f"top/{START_NS}.bin")
     with pytest.raises(DataError, match="a single sweep has no interval; expected how long a sweep takes"):
         opened(single, (SCALE, f'{SCALE}\nstamp = "end"'))
@@ -81,12 +81,12 @@ def test_times_of_points_that_were_used_for_deskewing_are_not_used_again(opened,
     scene = opened((FIELDS, TIMED), (SCALE, f"{POINT_TIMES}\ndeskewed = true"))
     frame = scene.lidars[0].frames[0]
     points = frame.points
-    # all of them are as if measured at the stamp, and nothing moves them a second time
+    # all of them are as if measured at the timestamp, and nothing moves them a second time
     assert set(points.timestamps_ns.tolist()) == {frame.timestamp_ns}
     assert points.extras["t"].tolist() == pytest.approx([0.0, 0.03, 0.06, 0.09])
 
 
-def test_times_as_well_known_drivers_write_them_are_recognised_with_a_notice(opened, timed):
+def test_times_as_well_known_drivers_write_them_are_recognised_with_a_warning(opened, timed):
     scene = opened((FIELDS, 'fields = ["x", "y", "z", "time"]'))
     assert scene.lidars[0].frames[0].points.timestamps_ns is not None
     assert "point-times-assumed" in codes(scene)
@@ -95,14 +95,14 @@ def test_times_as_well_known_drivers_write_them_are_recognised_with_a_notice(ope
     assert "point-times-not-used" in codes(left)
 
 
-def test_a_column_that_only_looks_like_times_is_left_aside_with_a_notice(opened, folder):
+def test_a_column_that_only_looks_like_times_is_left_aside_with_a_warning(opened, folder):
     for path in (folder / "top").iterdir():
         path.write_bytes(np.full((4, 4), 5000.0, "<f4").tobytes())
     scene = opened((FIELDS, 'fields = ["x", "y", "z", "time"]'))
     assert scene.lidars[0].frames[0].points.timestamps_ns is None
-    (notice,) = scene.notices
-    assert notice.code == "point-times-not-used"
-    assert "5000 s from the file's stamp" in notice.message
+    (warning,) = scene.warnings
+    assert warning.code == "point-times-not-used"
+    assert "5000 s from the file's timestamp" in warning.message
 
 
 def test_the_scale_of_brightness_is_seen_in_the_first_file_that_has_any(opened, folder):
@@ -115,7 +115,7 @@ def test_the_scale_of_brightness_is_seen_in_the_first_file_that_has_any(opened, 
     assert opened((SCALE, "")).lidars[0].extras["intensity_max"] == 255.0
 
 
-def test_times_of_the_wrong_unit_are_told_when_the_drive_is_opened(opened, timed):
+def test_times_of_the_wrong_unit_are_reported_when_the_drive_is_opened(opened, timed):
     with pytest.raises(DataError, match=r't\[1\]: 0\.03.*expected within 10 s|unit = "seconds"'):
         opened((FIELDS, TIMED), (SCALE, POINT_TIMES.replace('seconds"', 'seconds", relative_to = "clock"')))
 
@@ -145,7 +145,7 @@ def test_points_in_the_world_stay_there_unless_they_are_too_far_for_float32(open
         opened((SCALE, f'{SCALE}\npoints_in = "world"'))
 
 
-def test_what_was_taken_for_granted_is_said(opened):
+def test_what_was_taken_for_granted_is_stated(opened):
     scene = opened((SCALE, ""), (FIELDS, ""))
     assert codes(scene) == {"fields-assumed", "intensity-scale"}
     assert scene.lidars[0].extras["intensity_max"] == 255.0
@@ -155,7 +155,7 @@ def test_what_was_taken_for_granted_is_said(opened):
 def test_brightness_beyond_all_scales_asks_for_one(opened, folder):
     first = min((folder / "top").iterdir())
     first.write_bytes(np.full((1, 4), 1e6, "<f4").tobytes())
-    with pytest.raises(DataError, match=r"say what becomes 255 with sensors\[0\]\.intensity_max"):
+    with pytest.raises(DataError, match=r"state what becomes 255 with sensors\[0\]\.intensity_max"):
         opened((SCALE, ""))
 
 
@@ -163,7 +163,7 @@ def test_points_that_are_dropped_are_counted(opened, folder):
     first = min((folder / "top").iterdir())
     first.write_bytes(np.array([[1, 2, 3, 4], [0, 0, 0, 9], [np.nan, 1, 1, 1]], "<f4").tobytes())
     scene = opened()
-    assert [(n.code, n.count) for n in scene.notices] == [("points-dropped", 2)]
+    assert [(n.code, n.count) for n in scene.warnings] == [("points-dropped", 2)]
     assert scene.lidars[0].frames[0].extras["dropped_points"] == 2
     assert scene.lidars[0].frames[1].extras == {"file": f"top/{START_NS + 100_000_000}.bin"}
 
@@ -188,7 +188,7 @@ def test_columns_may_be_named(opened):
         ('fields = ["x", "y", "z"]', "64 bytes are 5 points of 12 bytes"),
     ],
 )
-def test_columns_that_do_not_fit_are_told(opened, new, problem):
+def test_columns_that_do_not_fit_are_reported(opened, new, problem):
     with pytest.raises(DataError, match=problem):
         opened((FIELDS, new))
 
@@ -218,25 +218,25 @@ def test_a_lenient_reading_begins_with_the_first_file_that_can_be_read(opened, f
     files[1].write_bytes(b"torn")
     lidar = (scene := opened(lenient=True)).lidars[0]
     assert [frame.timestamp_ns for frame in lidar.frames] == [START_NS + 200_000_000]
-    (notice,) = (notice for notice in scene.notices if notice.code == "unreadable-files")
-    assert (notice.count, notice.kind) == (2, "skipped")
+    (warning,) = (warning for warning in scene.warnings if warning.code == "unreadable-files")
+    assert (warning.count, warning.kind) == (2, "skipped")
     with pytest.raises(DataError, match=files[0].name):
         opened()
 
 
 @pytest.mark.parametrize(
-    ("said", "told"),
+    ("stated", "reported"),
     [
         ('["x", "y", "z", "intensity"]', None),
         ('["x", "y", "intensity", "z"]', "brightness below zero"),
         ('["x:float64", "y:float64", "z:float64", "intensity:float64"]', "points farther than 10000 m"),
     ],
 )
-def test_columns_that_are_taken_for_others_are_remarked(opened, folder, said, told):
+def test_columns_that_are_taken_for_others_are_remarked(opened, folder, stated, reported):
     generator = np.random.default_rng(5)
     points = generator.uniform([-50, -50, -3, 0], [50, 50, -1, 255], (400, 4)).astype("<f4")
     for path in (folder / "top").iterdir():
         path.write_bytes(points.tobytes())
-    scene = opened((FIELDS, f"fields = {said}"))
-    found = [notice.message for notice in scene.notices if notice.code == "odd-points"]
-    assert found == [] if told is None else any(message.startswith(told) for message in found)
+    scene = opened((FIELDS, f"fields = {stated}"))
+    found = [warning.message for warning in scene.warnings if warning.code == "odd-points"]
+    assert found == [] if reported is None else any(message.startswith(reported) for message in found)

@@ -1,4 +1,4 @@
-"""What is wrong in a manifest is told with its place, its value and what was expected, all at once."""
+"""What is wrong in a manifest is reported with its location, its value and what was expected, all at once."""
 
 import re
 import tomllib
@@ -19,7 +19,7 @@ PAGE = Path(__file__).parents[4] / "docs" / "formats" / "rig.md"
     [
         ("times = { pattern", "time = { pattern", r"sensors\[0\] \(top\)\.time: unknown; did you mean 'times'\?"),
         ('ego = "base"', 'egoo = "base"', r"egoo: unknown; did you mean 'ego'\?"),
-        ('axes = "flu"', "width = 8", r"sensors\[1\] \(front\)\.width: unknown; did you mean lens\.width\?"),
+        ('axes = "flu"', "width = 8", r"sensors\[1\] \(front\)\.width: unknown; did you mean camera model\.width\?"),
         ('type = "lidar"', 'type = "lidr"', r"sensors\[0\] \(top\)\.type: 'lidr'; expected one of lidar, .*'lidar'\?"),
         ('type = "lidar"\n', "", r"sensors\[0\] \(top\)\.type: missing; expected one of lidar, camera"),
         ('type = "lidar"', 'tipe = "lidar"', r"type: missing; .*; 'tipe' is unknown: is it meant"),
@@ -27,8 +27,8 @@ PAGE = Path(__file__).parents[4] / "docs" / "formats" / "rig.md"
         ("intensity_max = 255", 'intensity_max = "1"', r"intensity_max: '1'; expected a number"),
         ("[1.0, 0.0, 2.0]", "[1.0, 0.0]", r"transforms\[0\]\.translation: a list of 2; expected a list of 3 numbers"),
         ("[1.0, 0.0, 2.0]", "[1.0, nan, 2.0]", r"translation: still to be filled in: origin of `from` seen in `to`"),
-        ("fx = 6.0", "fx = inf", r"sensors\[1\] \(front\)\.lens\.fx: Infinity; expected a number"),
-        ("fx = 6.0", "fx = 1e999999999999", r"sensors\[1\] \(front\)\.lens\.fx: Infinity"),
+        ("fx = 6.0", "fx = inf", r"sensors\[1\] \(front\)\.camera model\.fx: Infinity; expected a number"),
+        ("fx = 6.0", "fx = 1e999999999999", r"sensors\[1\] \(front\)\.camera model\.fx: Infinity"),
         ('from = "top"\n', "", r"transforms\[0\]\.from: missing; expected text in quotes"),
         ('form = "tum"', 'form = "tun"', r"trajectories\[0\]\.form: 'tun'; expected one of tum, kitti, csv; did"),
         ('files = "top/*.bin"', "files = []", r"sensors\[0\] \(top\)\.files: a list of 0; expected text"),
@@ -37,14 +37,14 @@ PAGE = Path(__file__).parents[4] / "docs" / "formats" / "rig.md"
         ("[[transforms]]", "[transforms]", r"transforms: a table of 4; expected a list of tables: one `"),
     ],
 )  # fmt: skip
-def test_a_fault_is_told_with_place_value_and_what_was_expected(opened, old, new, problem):
+def test_a_fault_is_reported_with_location_value_and_what_was_expected(opened, old, new, problem):
     with pytest.raises(DataError, match=problem):
         opened((old, new))
     with pytest.raises(DataError, match=r"[23] faults"):
         opened((old, new), ("rate_hz = 10", "rate_hz = -1"))
 
 
-def test_a_file_that_is_no_toml_is_told_with_its_line(folder, opened):
+def test_a_file_that_is_no_toml_is_reported_with_its_line(folder, opened):
     (folder / "rig.toml").write_text("ego = base\n")
     from sceneloom.formats.rig.spec import FORMAT
 

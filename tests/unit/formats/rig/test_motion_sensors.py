@@ -24,7 +24,7 @@ def with_motion(folder):
     return folder
 
 
-def test_values_are_turned_into_the_axes_of_the_ego(opened, with_motion):
+def test_values_are_converted_to_the_axes_of_the_ego(opened, with_motion):
     scene = opened((CAMERA, f'{IMU}gyroscope_unit = "deg/s"\n'.replace("extrinsic", "extrinsic") + CAMERA))
     imu = scene.sensor("imu")
     assert imu.streams["accelerometer"].timestamps_ns.tolist() == [1_000_000_000, 1_010_000_000]
@@ -38,7 +38,7 @@ def test_an_imu_that_is_not_at_the_ego_is_remarked(opened, with_motion):
     scene = opened(
         (CAMERA, IMU.replace("rotation_matrix", "translation = [1, 0, 0], rotation_matrix") + CAMERA)
     )
-    assert "imu-lever-arm" in [notice.code for notice in scene.notices]
+    assert "imu-lever-arm" in [warning.code for warning in scene.warnings]
 
 
 def test_fixes_are_read_and_sorted(opened, with_motion):
@@ -48,7 +48,7 @@ def test_fixes_are_read_and_sorted(opened, with_motion):
     assert gnss.positions_lla.tolist() == [[48.0, 11.6, 520.0], [48.1, 11.5, 520.5]]
     assert gnss.accuracies.tolist() == [2.0, 1.5]
     assert np.isnan(gnss.vertical_accuracies).all()
-    assert "samples-sorted" in [notice.code for notice in scene.notices]
+    assert "samples-sorted" in [warning.code for warning in scene.warnings]
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_fixes_are_read_and_sorted(opened, with_motion):
         ("1,1,3,5\n", "line 1: '1,1,3,5'; expected the names of the columns"),
     ],
 )
-def test_a_wrong_file_is_told_with_its_line(opened, with_motion, text, problem):
+def test_a_wrong_file_is_reported_with_its_line(opened, with_motion, text, problem):
     (with_motion / "gnss.csv").write_text(text)
     with pytest.raises(DataError, match=problem):
         opened((CAMERA, GNSS + CAMERA))

@@ -16,17 +16,19 @@ def test_patterns_that_lead_out_are_refused(opened, pattern):
 
 
 @pytest.mark.parametrize("pattern", ["a**b/*.bin", "[", "top/*.pcd", "nowhere/*.bin", "."])
-def test_patterns_without_files_or_sense_are_told(opened, pattern):
+def test_patterns_without_files_or_sense_are_reported(opened, pattern):
     with pytest.raises(DataError, match=r"sensors\[0\] \(top\)\.files: "):
         opened((LIDAR, f'files = "{pattern}"'))
 
 
-def test_what_there_is_in_place_of_a_missing_file_is_told(opened):
+def test_what_there_is_instead_of_a_missing_file_is_reported(opened):
     with pytest.raises(DataError, match=r"'top/\*\.pcd': no such files in .*; top has \*\.bin"):
         opened((LIDAR, 'files = "top/*.pcd"'))
 
 
-def test_links_that_lead_out_are_refused_and_a_root_is_named_in_their_place(opened, folder, tmp_path_factory):
+def test_links_that_lead_out_are_refused_and_a_root_is_named_in_their_location(
+    opened, folder, tmp_path_factory
+):
     elsewhere = tmp_path_factory.mktemp("disk")
     (folder / "top").rename(elsewhere / "top")
     (folder / "top").symlink_to(elsewhere / "top")
@@ -34,7 +36,7 @@ def test_links_that_lead_out_are_refused_and_a_root_is_named_in_their_place(open
         opened()
     scene = opened((LIDAR, f'{LIDAR}\nroot = "{elsewhere}"'))
     assert len(scene.lidars[0].frames) == 3
-    assert [notice.code for notice in scene.notices] == ["root-elsewhere"]
+    assert [warning.code for warning in scene.warnings] == ["root-elsewhere"]
 
 
 def test_a_single_file_may_not_be_a_link_that_leads_out(opened, folder, tmp_path_factory):
@@ -57,10 +59,10 @@ def test_all_files_may_lie_below_another_root(opened, folder):
         (folder / name).rename(folder / "raw" / name)
     scene = opened(('ego = "base"', 'ego = "base"\nroot = "raw"'))
     assert len(scene.sensors) == 2
-    assert scene.notices == ()
+    assert scene.warnings == ()
 
 
-def test_a_root_that_is_not_there_is_told(opened):
+def test_a_root_that_is_not_there_is_reported(opened):
     with pytest.raises(DataError, match="root: 'raw': no such folder"):
         opened(('ego = "base"', 'ego = "base"\nroot = "raw"'))
 
@@ -70,19 +72,19 @@ def test_files_of_several_patterns_are_each_taken_once(opened):
 
 
 @pytest.mark.parametrize(
-    ("pattern", "told"),
+    ("pattern", "reported"),
     [
         ("'top\\*.bin'", "and the folders front, top; folders are parted by /"),
         ('"top[1]/*.bin"', r"and the folders front, top; \[ \] stand for a choice of signs: write \[\[\]"),
         ('"*.bin"', r"has \*\.toml, \*\.txt and the folders front, top$"),
     ],
 )
-def test_what_kept_a_pattern_from_fitting_is_told(opened, pattern, told):
-    with pytest.raises(DataError, match=told):
+def test_what_kept_a_pattern_from_fitting_is_reported(opened, pattern, reported):
+    with pytest.raises(DataError, match=reported):
         opened(('"top/*.bin"', pattern))
 
 
-def test_a_folder_without_folders_is_said_to_have_none(opened, folder):
+def test_a_folder_without_folders_is_stated_to_have_none(opened, folder):
     (folder / "bare").mkdir()
     with pytest.raises(DataError, match="bare has no folders"):
         opened(('files = "top/*.bin"', 'files = "top/*.bin"\nroot = "bare"'))

@@ -14,7 +14,7 @@ from .conftest import START_NS
 
 
 def codes(scene):
-    return [notice.code for notice in scene.notices]
+    return [warning.code for warning in scene.warnings]
 
 
 def test_sensors_have_the_ids_of_the_manifest_and_what_their_files_hold(opened):
@@ -25,8 +25,8 @@ def test_sensors_have_the_ids_of_the_manifest_and_what_their_files_hold(opened):
     assert lidar.frames[2].points.positions[1].tolist() == [6.0, 7.0, 8.0]
     assert lidar.frames[2].points.intensities.tolist() == [5, 9, 13, 17]
     assert lidar.points_frame is PointsFrame.SENSOR
-    assert camera.pictures.timestamps_ns[0] == 1_532_402_927_650_000_000
-    assert camera.pictures[1].rgb[0, 0].tolist() == [10, 20, 30]
+    assert camera.images.timestamps_ns[0] == 1_532_402_927_650_000_000
+    assert camera.images[1].rgb[0, 0].tolist() == [10, 20, 30]
     assert (camera.camera.width, camera.camera.height, camera.camera.fy) == (8, 6, 6.0)
     assert codes(scene) == []
 
@@ -83,25 +83,25 @@ def test_nothing_but_the_manifest_and_first_heads_is_needed_to_open(folder, open
     with pytest.raises(DataError, match="6 bytes are 0 points"):
         scene.lidars[0].frames[1]
     with pytest.raises(DataError, match="no PNG and no JPEG"):
-        _ = scene.cameras[0].pictures[2].rgb
+        _ = scene.cameras[0].images[2].rgb
 
 
 def test_a_scene_goes_to_other_processes(opened):
     scene = pickle.loads(pickle.dumps(opened()))
     assert scene.lidars[0].frames[0].points.positions.shape == (4, 3)
-    assert scene.cameras[0].pictures[0].rgb.shape == (6, 8, 3)
+    assert scene.cameras[0].images[0].rgb.shape == (6, 8, 3)
     scene.close()
 
 
-def test_all_faults_of_all_sensors_are_told_at_once(opened):
+def test_all_faults_of_all_sensors_are_reported_at_once(opened):
     with pytest.raises(DataError) as caught:
         opened(("top/*.bin", "tip/*.bin"), ("fx = 6.0,", ""), ('file = "poses.txt"', 'file = "path.txt"'))
-    told = str(caught.value)
-    assert "3 faults" in told
-    assert "sensors[0] (top).files: 'tip/*.bin': no such files" in told
-    assert "has the folders front, top" in told
-    assert "sensors[1] (front): no focal length" in told
-    assert "trajectories[0].file: 'path.txt': no such file" in told
+    reported = str(caught.value)
+    assert "3 faults" in reported
+    assert "sensors[0] (top).files: 'tip/*.bin': no such files" in reported
+    assert "has the folders front, top" in reported
+    assert "sensors[1] (front): no focal length" in reported
+    assert "trajectories[0].file: 'path.txt': no such file" in reported
 
 
 def test_a_lenient_reading_leaves_out_what_is_at_fault(opened):
@@ -115,8 +115,8 @@ def test_two_sensors_of_one_id_are_refused(opened):
         opened(('id = "front"', 'id = "top"'))
 
 
-def test_names_that_stand_for_computed_ways_are_refused(opened):
-    with pytest.raises(DataError, match="'lidar' stands for a way that is computed"):
+def test_names_that_stand_for_computed_trajectories_are_refused(opened):
+    with pytest.raises(DataError, match="'lidar' stands for a trajectory that is computed"):
         opened(('form = "tum"', 'form = "tum"\nname = "lidar"'))
 
 
@@ -127,14 +127,14 @@ def test_frames_that_are_not_connected_are_remarked_when_nothing_needs_them(open
 
 def test_clocks_that_never_meet_are_remarked(opened):
     scene = opened(("start_s = 1532402927.65", "start_s = 0"))
-    (notice,) = scene.notices
-    assert notice.code == "clocks-apart"
-    assert "trajectory 'pose' begins 1532402927.300 s after sensor 'front'" in notice.message
+    (warning,) = scene.warnings
+    assert warning.code == "clocks-apart"
+    assert "trajectory 'pose' begins 1532402927.300 s after sensor 'front'" in warning.message
 
 
 def test_mountings_in_millimetres_are_remarked(opened):
     scene = opened(("[1.0, 0.0, 2.0]", "[1000.0, 0.0, 2000.0]"))
-    assert [(n.code, "are these millimetres?" in n.message) for n in scene.notices] == [
+    assert [(n.code, "are these millimetres?" in n.message) for n in scene.warnings] == [
         ("far-mount", True)
     ] * 2
 
@@ -146,14 +146,14 @@ def test_fusing_a_rig_writes_a_scene(folder, tmp_path):
         assert len(scene.lidars[0].frames) == 3
 
 
-def test_each_part_that_a_lenient_reading_leaves_out_is_told_by_its_place_and_its_fault(opened, folder):
+def test_each_part_that_a_lenient_reading_leaves_out_is_known_by_its_location_and_its_fault(opened, folder):
     (folder / "poses.txt").write_text("1532402927.5 0 0 0 0 0 0 1\n1532402928.5 9 0 0 0 0 1\n")
     scene = opened(("top/*.bin", "tip/*.bin"), lenient=True)
-    told = [f"{notice.place}: {notice.message}" for notice in scene.notices]
-    assert len(told) == 2
-    assert told[0].startswith(
+    reported = [f"{warning.location}: {warning.message}" for warning in scene.warnings]
+    assert len(reported) == 2
+    assert reported[0].startswith(
         f"{folder / 'rig.toml'}: trajectories[0]: left out: {folder / 'poses.txt'}: line 2: "
     )
-    assert told[1].startswith(
+    assert reported[1].startswith(
         f"{folder / 'rig.toml'}: sensors[0].files: left out: 'tip/*.bin': no such files"
     )

@@ -10,7 +10,7 @@ import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
-LENS = Camera("brown_conrady", 96, 64, 60.0, 61.0, 47.5, 31.5, (-0.2, 0.05, 0.001, -0.001, 0.01))
+CAMERA_MODEL = Camera("brown_conrady", 96, 64, 60.0, 61.0, 47.5, 31.5, (-0.2, 0.05, 0.001, -0.001, 0.01))
 CLOUD = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("i", "u1"), ("ring", "<u2"), ("t", "<i8")])
 
 
@@ -18,7 +18,7 @@ CLOUD = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("i", "u1"), ("ring"
 def drive():
     """Three sweeps of a coarse lidar and a small camera with distortion."""
     return simulate_street(
-        4, frames=3, lidar=LidarSpec(beams=16, steps=300), cameras=(CameraSpec(LENS),)
+        4, frames=3, lidar=LidarSpec(beams=16, steps=300), cameras=(CameraSpec(CAMERA_MODEL),)
     ).scene
 
 
@@ -64,21 +64,26 @@ WRITERS = {"pcd": write_pcd, "ascii": write_ascii, "ply": write_ply, "npz": writ
 def write_folder(folder: Path, scene: sceneloom.Scene, kind: str) -> None:
     """Write plain files and a manifest by hand."""
     lidar, camera = scene.lidars[0], scene.cameras[0]
-    for name in ("lidar", "pictures"):
+    for name in ("lidar", "images"):
         (folder / name).mkdir()
     for frame in lidar.frames:
         WRITERS[kind](folder / "lidar" / str(frame.timestamp_ns), table(frame.points))
-    for picture in camera.pictures:
-        Image.fromarray(picture.rgb).save(folder / "pictures" / f"{picture.timestamp_ns}.png")
-    way = scene.trajectories["groundTruth"]
-    rows = zip(way.timestamps_ns.tolist(), way.positions.tolist(), way.quaternions_xyzw.tolist(), strict=True)
-    (folder / "way.txt").write_text("".join(f"{t} {' '.join(map(repr, p + q))}\n" for t, p, q in rows))
+    for image in camera.images:
+        Image.fromarray(image.rgb).save(folder / "images" / f"{image.timestamp_ns}.png")
+    trajectory = scene.trajectories["groundTruth"]
+    rows = zip(
+        trajectory.timestamps_ns.tolist(),
+        trajectory.positions.tolist(),
+        trajectory.quaternions_xyzw.tolist(),
+        strict=True,
+    )
+    (folder / "trajectory.txt").write_text("".join(f"{t} {' '.join(map(repr, p + q))}\n" for t, p, q in rows))
     suffix = "pcd" if kind == "ascii" else kind
     fields = 'fields = ["x", "y", "z", "i:uint8", "ring:uint16", "t:int64"]' if kind == "bin" else ""
     (folder / "rig.toml").write_text(f"""
 [[trajectories]]
 name = "truth"
-file = "way.txt"
+file = "trajectory.txt"
 form = "tum"
 unit = "nanoseconds"
 [[sensors]]
@@ -92,10 +97,10 @@ extrinsic = {{ to = "base", matrix = {lidar.mount.matrix.tolist()} }}
 [[sensors]]
 id = "camera"
 type = "camera"
-files = "pictures/*.png"
+files = "images/*.png"
 times = {{ pattern = "{{ns}}" }}
 extrinsic = {{ from = "base", matrix = {camera.mount.inverse().matrix.tolist()} }}
-lens = {{ fx = 60, fy = 61, cx = 47.5, cy = 31.5, coefficients = {list(LENS.coefficients)} }}
+camera_model = {{ fx = 60, fy = 61, cx = 47.5, cy = 31.5, coefficients = {list(CAMERA_MODEL.coefficients)} }}
 """)
 
 
@@ -108,10 +113,10 @@ def test_every_kind_of_cloud_brings_the_drive_back_exactly(tmp_path, drive, kind
         for name in ("positions", "intensities", "rings", "timestamps_ns"):
             np.testing.assert_array_equal(getattr(found.points, name), getattr(known.points, name))
         assert not found.points.extras
-    for found, known in zip(scene.cameras[0].pictures, drive.cameras[0].pictures, strict=True):
+    for found, known in zip(scene.cameras[0].images, drive.cameras[0].images, strict=True):
         assert found.timestamp_ns == known.timestamp_ns
         np.testing.assert_array_equal(found.rgb, known.rgb)
-    assert scene.cameras[0].camera == LENS
+    assert scene.cameras[0].camera == CAMERA_MODEL
     for found, known in zip(scene.sensors, (drive.lidars[0], drive.cameras[0]), strict=True):
         np.testing.assert_allclose(found.mount.matrix, known.mount.matrix, atol=1e-12)
     truth = drive.trajectories["groundTruth"]

@@ -29,7 +29,7 @@ def filled(text: str) -> str:
 
 
 @pytest.fixture
-def clouds_and_pictures(tmp_path):
+def clouds_and_images(tmp_path):
     for name in ("lidar_top", "cam_front"):
         (tmp_path / name).mkdir()
     for k in range(2):
@@ -38,62 +38,62 @@ def clouds_and_pictures(tmp_path):
     return tmp_path
 
 
-def test_the_template_opens_once_it_is_filled_in(clouds_and_pictures):
-    (clouds_and_pictures / "rig.toml").write_text(filled(TEMPLATE))
-    scene = sceneloom.open(clouds_and_pictures)
+def test_the_template_opens_once_it_is_filled_in(clouds_and_images):
+    (clouds_and_images / "rig.toml").write_text(filled(TEMPLATE))
+    scene = sceneloom.open(clouds_and_images)
     assert [sensor.id for sensor in scene.sensors] == ["lidar_top", "cam_front"]
     assert scene.lidars[0].frames.timestamps_ns.tolist() == [START_NS, START_NS + 1]
     np.testing.assert_allclose(scene.cameras[0].mount.translation, [0.5, 0, 0])
 
 
-def test_the_template_that_is_not_filled_in_says_what_is_left(clouds_and_pictures):
-    write_template(clouds_and_pictures / "rig.toml")
+def test_the_template_that_is_not_filled_in_says_what_is_left(clouds_and_images):
+    write_template(clouds_and_images / "rig.toml")
     with pytest.raises(DataError) as caught:
-        sceneloom.open(clouds_and_pictures)
-    told = str(caught.value)
+        sceneloom.open(clouds_and_images)
+    reported = str(caught.value)
     assert (
         "sensors[0] (lidar_top): still to be filled in: extrinsic.translation, extrinsic.quaternion_xyzw"
-        in told
+        in reported
     )
-    assert "sensors[1] (cam_front): still to be filled in: lens.fx" in told
+    assert "sensors[1] (cam_front): still to be filled in: camera model.fx" in reported
 
 
-def test_lines_that_are_commented_out_are_right_as_well(clouds_and_pictures):
+def test_lines_that_are_commented_out_are_right_as_well(clouds_and_images):
     lines = [re.sub(r"^# (?=[a-z_]+ = (?!R)|\[\[)", "", line) for line in TEMPLATE.splitlines()]
     choices = [
         line
         for line in lines
         if not re.match(r"times = \{ (csv|lines|rate_hz)|root = |point_times|fields", line)
     ]
-    text = filled("\n".join(choices)).replace('stamp = "start"', 'stamp = "end"')
-    (clouds_and_pictures / "poses.txt").write_text("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n")
-    (clouds_and_pictures / "rig.toml").write_text(
+    text = filled("\n".join(choices)).replace('timestamp = "start"', 'timestamp = "end"')
+    (clouds_and_images / "poses.txt").write_text("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n")
+    (clouds_and_images / "rig.toml").write_text(
         text.replace("width = 1920", "width = 64").replace("1080", "48")
     )
-    assert [*sceneloom.open(clouds_and_pictures).trajectories] == ["pose"]
+    assert [*sceneloom.open(clouds_and_images).trajectories] == ["pose"]
 
 
-@pytest.mark.parametrize("place", ["inside", "above", "elsewhere"])
+@pytest.mark.parametrize("location", ["inside", "above", "elsewhere"])
 def test_a_look_into_a_folder_gives_a_manifest_that_opens_once_it_is_filled_in(
-    clouds_and_pictures, place, tmp_path_factory
+    clouds_and_images, location, tmp_path_factory
 ):
     path = {
-        "inside": clouds_and_pictures / "rig.toml",
-        "above": clouds_and_pictures.parent / f"{clouds_and_pictures.name}.toml",
+        "inside": clouds_and_images / "rig.toml",
+        "above": clouds_and_images.parent / f"{clouds_and_images.name}.toml",
         "elsewhere": tmp_path_factory.mktemp("x") / "rig.toml",
-    }[place]
-    write_template(path, folder=clouds_and_pictures)
+    }[location]
+    write_template(path, folder=clouds_and_images)
     path.write_text(filled(path.read_text()))
     scene = FORMAT.open(path)
     assert [(sensor.id, sensor.type) for sensor in scene.sensors] == [
         ("lidar_top", "lidar"),
         ("cam_front", "camera"),
     ]
-    assert scene.cameras[0].pictures.timestamps_ns.tolist() == [START_NS, START_NS + 1]
-    assert ("root" in tomllib.loads(path.read_text())) == (place != "inside")
+    assert scene.cameras[0].images.timestamps_ns.tolist() == [START_NS, START_NS + 1]
+    assert ("root" in tomllib.loads(path.read_text())) == (location != "inside")
 
 
-def test_a_template_does_not_replace_a_file_unless_told_to(tmp_path):
+def test_a_template_does_not_replace_a_file_unless_reported_to(tmp_path):
     write_template(tmp_path / "rig.toml")
     with pytest.raises(OutputError, match="exists already"):
         write_template(tmp_path / "rig.toml")
@@ -105,8 +105,8 @@ def test_a_template_is_a_toml_file(tmp_path):
         write_template(tmp_path / "rig.json")
 
 
-def test_a_folder_without_clouds_and_pictures_is_refused(tmp_path):
-    with pytest.raises(DataError, match="no clouds, pictures or videos"):
+def test_a_folder_without_clouds_and_images_is_refused(tmp_path):
+    with pytest.raises(DataError, match="no clouds, images or videos"):
         template_text(folder=tmp_path)
     with pytest.raises(DataError, match="no such folder"):
         template_text(folder=tmp_path / "none")
@@ -126,14 +126,14 @@ def test_a_folder_without_clouds_and_pictures_is_refused(tmp_path):
         ("top_1532402927647951000_raw", {"pattern": "*{ns}_raw"}),
     ],
 )
-def test_times_are_told_from_names_and_those_patterns_read_them(tmp_path, name, times):
+def test_times_are_distinguished_from_names_and_those_patterns_read_them(tmp_path, name, times):
     (tmp_path / "top").mkdir()
     (tmp_path / "top" / f"{name}.pcd").write_bytes(PCD)
     (found,) = survey(tmp_path).sensors
     assert found.times == times
     (tmp_path / "rig.toml").write_text(filled(template_text(folder=tmp_path)))
-    stamps = FORMAT.open(tmp_path).lidars[0].frames.timestamps_ns
-    assert abs(int(stamps[0]) - START_NS) < 1_000_000_000
+    timestamps = FORMAT.open(tmp_path).lidars[0].frames.timestamps_ns
+    assert abs(int(timestamps[0]) - START_NS) < 1_000_000_000
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_times_are_told_from_names_and_those_patterns_read_them(tmp_path, name, 
         ),
     ],
 )
-def test_the_pattern_that_the_first_name_tells_reads_the_others(tmp_path, names, expected_ns):
+def test_the_pattern_that_the_first_name_reports_reads_the_others(tmp_path, names, expected_ns):
     for name in names:
         (tmp_path / f"{name}.pcd").write_bytes(PCD)
     (tmp_path / "rig.toml").write_text(filled(template_text(folder=tmp_path)))
@@ -163,20 +163,18 @@ def test_numbered_names_ask_for_a_rate(tmp_path, names):
     assert np.isnan(found.times["rate_hz"])
 
 
-def test_lists_of_times_beside_the_files_are_found(clouds_and_pictures):
-    (clouds_and_pictures / "lidar_top" / "timestamps.txt").write_text(
+def test_lists_of_times_beside_the_files_are_found(clouds_and_images):
+    (clouds_and_images / "lidar_top" / "timestamps.txt").write_text(
         "2011-09-26 13:02:25.5\n2011-09-26 13:02:25.6\n"
     )
-    rows = "".join(
-        f"{path.name},{k}\n" for k, path in enumerate((clouds_and_pictures / "cam_front").iterdir())
-    )
-    (clouds_and_pictures / "front.csv").write_text("image,time\n" + rows)
-    lidar, camera = survey(clouds_and_pictures).sensors
+    rows = "".join(f"{path.name},{k}\n" for k, path in enumerate((clouds_and_images / "cam_front").iterdir()))
+    (clouds_and_images / "front.csv").write_text("image,time\n" + rows)
+    lidar, camera = survey(clouds_and_images).sensors
     assert lidar.times == {"lines": "lidar_top/timestamps.txt"}
     assert camera.times == {"csv": "front.csv", "column": "time"}
 
 
-def test_files_of_several_sensors_in_one_folder_are_told_apart(tmp_path):
+def test_files_of_several_sensors_in_one_folder_are_distinguished(tmp_path):
     for sensor in ("FRONT", "BACK"):
         for k in range(2):
             Image.new("RGB", (8, 6)).save(tmp_path / f"n015__CAM_{sensor}__{START_NS + k}.png")
@@ -213,18 +211,20 @@ def test_layouts_of_files_without_a_head_are_guessed_from_their_numbers(tmp_path
     [
         ("tum.txt", "0 0 0 0 0 0 0 1\n", "tum"),
         ("kitti.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n", "kitti"),
-        ("way.csv", "time,x,y,z\n0,1,2,3\n", "csv"),
+        ("trajectory.csv", "time,x,y,z\n0,1,2,3\n", "csv"),
     ],
 )
-def test_trajectories_are_found(clouds_and_pictures, name, text, form):
-    (clouds_and_pictures / name).write_text(text)
-    assert [(way.file, way.form) for way in survey(clouds_and_pictures).trajectories] == [(name, form)]
+def test_trajectories_are_found(clouds_and_images, name, text, form):
+    (clouds_and_images / name).write_text(text)
+    assert [(trajectory.file, trajectory.form) for trajectory in survey(clouds_and_images).trajectories] == [
+        (name, form)
+    ]
 
 
-def test_motion_sensors_and_videos_are_found(clouds_and_pictures):
-    (clouds_and_pictures / "imu.csv").write_text("time,ax,ay,az\n0,1,2,3\n")
-    (clouds_and_pictures / "gnss.csv").write_text("time,lat,lon,alt\n0,1,2,3\n")
-    types = {sensor.id: sensor.type for sensor in survey(clouds_and_pictures).sensors}
+def test_motion_sensors_and_videos_are_found(clouds_and_images):
+    (clouds_and_images / "imu.csv").write_text("time,ax,ay,az\n0,1,2,3\n")
+    (clouds_and_images / "gnss.csv").write_text("time,lat,lon,alt\n0,1,2,3\n")
+    types = {sensor.id: sensor.type for sensor in survey(clouds_and_images).sensors}
     assert (types["imu"], types["gnss"]) == ("imu", "gnss")
 
 
@@ -242,17 +242,17 @@ def test_strange_names_are_written_as_toml_reads_them():
         assert tomllib.loads(f"x = {quoted(text)}")["x"] == text
 
 
-def test_columns_with_strange_names_leave_the_template_readable(clouds_and_pictures):
+def test_columns_with_strange_names_leave_the_template_readable(clouds_and_images):
     strange = PCD.replace(b"x y z", b"x y z\x00\x7f")
-    (clouds_and_pictures / "lidar_top" / f"{START_NS}.pcd").write_bytes(strange)
-    text = template_text(folder=clouds_and_pictures)
+    (clouds_and_images / "lidar_top" / f"{START_NS}.pcd").write_bytes(strange)
+    text = template_text(folder=clouds_and_images)
     assert "z?? float32" in text
     assert [sensor["id"] for sensor in tomllib.loads(text)["sensors"]] == ["lidar_top", "cam_front"]
 
 
 def test_the_template_names_no_field_that_is_unknown():
     assert set(tomllib.loads(TEMPLATE)["sensors"][0]) <= set(tomllib.loads(MANIFEST)["sensors"][0]) | {
-        "stamp",
+        "timestamp",
         "extrinsic",
     }
 
@@ -271,7 +271,7 @@ def test_columns_that_are_not_known_by_name_are_offered_as_comments_that_work(tm
     np.testing.assert_allclose(points.timestamps_ns, [100e6, 150e6, 199e6], atol=10)
 
 
-def test_columns_of_places_that_are_not_known_by_name_are_asked_for(tmp_path):
+def test_columns_of_locations_that_are_not_known_by_name_are_asked_for(tmp_path):
     np.savez(tmp_path / "0.npz", East=np.ones(3), North=np.ones(3), Up=np.ones(3))
     assert '# use = { x = "?", y = "?", z = "?" }   # needed: which of East North Up' in template_text(
         folder=tmp_path

@@ -11,26 +11,26 @@ BY_RATE = "times = { rate_hz = 10, start_s = 1532402927.65 }"
 BY_NAME = 'times = { pattern = "{ns}" }'
 
 
-def picture_times(scene):
-    return scene.cameras[0].pictures.timestamps_ns.tolist()
+def image_times(scene):
+    return scene.cameras[0].images.timestamps_ns.tolist()
 
 
 def first_reds(scene):
-    return [int(picture.rgb[0, 0, 0]) for picture in scene.cameras[0].pictures]
+    return [int(image.rgb[0, 0, 0]) for image in scene.cameras[0].images]
 
 
 def test_a_rate_does_not_add_up_its_rounding(opened, folder):
     for k in range(3, 1000):
         (folder / "front" / f"{k}.png").write_bytes((folder / "front" / "0.png").read_bytes())
     scene = opened((BY_RATE, "times = { rate_hz = 30 }"))
-    assert picture_times(scene)[999] == 33_300_000_000
-    assert picture_times(scene)[1] == 33_333_333
+    assert image_times(scene)[999] == 33_300_000_000
+    assert image_times(scene)[1] == 33_333_333
 
 
 def test_indices_in_names_count_from_the_start(opened, folder):
     (folder / "front" / "2.png").rename(folder / "front" / "7.png")
     scene = opened((BY_RATE, 'times = { pattern = "{index}", rate_hz = 10, start_s = 5 }'))
-    assert picture_times(scene) == [5_000_000_000, 5_100_000_000, 5_700_000_000]
+    assert image_times(scene) == [5_000_000_000, 5_100_000_000, 5_700_000_000]
 
 
 def test_files_are_counted_as_people_count(opened, folder):
@@ -39,16 +39,16 @@ def test_files_are_counted_as_people_count(opened, folder):
 
 
 def test_a_csv_with_file_names_may_have_any_order(opened, folder):
-    (folder / "t.csv").write_text("stamp_us;image\n300;front/2.png\n100;0\n200;1.png\n")
-    scene = opened((BY_RATE, 'times = { csv = "t.csv", column = "stamp_us" }'))
-    assert picture_times(scene) == [100_000, 200_000, 300_000]
+    (folder / "t.csv").write_text("timestamp_us;image\n300;front/2.png\n100;0\n200;1.png\n")
+    scene = opened((BY_RATE, 'times = { csv = "t.csv", column = "timestamp_us" }'))
+    assert image_times(scene) == [100_000, 200_000, 300_000]
     assert first_reds(scene) == [0, 10, 20]
-    assert "files-sorted" in [notice.code for notice in scene.notices]
+    assert "files-sorted" in [warning.code for warning in scene.warnings]
 
 
 def test_a_csv_without_file_names_goes_in_parallel(opened, folder):
     (folder / "t.csv").write_text("# a comment\nTimestamp\n0.5\n0.75\n1\n")
-    assert picture_times(opened((BY_RATE, 'times = { csv = "t.csv" }'))) == [
+    assert image_times(opened((BY_RATE, 'times = { csv = "t.csv" }'))) == [
         500_000_000,
         750_000_000,
         1_000_000_000,
@@ -61,26 +61,26 @@ def test_rows_without_file_are_faults_and_files_without_row_are_left_out(opened,
     with pytest.raises(DataError, match=r"t\.csv: line 3: '9.png' is none of the sensor's files"):
         opened(pair)
     scene = opened(pair, lenient=True)
-    assert picture_times(scene) == [1_000_000_000]
-    assert {"rows-without-file", "files-without-time"} <= {notice.code for notice in scene.notices}
+    assert image_times(scene) == [1_000_000_000]
+    assert {"rows-without-file", "files-without-time"} <= {warning.code for warning in scene.warnings}
 
 
 def test_lines_hold_dates_as_kitti_has_them(opened, folder):
     lines = ["2018-07-24 03:28:47.700000001", "2018-07-24 03:28:47.8", "2018-07-24 03:28:47.900000000"]
     (folder / "front" / "timestamps.txt").write_text("\r\n".join(lines) + "\r\n")
     scene = opened((BY_RATE, 'times = { lines = "front/timestamps.txt" }'))
-    assert picture_times(scene)[:2] == [1_532_402_927_700_000_001, 1_532_402_927_800_000_000]
+    assert image_times(scene)[:2] == [1_532_402_927_700_000_001, 1_532_402_927_800_000_000]
 
 
-def test_counts_that_disagree_are_told_with_both(opened, folder):
+def test_counts_that_disagree_are_reported_with_both(opened, folder):
     (folder / "t.txt").write_text("1\n2\n")
     pair = (BY_RATE, 'times = { lines = "t.txt" }')
     with pytest.raises(DataError, match=r"t\.txt: 2 times for 3 files"):
         opened(pair)
-    assert picture_times(opened(pair, lenient=True)) == [1_000_000_000, 2_000_000_000]
+    assert image_times(opened(pair, lenient=True)) == [1_000_000_000, 2_000_000_000]
 
 
-def test_a_line_that_is_no_time_is_told_with_its_number(opened, folder):
+def test_a_line_that_is_no_time_is_reported_with_its_number(opened, folder):
     (folder / "t.txt").write_text("1\n2\nthree\n")
     with pytest.raises(DataError, match=r"t\.txt: line 3: 'three'; expected a number, or a date"):
         opened((BY_RATE, 'times = { lines = "t.txt" }'))
@@ -94,11 +94,11 @@ def test_two_files_of_one_time_are_refused(opened, folder):
     assert first_reds(opened(pair, lenient=True)) == [0, 10]
 
 
-def test_times_that_run_backwards_are_sorted_with_a_notice(opened, folder):
+def test_times_that_run_backwards_are_sorted_with_a_warning(opened, folder):
     (folder / "t.txt").write_text("3\n1\n2\n")
     scene = opened((BY_RATE, 'times = { lines = "t.txt" }'))
     assert first_reds(scene) == [10, 20, 0]
-    assert ("files-sorted", 1) in [(n.code, n.count) for n in scene.notices]
+    assert ("files-sorted", 1) in [(n.code, n.count) for n in scene.warnings]
 
 
 def test_an_offset_is_added_exactly(opened):
@@ -124,12 +124,12 @@ def test_an_offset_is_added_exactly(opened):
         ("{ rate_hz = 10, start_s = 9.1e9 }\ntime_offset_s = 9e9", "are beyond the year 2261"),
     ],
 )
-def test_times_that_say_too_much_or_too_little_are_told(opened, times, problem):
+def test_times_that_state_too_much_or_too_little_are_reported(opened, times, problem):
     with pytest.raises(DataError, match=problem):
         opened((BY_RATE, f"times = {times}"))
 
 
-def test_large_stamps_never_pass_through_floating_point(opened, folder):
+def test_large_timestamps_never_pass_through_floating_point(opened, folder):
     for k, path in enumerate(sorted((folder / "top").iterdir())):
         path.rename(folder / "top" / f"{2**62 + k}.bin")
     found = opened().lidars[0].frames.timestamps_ns

@@ -10,10 +10,10 @@ from .conftest import POSES
 
 TUM = 'file = "poses.txt"\nform = "tum"'
 TIMES = np.array([0.0, 0.5, 1.0])
-TURNS = Rotation.from_euler("ZYX", [[0, 0, 0], [30, 5, -3], [60, 0, 2]], degrees=True)
-PLACES = np.array([[0.0, 0, 0], [3, 1, 0.1], [5, 4, 0.2]])
+ROTATIONS = Rotation.from_euler("ZYX", [[0, 0, 0], [30, 5, -3], [60, 0, 2]], degrees=True)
+LOCATIONS = np.array([[0.0, 0, 0], [3, 1, 0.1], [5, 4, 0.2]])
 WORLD_FROM_FRAME = np.tile(np.eye(4), (3, 1, 1))
-WORLD_FROM_FRAME[:, :3, :3], WORLD_FROM_FRAME[:, :3, 3] = TURNS.as_matrix(), PLACES
+WORLD_FROM_FRAME[:, :3, :3], WORLD_FROM_FRAME[:, :3, 3] = ROTATIONS.as_matrix(), LOCATIONS
 BASE_FROM_IMU = np.array([[0, -1, 0, 0.5], [1, 0, 0, -0.25], [0, 0, 1, 1.0], [0, 0, 0, 1]])
 IMU = (
     f'[[transforms]]\nfrom = "imu"\nto = "base"\nmatrix = {BASE_FROM_IMU.tolist()}\n\n[[sensors]]\nid = "top"'
@@ -21,22 +21,22 @@ IMU = (
 
 
 def write_tum(folder):
-    rows = np.column_stack([TIMES, PLACES, TURNS.as_quat()])
-    np.savetxt(folder / "way.txt", rows, header="t x y z qx qy qz qw")
-    return 'file = "way.txt"\nform = "tum"'
+    rows = np.column_stack([TIMES, LOCATIONS, ROTATIONS.as_quat()])
+    np.savetxt(folder / "trajectory.txt", rows, header="t x y z qx qy qz qw")
+    return 'file = "trajectory.txt"\nform = "tum"'
 
 
 def write_csv(folder):
-    names = "stamp_ms,east,y,z,qw,qx,qy,qz"
-    rows = np.column_stack([TIMES * 1000, PLACES, TURNS.as_quat()[:, [3, 0, 1, 2]]])
-    np.savetxt(folder / "way.csv", rows, header=names, comments="", delimiter=",")
-    return 'file = "way.csv"\nform = "csv"\ncolumns = { x = "east" }'
+    names = "timestamp_ms,east,y,z,qw,qx,qy,qz"
+    rows = np.column_stack([TIMES * 1000, LOCATIONS, ROTATIONS.as_quat()[:, [3, 0, 1, 2]]])
+    np.savetxt(folder / "trajectory.csv", rows, header=names, comments="", delimiter=",")
+    return 'file = "trajectory.csv"\nform = "csv"\ncolumns = { x = "east" }'
 
 
 def write_kitti(folder):
-    np.savetxt(folder / "way.txt", WORLD_FROM_FRAME[:, :3].reshape(3, 12))
+    np.savetxt(folder / "trajectory.txt", WORLD_FROM_FRAME[:, :3].reshape(3, 12))
     np.savetxt(folder / "times.txt", TIMES)
-    return 'file = "way.txt"\nform = "kitti"\ntimes = "times.txt"'
+    return 'file = "trajectory.txt"\nform = "kitti"\ntimes = "times.txt"'
 
 
 def matrices(trajectory):
@@ -47,9 +47,9 @@ def matrices(trajectory):
 
 
 @pytest.mark.parametrize("write", [write_tum, write_csv, write_kitti])
-def test_every_form_of_another_frame_gives_the_way_of_the_ego(opened, folder, write):
-    said = write(folder)
-    scene = opened((TUM, f'{said}\nframe = "imu"\nname = "slam"'), ('[[sensors]]\nid = "top"', IMU))
+def test_every_form_of_another_frame_gives_the_ego_trajectory(opened, folder, write):
+    stated = write(folder)
+    scene = opened((TUM, f'{stated}\nframe = "imu"\nname = "slam"'), ('[[sensors]]\nid = "top"', IMU))
     found = scene.trajectories["slam"]
     assert found.timestamps_ns.tolist() == [0, 500_000_000, 1_000_000_000]
     expected = WORLD_FROM_FRAME @ np.linalg.inv(BASE_FROM_IMU)
@@ -57,27 +57,27 @@ def test_every_form_of_another_frame_gives_the_way_of_the_ego(opened, folder, wr
     np.testing.assert_allclose(matrices(found), expected, atol=1e-12)
 
 
-def test_a_world_with_optical_axes_is_turned_so_that_z_is_up(opened, folder):
+def test_a_world_with_optical_axes_is_rotated_so_that_z_is_up(opened, folder):
     (folder / "poses.txt").write_text("1 1 2 3 0 0 0 1\n2 1 2 4 0 0 0 1\n")
     found = opened((TUM, f'{TUM}\nworld_axes = "optical"')).trajectories["pose"]
     assert found.positions.tolist() == [[3.0, -1.0, -2.0], [4.0, -1.0, -2.0]]
-    turned = Rotation.from_quat(found.quaternions_xyzw[0]).apply([0, 0, 1.0])
-    np.testing.assert_allclose(turned, [1, 0, 0], atol=1e-12)
+    rotated = Rotation.from_quat(found.quaternions_xyzw[0]).apply([0, 0, 1.0])
+    np.testing.assert_allclose(rotated, [1, 0, 0], atol=1e-12)
 
 
 def test_the_first_trajectory_is_the_default(opened):
     second = f'{TUM}\nname = "a"\n\n[[trajectories]]\n{TUM}\nname = "b"\ntime_offset_s = 0.5'
-    ways = opened((TUM, second)).trajectories
-    assert [*ways] == ["a", "b"]
-    assert (ways["b"].timestamps_ns - ways["a"].timestamps_ns).tolist() == [500_000_000] * 2
+    trajectories = opened((TUM, second)).trajectories
+    assert [*trajectories] == ["a", "b"]
+    assert (trajectories["b"].timestamps_ns - trajectories["a"].timestamps_ns).tolist() == [500_000_000] * 2
 
 
-def test_positions_alone_are_a_way_without_orientations(opened, folder):
-    (folder / "way.csv").write_text("time;x;y;z\n0;1;2;3\n1;2;2;3\n")
-    scene = opened((TUM, 'file = "way.csv"\nform = "csv"\nframe = "top"'))
+def test_positions_alone_are_a_trajectory_without_orientations(opened, folder):
+    (folder / "trajectory.csv").write_text("time;x;y;z\n0;1;2;3\n1;2;2;3\n")
+    scene = opened((TUM, 'file = "trajectory.csv"\nform = "csv"\nframe = "top"'))
     assert scene.trajectories["pose"].quaternions_xyzw is None
     assert scene.lidars[0].poses is None
-    assert {"lever-arm-ignored", "orientations-missing"} < {n.code for n in scene.notices}
+    assert {"lever-arm-ignored", "orientations-missing"} < {n.code for n in scene.warnings}
 
 
 def test_poses_out_of_order_are_sorted_and_repeated_ones_left_out(opened, folder):
@@ -85,7 +85,7 @@ def test_poses_out_of_order_are_sorted_and_repeated_ones_left_out(opened, folder
     (folder / "poses.txt").write_text("\n".join([lines[2], lines[1], lines[1]]))
     scene = opened()
     assert scene.trajectories["pose"].positions[:, 0].tolist() == [0.0, 10.0]
-    assert [n.code for n in scene.notices] == ["poses-sorted", "repeated-poses"]
+    assert [n.code for n in scene.warnings] == ["poses-sorted", "repeated-poses"]
 
 
 @pytest.mark.parametrize(
@@ -102,14 +102,14 @@ def test_poses_out_of_order_are_sorted_and_repeated_ones_left_out(opened, folder
         ("1532402927647951001 0 0 0 0 0 0 1\n", 'is `unit = "nanoseconds"` meant'),
     ],
 )
-def test_a_wrong_line_is_told_with_its_number(opened, folder, text, problem):
+def test_a_wrong_line_is_reported_with_its_number(opened, folder, text, problem):
     (folder / "poses.txt").write_text(text)
     with pytest.raises(DataError, match=problem):
         opened()
 
 
 @pytest.mark.parametrize(
-    ("said", "problem"),
+    ("stated", "problem"),
     [
         ('file = "poses.txt"\nform = "kitti"', "times: missing; a kitti file has no times"),
         ('file = "poses.txt"\nform = "csv"', None),
@@ -121,30 +121,32 @@ def test_a_wrong_line_is_told_with_its_number(opened, folder, text, problem):
         (f'{TUM}\nframe = "imu"', "no transforms lead from frame 'imu'"),
     ],
 )
-def test_what_is_said_wrongly_is_told(opened, said, problem):
+def test_what_is_stated_wrongly_is_reported(opened, stated, problem):
     if problem is None:  # the names stand in the comment above the first line
-        assert opened((TUM, said)).trajectories["pose"].positions.tolist() == [[0, 0, 0], [10, 0, 0]]
+        assert opened((TUM, stated)).trajectories["pose"].positions.tolist() == [[0, 0, 0], [10, 0, 0]]
         return
     with pytest.raises(DataError, match=problem):
-        opened((TUM, said))
+        opened((TUM, stated))
 
 
 def test_as_many_times_as_poses_are_needed(opened, folder):
-    said = write_kitti(folder)
+    stated = write_kitti(folder)
     (folder / "times.txt").write_text("1\n2\n")
     with pytest.raises(DataError, match="2 times for 3 poses"):
-        opened((TUM, said))
+        opened((TUM, stated))
 
 
-def test_a_matrix_that_is_no_rotation_is_told_with_its_line(opened, folder):
-    said = write_kitti(folder)
-    np.savetxt(folder / "way.txt", (WORLD_FROM_FRAME[:, :3] * [[[1.0]], [[1.1]], [[1.0]]]).reshape(3, 12))
+def test_a_matrix_that_is_no_rotation_is_reported_with_its_line(opened, folder):
+    stated = write_kitti(folder)
+    np.savetxt(
+        folder / "trajectory.txt", (WORLD_FROM_FRAME[:, :3] * [[[1.0]], [[1.1]], [[1.0]]]).reshape(3, 12)
+    )
     with pytest.raises(DataError, match=r"line 2: rotation off by 0.21"):
-        opened((TUM, said))
+        opened((TUM, stated))
 
 
 def test_quaternions_of_another_order_are_remarked(opened, folder):
     (folder / "poses.txt").write_text("1532402927.5 0 0 0 1 0 0 0\n1532402928.5 9 0 0 0.98 0.02 0 0.198\n")
-    (notice,) = opened().notices
-    assert notice.code == "ego-leaning"
-    assert "on its side or head in 2 of 2 poses; are the quaternions x y z w" in notice.message
+    (warning,) = opened().warnings
+    assert warning.code == "ego-leaning"
+    assert "on its side or head in 2 of 2 poses; are the quaternions x y z w" in warning.message

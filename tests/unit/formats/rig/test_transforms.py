@@ -9,9 +9,9 @@ from sceneloom.formats.ledger import Ledger
 from sceneloom.formats.rig.transforms import Edge, FrameTree, frame_from_optical, read_transform
 from sceneloom.geometry.rigid import RigidTransform
 
-TURN = Rotation.from_euler("ZYX", [30.0, -20.0, 10.0], degrees=True)
+ROTATION = Rotation.from_euler("ZYX", [30.0, -20.0, 10.0], degrees=True)
 SHIFT = np.array([1.0, -2.0, 3.0])
-MATRIX = np.vstack([np.column_stack([TURN.as_matrix(), SHIFT]), [0, 0, 0, 1]])
+MATRIX = np.vstack([np.column_stack([ROTATION.as_matrix(), SHIFT]), [0, 0, 0, 1]])
 
 
 def read(**record):
@@ -24,9 +24,9 @@ def read(**record):
 @pytest.mark.parametrize(
     "rotation",
     [
-        {"quaternion_xyzw": TURN.as_quat()},
-        {"quaternion_wxyz": np.roll(TURN.as_quat(), 1)},
-        {"rotation_matrix": TURN.as_matrix()},
+        {"quaternion_xyzw": ROTATION.as_quat()},
+        {"quaternion_wxyz": np.roll(ROTATION.as_quat(), 1)},
+        {"rotation_matrix": ROTATION.as_matrix()},
         # capital letters are SciPy's intrinsic rotations: Rz(yaw)·Ry(pitch)·Rx(roll)
         {"euler_deg": [10.0, -20.0, 30.0], "euler_order": "zyx"},
     ],
@@ -60,18 +60,20 @@ def test_what_is_no_transform_is_refused(record, problem):
         read(**record)
 
 
-def test_a_rotation_that_is_a_little_off_is_mended_with_a_notice():
+def test_a_rotation_that_is_a_little_off_is_repaired_with_a_warning():
     ledger = Ledger(lenient=False)
-    off = TURN.as_matrix() * 1.002
+    off = ROTATION.as_matrix() * 1.002
     found = read_transform({"rotation_matrix": off}, "here", ledger)
-    np.testing.assert_allclose(found.rotation, TURN.as_matrix(), atol=1e-12)
-    assert [(notice.code, notice.place) for notice in ledger.notices] == [("rotation-normalised", "here")]
+    np.testing.assert_allclose(found.rotation, ROTATION.as_matrix(), atol=1e-12)
+    assert [(warning.code, warning.location) for warning in ledger.warnings] == [
+        ("rotation-normalised", "here")
+    ]
 
 
 def edge(source, target, seed):
-    turn = Rotation.random(rng=np.random.default_rng(seed))
+    rotation = Rotation.random(rng=np.random.default_rng(seed))
     shift = np.random.default_rng(seed).normal(size=3)
-    return Edge(source, target, RigidTransform(turn.as_matrix(), shift), f"{source} to {target}")
+    return Edge(source, target, RigidTransform(rotation.as_matrix(), shift), f"{source} to {target}")
 
 
 def test_chains_go_through_inverses_in_any_order():
@@ -93,12 +95,13 @@ def test_a_loop_that_agrees_is_taken_and_one_that_contradicts_is_refused():
     )
     wrong = Edge("base", "b", closing, "transforms[2]")
     with pytest.raises(
-        CalibrationError, match=r"contradicts the way 'b' - 'base' - 'a' by .* m and .*°; is one of these"
+        CalibrationError,
+        match=r"contradicts the trajectory 'b' - 'base' - 'a' by .* m and .*°; is one of these",
     ):
         FrameTree("base", [one, two, wrong])
 
 
-def test_a_frame_without_connection_is_told_with_what_it_is_connected_to():
+def test_a_frame_without_connection_is_reported_with_what_it_is_connected_to():
     tree = FrameTree("base", [edge("a", "base", 1), edge("cam", "rig", 2)])
     with pytest.raises(
         CalibrationError, match="'cam' to the ego's frame 'base'; it is connected with 'rig', the ego's"
@@ -126,9 +129,9 @@ def test_a_transform_from_a_frame_to_itself_is_refused():
         (("x", "z", "-y"), (1, 0, 0), (0, 0, 1), (0, -1, 0)),
     ],
 )
-def test_axes_say_what_points_right_down_and_forward(axes, right, down, forward):
-    turned = frame_from_optical(axes).rotate(np.eye(3))
-    assert turned.tolist() == [list(right), list(down), list(forward)]
+def test_axes_state_what_points_right_down_and_forward(axes, right, down, forward):
+    rotated = frame_from_optical(axes).rotate(np.eye(3))
+    assert rotated.tolist() == [list(right), list(down), list(forward)]
 
 
 @pytest.mark.parametrize(
@@ -149,7 +152,7 @@ def test_both_directions_of_an_extrinsic_mean_the_same(opened):
         opened(('{ to = "top", ', "{ "))
 
 
-def test_all_transforms_at_fault_are_told_at_once(opened):
+def test_all_transforms_at_fault_are_reported_at_once(opened):
     with pytest.raises(DataError) as caught:
         opened(("[0.0, 0.0, 0.0, 1.0]", "[0.0, 0.0, 0.0, 9.0]"), ("[0.5, 0.0, -0.5]", "[1e7, 0.0, 0.0]"))
     assert "transforms[0]" in str(caught.value)
@@ -167,4 +170,4 @@ def test_all_transforms_at_fault_are_told_at_once(opened):
 )
 def test_angles_that_look_like_radians_are_remarked(opened, euler, remarked):
     scene = opened(("quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]", f'euler_deg = {euler}\neuler_order = "zyx"'))
-    assert [notice.code for notice in scene.notices] == ["angles-in-radians"] * remarked
+    assert [warning.code for warning in scene.warnings] == ["angles-in-radians"] * remarked

@@ -1,4 +1,4 @@
-"""Folders of Scale's lidar toolkit: clouds, pictures and poses that share the names of frames."""
+"""Folders of Scale's lidar toolkit: clouds, images and poses that share the names of frames."""
 
 import json
 import pickle
@@ -17,14 +17,14 @@ NEAR = 1e-9
 CAMERA = ([0.1, 0.5, 1.8], Rotation.from_euler("x", -90, degrees=True))
 
 
-def way(k):
+def trajectory(k):
     return [1.5 * k, 2.0, 0.1], Rotation.from_euler("ZYX", [10.0 * k, 1, 2], degrees=True)
 
 
-def put(path, place, turn):
+def put(path, location, rotation):
     path.parent.mkdir(parents=True, exist_ok=True)
-    x, y, z, w = turn.as_quat().tolist()
-    path.write_text(json.dumps({"heading": [w, x, y, z], "position": place}), "utf-8")
+    x, y, z, w = rotation.as_quat().tolist()
+    path.write_text(json.dumps({"heading": [w, x, y, z], "position": location}), "utf-8")
 
 
 def cloud(k):
@@ -45,7 +45,7 @@ def write_folder(folder, names=("1", "2", "10")):
         head = "".join(f"property float {axis}\n" for axis in "xyzi")
         head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(rows)}\n{head}end_header\n"
         (folder / "pointcloud" / f"{name}.ply").write_bytes(head.encode() + rows.tobytes())
-        put(folder / "poses" / f"{name}.json", *way(k))
+        put(folder / "poses" / f"{name}.json", *trajectory(k))
         Image.new("RGB", (64, 48), (60 * k, 0, 0)).save(front / f"{name}.jpg")
         (folder / "radar_points" / f"{name}.txt").write_text(
             f"1, 2, 3, 0, 3, 4, {k + 2}\n4, 5, 6, 0, 0, 0, 1\n\n"
@@ -62,23 +62,23 @@ def test_frames_are_in_the_order_of_their_numbers_and_keep_gaps(folder):
     scene = sceneloom.open(folder)
     assert scene.format == "scale-toolkit"
     assert scene.lidars[0].frames.timestamps_ns.tolist() == [0, 100_000_000, 900_000_000]
-    assert "nominal-times" in {notice.code for notice in scene.notices}
+    assert "nominal-times" in {warning.code for warning in scene.warnings}
     slow = sceneloom.open(folder, rate_hz=2.0)
     assert slow.lidars[0].frames.timestamps_ns.tolist() == [0, 500_000_000, 4_500_000_000]
 
 
 @pytest.mark.parametrize(
-    ("name", "stamp_ns"),
+    ("name", "timestamp_ns"),
     [
         ("1557539924123", 1_557_539_924_123_000_000),
         ("1557539924123456", 1_557_539_924_123_456_000),
         ("1557539924123456789", 1_557_539_924_123_456_789),
     ],
 )
-def test_long_names_are_times(tmp_path, name, stamp_ns):
+def test_long_names_are_times(tmp_path, name, timestamp_ns):
     scene = sceneloom.open(write_folder(tmp_path / "drive", (name,)))
-    assert scene.lidars[0].frames.timestamps_ns.tolist() == [stamp_ns]
-    assert "names-are-times" in {notice.code for notice in scene.notices}
+    assert scene.lidars[0].frames.timestamps_ns.tolist() == [timestamp_ns]
+    assert "names-are-times" in {warning.code for warning in scene.warnings}
 
 
 def test_points_are_in_the_frame_of_the_ego_and_poses_lead_into_the_world(folder):
@@ -89,20 +89,22 @@ def test_points_are_in_the_frame_of_the_ego_and_poses_lead_into_the_world(folder
     assert lidar.frames[2].points.intensities.tolist() == cloud(2)[:, 3].tolist()
     camera = scene.cameras[0]
     for k in range(3):
-        place, turn = way(k)
-        assert np.allclose(scene.trajectories["pose"].positions[k], place)
-        assert np.allclose(camera.poses.positions[k], np.array(place) + turn.apply(CAMERA[0]), atol=NEAR)
+        location, rotation = trajectory(k)
+        assert np.allclose(scene.trajectories["pose"].positions[k], location)
+        assert np.allclose(
+            camera.poses.positions[k], np.array(location) + rotation.apply(CAMERA[0]), atol=NEAR
+        )
         found = Rotation.from_quat(camera.poses.quaternions_xyzw[k])
-        assert (found.inv() * turn * CAMERA[1]).magnitude() < NEAR
+        assert (found.inv() * rotation * CAMERA[1]).magnitude() < NEAR
 
 
-def test_lenses_keep_what_is_not_used(folder):
+def test_camera_models_keep_what_is_not_used(folder):
     scene = sceneloom.open(folder)
     camera = scene.cameras[0]
     assert (camera.camera.model, camera.camera.fx, camera.camera.width) == ("pinhole", 60.0, 64)
     assert camera.extras["k1"] == 0.1
-    assert "lens-entries" in {notice.code for notice in scene.notices}
-    assert camera.pictures[1].rgb.shape == (48, 64, 3)
+    assert "camera-model-entries" in {warning.code for warning in scene.warnings}
+    assert camera.images[1].rgb.shape == (48, 64, 3)
 
 
 def test_radar_points_have_direction_and_speed(folder):
@@ -114,7 +116,7 @@ def test_radar_points_have_direction_and_speed(folder):
 
 def test_frames_go_to_other_processes(folder):
     scene = sceneloom.open(folder)
-    for frames in (scene.lidars[0].frames, scene.cameras[0].pictures, scene.sensor("radar").frames):
+    for frames in (scene.lidars[0].frames, scene.cameras[0].images, scene.sensor("radar").frames):
         assert pickle.loads(pickle.dumps(frames))[1].timestamp_ns == frames[1].timestamp_ns
 
 
@@ -146,14 +148,14 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_what_is_wrong_with_a_folder_is_told_with_its_place(folder, fault):
+def test_what_is_wrong_with_a_folder_is_reported_with_its_location(folder, fault):
     change, message = FAULTS[fault]
     change(folder)
     with pytest.raises(DataError, match=message):
         sceneloom.open(folder)
 
 
-def test_a_line_of_the_radar_that_is_none_is_told_by_its_number(folder):
+def test_a_line_of_the_radar_that_is_none_is_known_by_its_number(folder):
     (folder / "radar_points" / "1.txt").write_text("1, 2, 3, 0, 3, 4, 2\n1, 2\n")
     with pytest.raises(DataError, match=r"1.txt: line 2: '1, 2'; expected"):
         sceneloom.open(folder).sensor("radar").frames[0]
@@ -165,7 +167,7 @@ def test_poses_and_cameras_at_fault_are_left_out_and_counted_by_a_lenient_readin
     scene = sceneloom.open(folder, lenient=True)
     assert len(scene.trajectories["pose"].timestamps_ns) == 2
     assert scene.cameras == ()
-    assert {"poses", "cameras"} <= {notice.code for notice in scene.notices}
+    assert {"poses", "cameras"} <= {warning.code for warning in scene.warnings}
 
 
 def test_a_rate_of_nothing_is_refused(folder):

@@ -1,4 +1,4 @@
-"""Annotations of every type: what becomes of their fields, and where faults are said to be."""
+"""Annotations of every type: what becomes of their fields, and where faults are stated to be."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ from sceneloom.scene import (
     ObjectAnnotation,
     PointPath,
     PointsAnnotation,
-    PosePath,
+    Poses,
     Projection,
     Scene,
     ShapeAnnotation,
@@ -33,7 +33,7 @@ from sceneloom.scene import (
 
 ROW = [4.0, 2.0, 1.5, 1.0, 2.0, 3.0, 0.0, 0.0, 270.0]
 POSE = [1.0, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8]
-LENS = {"fx": 10.0, "fy": 11.0, "cx": 3.0, "cy": 2.0, "width": 8, "height": 6}
+CAMERA_MODEL = {"fx": 10.0, "fy": 11.0, "cx": 3.0, "cy": 2.0, "width": 8, "height": 6}
 ATTRIBUTE = {"name": "speed", "timestamps": [1, 2], "values": [1.5, "fast"]}
 
 
@@ -60,7 +60,7 @@ def path_of(*values, **fields):
     return {"timestamps": list(range(1, len(values) + 1)), "values": list(values), **fields}
 
 
-def test_boxes_in_pictures(read_one):
+def test_boxes_in_images(read_one):
     box = read_one(
         "box_2d", sensor_id=7, path=path_of([1, 2, 3, 4.5], smooth=1), stationary=True, label="car"
     )
@@ -73,7 +73,7 @@ def test_boxes_in_pictures(read_one):
 
 
 @pytest.mark.parametrize("kind", ["polyline_2d", "polygon_2d", "point_2d"])
-def test_shapes_in_pictures_have_pairs(read_one, kind):
+def test_shapes_in_images_have_pairs(read_one, kind):
     shape = read_one(kind, sensor_id="front", path=path_of([1, 2, 3, 4, 5, 6], []))
     assert isinstance(shape, ShapeAnnotation)
     assert (shape.type, shape.sensor_id) == (ShapeType(kind), "front")
@@ -94,10 +94,10 @@ def test_shapes_in_space_have_triples(read_one, kind):
         ([[1, 2, 3, 4, 5, 6], [1, 2]], [[[1, 2, 0], [3, 4, 0], [5, 6, 0]], [[1, 2, 0]]]),
     ],
 )
-def test_pairs_in_space_lie_at_height_zero_with_a_notice(read, rows, expected):
+def test_pairs_in_space_lie_at_height_zero_with_a_warning(read, rows, expected):
     scene = read({"id": 1, "type": "polygon", "path": path_of(*rows)})
     assert [vertices.tolist() for vertices in scene.annotations[0].path.vertices] == expected
-    assert [(n.code, n.place) for n in scene.notices] == [("no-height", "annotations[0].path.values")]
+    assert [(n.code, n.location) for n in scene.warnings] == [("no-height", "annotations[0].path.values")]
 
 
 def test_whether_a_line_is_closed_is_known_of_lines_only(read_one):
@@ -141,10 +141,10 @@ def test_one_path_of_points_may_stand_without_a_list_and_hold_several(read):
     assert scene.annotations[0].labels == ("a", "b")
 
 
-def test_keypoints_of_pairs_lie_at_height_zero_with_a_notice(read):
+def test_keypoints_of_pairs_lie_at_height_zero_with_a_warning(read):
     scene = read({"id": 1, "type": "points", "paths": [path_of([1, 2], [3, 4])]})
     assert scene.annotations[0].paths[0].values.tolist() == [[1, 2, 0], [3, 4, 0]]
-    assert [(n.code, n.place) for n in scene.notices] == [("no-height", "annotations[0].paths[0].values")]
+    assert [(n.code, n.location) for n in scene.warnings] == [("no-height", "annotations[0].paths[0].values")]
 
 
 def test_events(read_one):
@@ -180,26 +180,30 @@ def test_adjustments(read_one):
 
 
 def test_a_single_pose_of_a_correction_holds_at_all_times(read_one):
-    assert read_one("localization_adjustment", poses=path_of(POSE)).poses.endless
-    assert read_one("camera_calibration", sensor_id="c", poses=path_of(POSE)).poses.endless
+    assert read_one("localization_adjustment", poses=path_of(POSE)).poses.static
+    assert read_one("camera_calibration", sensor_id="c", poses=path_of(POSE)).poses.static
 
 
 def test_the_time_of_a_correction_without_end_does_not_move_the_clock(target):
     late = 1_700_000_000 * 10**9
-    always = LocalizationAdjustment("a", PosePath.identity())
+    always = LocalizationAdjustment("a", Poses.identity())
     write_scene(Scene((), (always, EventAnnotation("e", late))), target)
     scene = FORMAT.open(target)
     assert scene.time_offset_ns == late
-    assert scene.annotations[0].poses.endless
+    assert scene.annotations[0].poses.static
 
 
 def test_calibrations(read_one):
-    lens = {**LENS, "distortion": {"model": "fisheye", "params": [0.1, 0.2, 0.3, 0.4], "fit": 1}, "skew": 0}
+    camera_model = {
+        **CAMERA_MODEL,
+        "distortion": {"model": "fisheye", "params": [0.1, 0.2, 0.3, 0.4], "fit": 1},
+        "skew": 0,
+    }
     calibration = read_one(
         "camera_calibration",
         sensor_id="front",
         poses=path_of(POSE, POSE, x=1),
-        intrinsics=lens,
+        intrinsics=camera_model,
         time_offset=-4,
     )
     assert isinstance(calibration, CameraCalibration)
@@ -215,18 +219,18 @@ def test_calibrations(read_one):
     assert (bare.poses, bare.intrinsics, bare.time_offset_ns) == (None, None, None)
 
 
-def test_the_lens_of_a_calibration_is_written_with_all_numbers_of_its_model(target):
-    lens = Camera("brown_conrady", 8, 6, 10.0, 11.0, 3.0, 2.0, (0.1, 0.2, 0.3, 0.4, 0.5))
-    losses = write_scene(Scene((), (CameraCalibration("c", "front", intrinsics=lens),)), target)
+def test_the_camera_model_of_a_calibration_is_written_with_all_numbers_of_its_model(target):
+    camera_model = Camera("brown_conrady", 8, 6, 10.0, 11.0, 3.0, 2.0, (0.1, 0.2, 0.3, 0.4, 0.5))
+    losses = write_scene(Scene((), (CameraCalibration("c", "front", intrinsics=camera_model),)), target)
     scene = FORMAT.open(target)
     assert scene.annotations[0].intrinsics.coefficients == (0.1, 0.2, 0.3, 0.4, 0.5, 0, 0, 0, 0, 0)
-    assert (losses.losses, scene.notices) == ((), ())
+    assert (losses.losses, scene.warnings) == ((), ())
 
 
-def test_a_lens_of_a_calibration_that_the_format_cannot_say_is_told_as_the_nearest_one(target):
+def test_a_camera_model_of_a_calibration_that_the_format_cannot_state_is_reported_as_the_nearest_one(target):
     prism = (0.01, 0.002, 0, 0, 0, 0, 0, 0, 0, 0, 0.001, 0, 0, 0)
-    lens = Camera("brown_conrady", 640, 480, 400.0, 400.0, 319.5, 239.5, prism)
-    report = write_scene(Scene((), (CameraCalibration("c", "front", intrinsics=lens),)), target)
+    camera_model = Camera("brown_conrady", 640, 480, 400.0, 400.0, 319.5, 239.5, prism)
+    report = write_scene(Scene((), (CameraCalibration("c", "front", intrinsics=camera_model),)), target)
     assert [loss.field for loss in report.losses] == ["annotations[c].intrinsics.distortion"]
     assert "px" in report.losses[0].what
     nearest = FORMAT.open(target).annotations[0].intrinsics
@@ -240,10 +244,10 @@ def test_objects_groups_and_links(read):
         {"id": 2, "type": "group", "label": "g"},
         {"id": 3, "type": "link", "from_id": 1, "to_id": "1", "is_bidirectional": True, "sensor_id": 5},
     )
-    thing, said, group, link = scene.annotations
+    thing, stated, group, link = scene.annotations
     assert isinstance(thing, ObjectAnnotation)
     assert (thing.type, thing.label, thing.extras) == ("object", "x", {"start_of": 1})
-    assert (said.type, said.parent_id, said.attributes[0].name) == ("attributes", "o", "speed")
+    assert (stated.type, stated.parent_id, stated.attributes[0].name) == ("attributes", "o", "speed")
     assert isinstance(group, GroupAnnotation)
     assert isinstance(link, LinkAnnotation)
     assert (link.from_id, link.to_id, link.is_bidirectional, link.sensor_id) == (1, "1", True, 5)
@@ -268,7 +272,9 @@ def test_attributes_hold_text_numbers_and_lists_of_text(open_header, make):
 
 @pytest.mark.parametrize("unknown", [{}, {"unit": "m/s"}])
 @pytest.mark.parametrize("values", [[], [1.5], [1.5, "fast", "faster"]])
-def test_an_attribute_with_more_or_fewer_values_than_stamps_is_kept_as_found(read, target, values, unknown):
+def test_an_attribute_with_more_or_fewer_values_than_timestamps_is_kept_as_found(
+    read, target, values, unknown
+):
     record = {**CUBOID, "id": 1, "attributes": [{**ATTRIBUTE, **unknown, "values": values}]}
     scene = read(record)
     write_scene(scene, target)
@@ -278,7 +284,7 @@ def test_an_attribute_with_more_or_fewer_values_than_stamps_is_kept_as_found(rea
         assert attribute.values == tuple(values)
 
 
-def test_a_static_attribute_may_have_one_stamp_for_all(open_header, make):
+def test_a_static_attribute_may_have_one_timestamp_for_all(open_header, make):
     raw = {"name": "n", "static": True, "timestamps": [0], "values": ["a", "b"]}
     (attribute,) = open_header(make.scene(attributes=[raw])).attributes
     assert attribute.values == ("a", "b")
@@ -300,10 +306,10 @@ USUAL = {"id": "c", "type": "cuboid", "path": path_of(ROW, ROW), "attributes": [
         {},
     ],
 )
-def test_a_cuboid_is_the_same_whichever_way_it_is_read(read, unusual):
+def test_a_cuboid_is_the_same_whichever_trajectory_it_is_read(read, unusual):
     first, cuboid = read({**USUAL, "id": "first"}, {**USUAL, **unusual}).annotations
-    stamps = [2500, 3000] if unusual.get("path", {}).get("timestamps", [1])[0] == 1.5 else [2000, 3000]
-    for found, expected in ((first, [2000, 3000]), (cuboid, stamps)):
+    timestamps = [2500, 3000] if unusual.get("path", {}).get("timestamps", [1])[0] == 1.5 else [2000, 3000]
+    for found, expected in ((first, [2000, 3000]), (cuboid, timestamps)):
         assert isinstance(found, CuboidAnnotation)
         assert found.path.timestamps_ns.tolist() == expected
         assert found.path.timestamps_ns.dtype == np.int64
@@ -339,7 +345,7 @@ SEEN = {"sensor_id": "c", "timestamps": [1, 2]}
 
 
 @pytest.mark.parametrize(
-    ("annotation", "place", "problem"),
+    ("annotation", "location", "problem"),
     [
         ({**CUBOID, "path": path_of(ROW, ROW[:8])}, "path.values[1]", "8 numbers; expected 9 numbers"),
         ({**CUBOID, "path": path_of(ROW, None)}, "path.values[1]", "None; expected 9 numbers"),
@@ -406,7 +412,7 @@ SEEN = {"sensor_id": "c", "timestamps": [1, 2]}
             "a quaternion of norm 0; expected 1",
         ),
         (
-            {"type": "camera_calibration", "sensor_id": 1, "intrinsics": {**LENS, "fx": -1}},
+            {"type": "camera_calibration", "sensor_id": 1, "intrinsics": {**CAMERA_MODEL, "fx": -1}},
             "intrinsics",
             "focal lengths -1.0",
         ),
@@ -417,11 +423,11 @@ SEEN = {"sensor_id": "c", "timestamps": [1, 2]}
         ),
     ],
 )
-def test_a_fault_is_named_with_its_place(read, annotation, place, problem):
+def test_a_fault_is_named_with_its_location(read, annotation, location, problem):
     sound = {"id": "sound", "type": "object"}
     with pytest.raises(DataError) as caught:
         read(sound, {"id": "a", **annotation})
-    assert caught.value.place == f"annotations[1].{place}"
+    assert caught.value.location == f"annotations[1].{location}"
     assert problem in caught.value.problem
 
 
@@ -432,7 +438,7 @@ def test_lenient_reading_leaves_out_only_the_annotation_at_fault(read):
 
 
 @pytest.mark.parametrize(
-    ("annotation", "place"),
+    ("annotation", "location"),
     [
         (
             Box2DAnnotation("a", "c", BoxPath(np.zeros(1, np.int64), np.full((1, 4), np.inf))),
@@ -458,13 +464,13 @@ def test_lenient_reading_leaves_out_only_the_annotation_at_fault(read):
         ),
     ],
 )
-def test_numbers_that_json_cannot_say_are_refused_with_their_place(target, annotation, place):
+def test_numbers_that_json_cannot_state_are_refused_with_their_location(target, annotation, location):
     with pytest.raises(OptionError) as caught, SceneWriter(target) as writer:
         writer.add_annotation(annotation)
-    assert f"annotations[a].{place}: " in str(caught.value)
+    assert f"annotations[a].{location}: " in str(caught.value)
 
 
-def test_many_notices_take_no_longer_each(read):
+def test_many_warnings_take_no_longer_each(read):
     """Each is compared with those before it by its hash: 3,000 in a list took seconds."""
     flat = [{"id": k, "type": "point", "path": path_of([1, 2])} for k in range(3000)]
-    assert len(read(*flat).notices) == 3000
+    assert len(read(*flat).warnings) == 3000

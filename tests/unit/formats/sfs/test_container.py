@@ -1,4 +1,4 @@
-"""The container: what is read, where arrays land, and what is refused with its place."""
+"""The container: what is read, where arrays land, and what is refused with its location."""
 
 import json
 
@@ -135,27 +135,27 @@ def test_not_a_number_in_the_header_is_read_as_python_writes_it(opened):
 )
 def test_a_faulty_item_is_refused_with_its_number(opened, fields, problem):
     error = refused(opened, {"a": ARRAY, "text": "words", "list": [""]}, **fields)
-    assert error.place.startswith("$items[0]")
+    assert error.location.startswith("$items[0]")
     assert problem in error.problem
 
 
-def test_the_place_of_an_item_names_its_path(opened):
+def test_the_position_of_an_item_names_its_path(opened):
     error = refused(opened, {"a": [{"b": ARRAY}]}, dtype="complex")
-    assert error.place == "$items[0] (a[0].b)"
+    assert error.location == "$items[0] (a[0].b)"
 
 
 def test_items_that_overlap_are_refused(opened):
     error = refused(opened, {"a": ARRAY, "b": ARRAY}, offset=4)
-    assert error.place == "$items[1] (b)"
+    assert error.location == "$items[1] (b)"
     assert "inside item 0" in error.problem
 
 
-def test_two_items_for_one_place_are_refused(opened):
+def test_two_items_for_one_location_are_refused(opened):
     error = refused(opened, {"a": ARRAY, "b": ARRAY}, keys=["a"])
     assert "taken already" in error.problem
 
 
-def test_all_faulty_items_are_collected_and_leave_nothing_in_their_places(tmp_path, encode_sfs):
+def test_all_faulty_items_are_collected_and_leave_nothing_in_their_locations(tmp_path, encode_sfs):
     path = tmp_path / "scene.sfs"
     content = encode_sfs({"a": [{"b": ARRAY}], "c": ARRAY, "d": ARRAY, "e": ARRAY})
     content = content.replace(b'"offset": 60', b'"offset": 40').replace(
@@ -166,7 +166,7 @@ def test_all_faulty_items_are_collected_and_leave_nothing_in_their_places(tmp_pa
     header = Container(path, faults=faults).header
     assert [(fault.number, fault.path) for fault in faults] == [(2, "d"), (3, "e")]
     assert faults[0].problem.startswith("starts at byte 40, inside item 1, which ends at 56")
-    assert faults[1].place == "$items[3] (e)"
+    assert faults[1].location == "$items[3] (e)"
     assert header["d"] is None
     assert header["e"] is None
     np.testing.assert_array_equal(header["a"][0]["b"], ARRAY)
@@ -202,7 +202,7 @@ def test_a_shape_of_a_million_axes_is_refused_at_once(opened):
     assert "1000000 axes" in error.problem
 
 
-def test_items_are_found_by_the_place_that_they_fill(opened):
+def test_items_are_found_by_the_location_that_they_fill(opened):
     container = opened({"a": [{"b": ARRAY}, {"b": ARRAY}], "c": ARRAY})
     assert container.item_number("a[1].b") == 1
     assert container.item_number("c") == 2
@@ -224,7 +224,7 @@ def test_an_item_at_fault_takes_no_array_from_another(tmp_path):
     assert container.item_number("a") == 0
 
 
-def test_an_item_for_a_taken_place_leaves_what_stands_there(tmp_path, encode_sfs):
+def test_an_item_for_a_taken_location_leaves_what_stands_there(tmp_path, encode_sfs):
     path = tmp_path / "scene.sfs"
     path.write_bytes(encode_sfs({"a": ARRAY, "text": "words"}, keys=["text"]))
     faults = []

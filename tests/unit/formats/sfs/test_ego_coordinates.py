@@ -14,7 +14,7 @@ from sceneloom.scene import (
     LidarSensor,
     OdometrySensor,
     PointsFrame,
-    PosePath,
+    Poses,
     Scene,
 )
 
@@ -24,12 +24,12 @@ def fuse(path, out):
         sceneloom.fuse(scene, output=out)
 
 
-STAMPS = np.array([1_000_000_000, 1_100_000_000], np.int64)
+TIMESTAMPS = np.array([1_000_000_000, 1_100_000_000], np.int64)
 FAR_M = 100.0
 
 
-def way(y):
-    return PosePath(STAMPS, np.array([[0.0, y, 0.0], [1.0, y, 0.0]]), np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)))
+def trajectory(y):
+    return Poses(TIMESTAMPS, np.array([[0.0, y, 0.0], [1.0, y, 0.0]]), np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)))
 
 
 @pytest.fixture
@@ -38,17 +38,17 @@ def drive(tmp_path):
 
     def make(odometries, parent_id=None):
         rows = np.random.default_rng(1).normal(0, 5, (50, 3)).astype(np.float32)
-        frames = [LidarFrame(int(t), LidarPoints(rows)) for t in STAMPS]
+        frames = [LidarFrame(int(t), LidarPoints(rows)) for t in TIMESTAMPS]
         lidar = LidarSensor(
             "top",
-            LazyFrames.of(frames, STAMPS.tolist()),
-            poses=PosePath.identity(),
+            LazyFrames.of(frames, TIMESTAMPS.tolist()),
+            poses=Poses.identity(),
             coordinates=Coordinates.EGO,
             points_frame=PointsFrame.EGO,
             parent_id=parent_id,
         )
-        ways = [OdometrySensor(f"odometry{k}", way(FAR_M * k)) for k in range(odometries)]
-        write_scene(Scene((lidar, *ways)), tmp_path / "drive.sfs")
+        trajectories = [OdometrySensor(f"odometry{k}", trajectory(FAR_M * k)) for k in range(odometries)]
+        write_scene(Scene((lidar, *trajectories)), tmp_path / "drive.sfs")
         return tmp_path / "drive.sfs"
 
     return make

@@ -33,7 +33,7 @@ def frame(**points):
     return {"timestamp": 0, "points": {"positions": np.ones((2, 3), np.float32), **points}}
 
 
-def test_a_sound_file_has_no_faults_and_tells_where_things_stand(examined, make):
+def test_a_sound_file_has_no_faults_and_reports_where_things_stand(examined, make):
     examination = examined(make.scene(make.lidar(), annotations=[{"id": 1, "type": "object"}]))
     assert examination.faults == ()
     assert examination.sensor_paths == ("sensors[0]",)
@@ -97,7 +97,7 @@ def test_counts_of_all_frames_are_compared(examined, make):
     ]
 
 
-def test_what_is_kept_knows_its_place_in_the_file(examined, make):
+def test_what_is_kept_knows_its_location_in_the_file(examined, make):
     header = make.scene(
         {"id": "x"},
         make.lidar(),
@@ -127,18 +127,18 @@ def test_of_two_with_one_id_the_first_is_kept(examined, make):
     assert examination.sensor_paths == ("sensors[0]", "sensors[2]", "sensors[3]")
 
 
-def test_quaternions_are_normalised_and_each_is_told(examined, make):
+def test_quaternions_are_normalised_and_each_is_reported(examined, make):
     rows = [POSE, [1, 0, 0, 0, 0, 1.5, 2], [2, 0, 0, 0, 0, 0, 1.009]]
     examination = examined(make.scene(make.lidar(poses={"timestamps": [0, 1, 2], "values": rows})))
     assert placed(examination) == [("sensors[0].poses.values[1]", "quaternion-norm")]
-    assert examination.faults[0].mended
+    assert examination.faults[0].repaired
     poses = examination.scene.sensors[0].poses
     assert poses.quaternions_xyzw.tolist() == [[0, 0, 0, 1], [0, 0, 0.6, 0.8], [0, 0, 0, 1.009]]
     assert poses.positions[1].tolist() == [1, 0, 0]
 
 
 @pytest.mark.parametrize("quaternion", [[0, 0, 0, 0], [0, 0, 1e-5, 0], [1e200, 1e200, 1e200, 1e200]])
-def test_quaternions_that_tell_no_direction_are_not_mended(examined, make, quaternion):
+def test_quaternions_that_report_no_direction_are_not_repaired(examined, make, quaternion):
     poses = {"timestamps": [0], "values": [[0, 0, 0, *quaternion]]}
     examination = examined(make.scene(make.lidar(poses=poses)))
     assert placed(examination) == [("sensors[0].poses.values[0]", "malformed")]
@@ -160,14 +160,14 @@ def test_poses_are_sorted_and_those_that_stand_there_twice_taken_once(examined, 
 def test_two_poses_of_one_time_that_differ_are_left_to_a_person(examined, make):
     rows = [POSE, POSE, [1, *POSE[1:]], POSE]
     examination = examined(make.scene(make.lidar(poses={"timestamps": [0, 7, 7, 9], "values": rows})))
-    assert [(fault.path, fault.mended) for fault in examination.faults] == [
+    assert [(fault.path, fault.repaired) for fault in examination.faults] == [
         ("sensors[0].poses.values[1]", False),
         ("sensors[0].poses.values[2]", False),
     ]
     assert examination.scene.sensors[0].poses.timestamps_ns.tolist() == [0, 9_000]
 
 
-def test_poses_that_are_no_numbers_are_told_one_by_one(tmp_path, make):
+def test_poses_that_are_no_numbers_are_reported_one_by_one(tmp_path, make):
     poses = {"timestamps": [0, 1, 2], "values": [POSE, [float("nan"), *POSE[1:]], [*POSE[:6], float("inf")]]}
     path = tmp_path / "scene.sfs"
     path.write_bytes(json.dumps(make.scene({"id": "ego", "type": "odometry", "poses": poses})).encode())
@@ -177,7 +177,7 @@ def test_poses_that_are_no_numbers_are_told_one_by_one(tmp_path, make):
     ]
 
 
-def test_arrays_at_fault_are_all_told_and_once(tmp_path, encode_sfs, make):
+def test_arrays_at_fault_are_all_reported_and_once(tmp_path, encode_sfs, make):
     content = encode_sfs(make.scene(make.lidar(), make.lidar(id="b"), make.lidar(id="c")))
     path = tmp_path / "cut.sfs"
     path.write_bytes(content[:-35])
@@ -202,14 +202,18 @@ def test_a_file_without_a_header_is_one_fault(tmp_path):
 
 
 def test_faults_of_our_metadata_leave_the_rest_of_it(examined, make):
-    ours = {"sensor_notes": [{"model": "x"}, {"id": "top", "model": "VLP-16"}], "notices": [{}], "sensors": 5}
+    ours = {
+        "sensor_notes": [{"model": "x"}, {"id": "top", "model": "VLP-16"}],
+        "warnings": [{}],
+        "sensors": 5,
+    }
     examination = examined(make.scene(make.lidar(), metadata={"sceneloom": ours, "mine": 1}))
     assert ("metadata.sceneloom.sensor_notes[0].id", "malformed") in placed(examination)
     assert examination.scene.sensors[0].model == "VLP-16"
     assert examination.scene.metadata["mine"] == 1
 
 
-def test_lenient_reading_keeps_what_was_brought_into_order_with_a_notice(tmp_path, encode_sfs, make):
+def test_lenient_reading_keeps_what_was_brought_into_order_with_a_warning(tmp_path, encode_sfs, make):
     path = tmp_path / "scene.sfs"
     poses = {"timestamps": [0], "values": [[0, 0, 0, 0, 0, 0, 2]]}
     path.write_bytes(encode_sfs(make.scene(make.lidar(poses=poses))))
@@ -217,4 +221,4 @@ def test_lenient_reading_keeps_what_was_brought_into_order_with_a_notice(tmp_pat
         FORMAT.open(path)
     with FORMAT.open(path, lenient=True) as scene:
         assert scene.sensors[0].poses.quaternions_xyzw.tolist() == [[0, 0, 0, 1]]
-        assert [notice.code for notice in scene.notices if notice.kind == "repaired"] == ["mended"]
+        assert [warning.code for warning in scene.warnings if warning.kind == "repaired"] == ["repaired"]

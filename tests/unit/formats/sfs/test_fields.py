@@ -1,4 +1,4 @@
-"""The table of fields: whole, consistent, and told on the page about the format."""
+"""The table of fields: whole, consistent, and reported on the page about the format."""
 
 import re
 from pathlib import Path
@@ -27,8 +27,8 @@ def test_every_field_and_type_stands_on_the_page_about_the_format():
     text = re.sub(r"^```.*?^```", "", PAGE.read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
     words = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`]+)`", text))))
     names = {field.name for _, field in FIELDS} | set(SENSOR_RECORDS) | set(ANNOTATION_RECORDS)
-    told_in_words = {"imu", "gnss", "type"}
-    assert names - words - told_in_words == set()
+    reported_in_words = {"imu", "gnss", "type"}
+    assert names - words - reported_in_words == set()
 
 
 SHARED = {"poses": "Poses", "attribute": "Attributes"}
@@ -73,18 +73,18 @@ def test_the_page_says_what_becomes_of_every_field(record):
     kind, name = record.split()
     own = {"lidar": "Lidar", "radar": "Radar", "points": "Points", "camera": "Camera", "odometry": "Odometry"}
     heading = own[name] if kind == "sensor" else name
-    told = tables[heading].union(*(tables[shared] for shared in EVERYWHERE[kind]))
+    reported = tables[heading].union(*(tables[shared] for shared in EVERYWHERE[kind]))
     not_here = NOT_BOTH.get(record, ())
     for path, shared in leaves(record):
         if path.startswith("projections") and path.rsplit(".", 1)[1] in not_here:
             continue
-        assert path in told or (shared is not None and shared in tables), path
+        assert path in reported or (shared is not None and shared in tables), path
 
 
 @pytest.mark.parametrize("record", ["scene", "poses", "attribute"])
 def test_the_page_says_what_becomes_of_shared_records(record):
-    told = tables_of_the_page()["Scene" if record == "scene" else SHARED[record]]
-    assert {field.name for field in RECORDS[record].values()} <= told
+    reported = tables_of_the_page()["Scene" if record == "scene" else SHARED[record]]
+    assert {field.name for field in RECORDS[record].values()} <= reported
 
 
 def test_every_annotation_of_the_description_is_in_the_table():

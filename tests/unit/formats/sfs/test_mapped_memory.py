@@ -10,7 +10,7 @@ from sceneloom.formats.sfs.mapped_file import LocalFile
 
 
 @pytest.mark.skipif(not hasattr(mmap, "MADV_DONTNEED"), reason="this system cannot let go of single pages")
-def test_pages_are_let_go_now_and_then_and_still_say_the_same(tmp_path, monkeypatch):
+def test_pages_are_let_go_now_and_then_and_still_state_the_same(tmp_path, monkeypatch):
     monkeypatch.setattr(mapped_file, "_MAPPED_AT_MOST", 1 << 20)
     path = tmp_path / "drive.sfs"
     path.write_bytes(np.arange(1 << 20, dtype=np.uint32).tobytes())

@@ -1,4 +1,4 @@
-"""Reading: from the words of a file to the model, and every fault with its place."""
+"""Reading: from the words of a file to the model, and every fault with its location."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ TWO = np.array([[1, 2, 3], [4, 5, 6]], np.float32)
 
 
 def codes(scene):
-    return [notice.code for notice in scene.notices]
+    return [warning.code for warning in scene.warnings]
 
 
 def refused(open_header, header, **options):
@@ -77,7 +77,9 @@ def test_point_times_beyond_64_bits_are_refused_when_read(open_header, make):
 
 
 def test_times_that_are_whole_floats_or_fractions_are_exact(open_header, make):
-    lidar = make.lidar(frames=[{"timestamp": stamp, "points": {"positions": TWO}} for stamp in (2.0, 2.5)])
+    lidar = make.lidar(
+        frames=[{"timestamp": timestamp, "points": {"positions": TWO}} for timestamp in (2.0, 2.5)]
+    )
     assert open_header(make.scene(lidar)).sensors[0].frames.timestamps_ns.tolist() == [2000, 2500]
 
 
@@ -171,7 +173,7 @@ def test_arrays_outlive_the_scene(open_header, make):
     ("coordinates", "option", "expected"),
     [(None, None, "world"), ("world", None, "world"), ("ego", None, "ego"), ("ego", "sensor", "sensor")],
 )
-def test_points_are_in_the_frame_that_coordinates_name_unless_told(
+def test_points_are_in_the_frame_that_coordinates_name_unless_reported(
     open_header, make, coordinates, option, expected
 ):
     scene = open_header(make.scene(make.lidar(coordinates=coordinates)), points_frame=option)
@@ -187,21 +189,21 @@ def test_poses_become_a_path(open_header, make):
         assert poses.timestamps_ns.tolist() == [1000, 101_000]
         assert poses.positions.tolist() == [[0, 0, 0], [1.5, 0, 0]]
         assert poses.quaternions_xyzw.tolist()[1] == [0, 0, 0.6, 0.8]
-        assert not poses.endless
+        assert not poses.static
 
 
 def test_a_single_pose_holds_for_ever_on_the_ego_and_for_sensors_with_several_frames(open_header, make):
-    assert open_header(make.scene(make.lidar(coordinates="ego"))).sensors[0].poses.endless
-    assert not open_header(make.scene(make.lidar())).sensors[0].poses.endless
+    assert open_header(make.scene(make.lidar(coordinates="ego"))).sensors[0].poses.static
+    assert not open_header(make.scene(make.lidar())).sensors[0].poses.static
     frame = {"points": {"positions": TWO}}
-    standing = open_header(
+    stationary = open_header(
         make.scene(make.lidar(frames=[{"timestamp": 0, **frame}, {"timestamp": 9, **frame}]))
     )
-    assert standing.sensors[0].poses.endless
-    assert "single-pose" in codes(standing)
+    assert stationary.sensors[0].poses.static
+    assert "single-pose" in codes(stationary)
 
 
-def test_a_sensor_without_poses_opens_with_a_notice(open_header, make):
+def test_a_sensor_without_poses_opens_with_a_warning(open_header, make):
     scene = open_header(make.scene(make.lidar(poses=None)))
     assert scene.sensors[0].poses is None
     assert "no-poses" in codes(scene)
@@ -308,9 +310,9 @@ def test_how_angles_are_meant_is_recorded_and_asked_about(open_header, make):
     assumed = open_header(make.scene(annotations=[cuboid]))
     assert assumed.metadata["sceneloom"] == {"euler_unit": "degrees", "euler_order": "xyz"}
     assert {"euler-unit", "euler-order"} <= set(codes(assumed))
-    told = open_header(make.scene(annotations=[cuboid]), euler_unit="radians", euler_order="zyx")
-    assert told.metadata["sceneloom"] == {"euler_unit": "radians", "euler_order": "zyx"}
-    assert told.notices == ()
+    reported = open_header(make.scene(annotations=[cuboid]), euler_unit="radians", euler_order="zyx")
+    assert reported.metadata["sceneloom"] == {"euler_unit": "radians", "euler_order": "zyx"}
+    assert reported.warnings == ()
     assert open_header(make.scene()).metadata == {}
 
 
@@ -323,7 +325,7 @@ def test_options_that_cannot_be_followed_are_refused(open_header, make, option, 
         open_header(make.scene(), **{option: value})
 
 
-def test_options_of_none_are_not_said(open_header, make):
+def test_options_of_none_are_not_stated(open_header, make):
     assert open_header(make.scene(), points_frame=None, altitude=None).sensors == ()
 
 
@@ -346,7 +348,7 @@ def camera_header(**fields):
         ({"model": "from_the_future", "params": [9]}, "from_the_future", (9.0,)),
     ],
 )
-def test_lenses_of_every_model_open(open_header, make, distortion, model, coefficients):
+def test_camera_models_of_every_model_open(open_header, make, distortion, model, coefficients):
     scene = open_header(make.scene(camera_header(intrinsics={**INTRINSICS, "distortion": distortion})))
     camera = scene.cameras[0].camera
     assert (camera.model, camera.coefficients) == (model, coefficients)
@@ -360,7 +362,7 @@ def test_lenses_of_every_model_open(open_header, make, distortion, model, coeffi
     )
 
 
-def test_a_lens_without_a_projection_says_so_only_when_it_is_used(open_header, make):
+def test_a_camera_model_without_a_projection_says_so_only_when_it_is_used(open_header, make):
     from sceneloom.cameras import project
 
     intrinsics = {**INTRINSICS, "distortion": {"model": "from_the_future", "params": [9]}}
@@ -391,7 +393,7 @@ POINTS_U8 = {"positions": TWO, "intensities": np.zeros(3, np.uint8)}
 
 
 @pytest.mark.parametrize(
-    ("header", "place", "problem"),
+    ("header", "location", "problem"),
     [
         (lambda _: {"version": "2.0"}, "version", "'2.0'; expected 1.0* or 5.1*"),
         (lambda _: {"sensors": []}, "version", "None; expected"),
@@ -491,15 +493,15 @@ POINTS_U8 = {"positions": TWO, "intensities": np.zeros(3, np.uint8)}
         ),
     ],
 )
-def test_a_fault_is_refused_with_its_place(open_header, make, header, place, problem):
+def test_a_fault_is_refused_with_its_location(open_header, make, header, location, problem):
     error = refused(open_header, header(make))
-    assert error.place == place
+    assert error.location == location
     assert problem in error.problem
 
 
-def test_an_error_tells_the_places_of_further_faults(open_header, make):
+def test_an_error_reports_the_locations_of_further_faults(open_header, make):
     error = refused(open_header, make.scene(make.lidar(id=None, frames=None), version="9"))
-    assert error.place == "version"
+    assert error.location == "version"
     assert error.problem.endswith("; also at fault: sensors[0].id, sensors[0].frames")
 
 
@@ -508,14 +510,14 @@ def test_an_error_counts_the_faults_beyond_the_first_ones(open_header, make):
     assert error.problem.endswith("sensors[4].id and 2 more; `sceneloom validate FILE` lists all")
 
 
-def test_lenient_reading_leaves_faulty_parts_out_with_a_notice(open_header, make):
+def test_lenient_reading_leaves_faulty_parts_out_with_a_warning(open_header, make):
     header = make.scene(
         make.lidar(id=None), make.lidar(), annotations=[{"id": 1}, {"id": 2, "type": "group"}]
     )
     scene = open_header(header, lenient=True)
     assert [sensor.id for sensor in scene.sensors] == ["top"]
     assert [annotation.id for annotation in scene.annotations] == [2]
-    left_out = [notice.message for notice in scene.notices if notice.code == "at-fault"]
+    left_out = [warning.message for warning in scene.warnings if warning.code == "at-fault"]
     assert left_out[0].startswith("left out: sensors[0].id: missing")
     assert left_out[1].startswith("left out: annotations[0].type")
 

@@ -37,14 +37,14 @@ def big_scene(encode_sfs, *, frames=30, points=20_000):
     poses = {"timestamps": [0, 10**7], "values": [[0, 0, 0, 0, 0, 0, 1], [9, 0, 0, 0, 0, 0, 1]]}
     jpeg = np.frombuffer(simplejpeg.encode_jpeg(rng.integers(0, 256, (64, 96, 3), np.uint8), 95), np.uint8)
     images = [{"timestamp": 100_000 * k, "content": jpeg} for k in range(3)]
-    lens = {"fx": 60.0, "fy": 60.0, "cx": 48.0, "cy": 32.0, "width": 96, "height": 64}
+    camera_model = {"fx": 60.0, "fy": 60.0, "cx": 48.0, "cy": 32.0, "width": 96, "height": 64}
     labels = [{"sensor_id": "top", "sensor_frame": 1, "point_ids": np.array([3, 7], np.uint32)}]
     return encode_sfs(
         {
             "version": "1.0",
             "sensors": [
                 {"id": "top", "type": "lidar", "poses": poses, "frames": clouds},
-                {"id": "cam", "type": "camera", "poses": poses, "intrinsics": lens, "images": images},
+                {"id": "cam", "type": "camera", "poses": poses, "intrinsics": camera_model, "images": images},
                 {"id": "map", "type": "points", "points": {"positions": np.ones((5, 3), np.float32)}},
             ],
             "annotations": [{"id": "l", "type": "labeled_points", "label": "car", "labeled_points": labels}],
@@ -77,13 +77,13 @@ def test_the_arrays_of_a_frame_are_fetched_at_one_go(served, encode_sfs):
         assert len(served.asked) == before + 1
 
 
-def test_pictures_are_fetched_one_by_one(served, encode_sfs):
+def test_images_are_fetched_one_by_one(served, encode_sfs):
     served.files["drive.sfs"] = big_scene(encode_sfs)
     with sceneloom.open(served.url("drive.sfs")) as scene:
         before = len(served.asked)
-        picture = scene.cameras[0].pictures[1]
-        assert picture.rgb.shape == (64, 96, 3)
-        assert picture.encoded()[:2] == b"\xff\xd8"
+        image = scene.cameras[0].images[1]
+        assert image.rgb.shape == (64, 96, 3)
+        assert image.encoded()[:2] == b"\xff\xd8"
         assert len(served.asked) == before + 1
 
 
@@ -108,41 +108,39 @@ def test_other_back_ends_are_read_too(kind, encode_sfs, tmp_path):
         assert len(scene.lidars[0].frames[1].points.positions) == 10
 
 
-def video_scene(encode_sfs, *, pictures=40, side=128):
-    """A camera with a video of noise, which takes many bytes a picture."""
+def video_scene(encode_sfs, *, images=40, side=128):
+    """A camera with a video of noise, which takes many bytes an image."""
     rng = np.random.default_rng(4)
     target = io.BytesIO()
-    encode_to_mp4(
-        [rng.integers(0, 256, (side, side, 3), np.uint8) for _ in range(pictures)], target, fps=10.0
-    )
-    stamps = [100_000 * k for k in range(pictures)]
+    encode_to_mp4([rng.integers(0, 256, (side, side, 3), np.uint8) for _ in range(images)], target, fps=10.0)
+    timestamps = [100_000 * k for k in range(images)]
     content = np.frombuffer(target.getvalue(), np.uint8)
-    lens = {"fx": 60.0, "fy": 60.0, "cx": 48.0, "cy": 32.0, "width": side, "height": side}
-    video = {"timestamps": stamps, "content": content, "fps": 10}
-    camera = {"id": "cam", "type": "camera", "intrinsics": lens, "video": video}
+    camera_model = {"fx": 60.0, "fy": 60.0, "cx": 48.0, "cy": 32.0, "width": side, "height": side}
+    video = {"timestamps": timestamps, "content": content, "fps": 10}
+    camera = {"id": "cam", "type": "camera", "intrinsics": camera_model, "video": video}
     return encode_sfs({"version": "1.0", "sensors": [camera]})
 
 
 def test_a_drive_with_a_video_is_the_same_as_from_disk(served, encode_sfs, tmp_path):
-    served.files["drive.sfs"] = content = video_scene(encode_sfs, pictures=4)
+    served.files["drive.sfs"] = content = video_scene(encode_sfs, images=4)
     (tmp_path / "drive.sfs").write_bytes(content)
     with sceneloom.open(served.url("drive.sfs")) as scene, sceneloom.open(tmp_path / "drive.sfs") as local:
         assert scene.cameras[0].video.codec == local.cameras[0].video.codec
-        for picture, expected in zip(scene.cameras[0].pictures, local.cameras[0].pictures, strict=True):
-            np.testing.assert_array_equal(picture.rgb, expected.rgb)
+        for image, expected in zip(scene.cameras[0].images, local.cameras[0].images, strict=True):
+            np.testing.assert_array_equal(image.rgb, expected.rgb)
         sceneloom.write(scene, tmp_path / "copy.sfs")
         sceneloom.write(local, tmp_path / "copy_of_local.sfs")
     assert (tmp_path / "copy.sfs").read_bytes() == (tmp_path / "copy_of_local.sfs").read_bytes()
 
 
-def test_a_picture_of_a_video_costs_what_it_leans_on_and_not_the_video(served, encode_sfs, tmp_path):
-    served.files["drive.sfs"] = content = video_scene(encode_sfs, pictures=70, side=192)
+def test_an_image_of_a_video_costs_what_it_leans_on_and_not_the_video(served, encode_sfs, tmp_path):
+    served.files["drive.sfs"] = content = video_scene(encode_sfs, images=70, side=192)
     (tmp_path / "drive.sfs").write_bytes(content)
     with sceneloom.open(served.url("drive.sfs")) as scene, sceneloom.open(tmp_path / "drive.sfs") as local:
-        assert scene.cameras[0].pictures[0].rgb.shape == (192, 192, 3)
+        assert scene.cameras[0].images[0].rgb.shape == (192, 192, 3)
         assert served.bytes_sent < len(content) / 2
-        expected = local.cameras[0].pictures[65].rgb
-        np.testing.assert_array_equal(scene.cameras[0].pictures[65].rgb, expected)
+        expected = local.cameras[0].images[65].rgb
+        np.testing.assert_array_equal(scene.cameras[0].images[65].rgb, expected)
 
 
 def test_a_scene_behind_a_url_goes_to_other_processes(served, encode_sfs):
@@ -276,7 +274,7 @@ def test_neighbouring_ranges_are_joined():
     assert coalesced([(0, 50), (10, 20)]) == [(0, 50)]
 
 
-def test_pieces_of_a_content_are_those_of_its_bytes(served):
+def test_chunks_of_a_content_are_those_of_its_bytes(served):
     content = bytes(np.random.default_rng(2).integers(0, 256, 700_000, np.uint8))
     served.files["bytes"] = content
     file = RemoteFile.of(served.url("bytes"))
@@ -311,7 +309,7 @@ def test_pieces_of_a_content_are_those_of_its_bytes(served):
         ("a//b.sfs", False),
     ],
 )
-def test_urls_are_told_from_paths(text, expected):
+def test_urls_are_distinguished_from_paths(text, expected):
     assert is_url(text) is expected
 
 

@@ -26,8 +26,12 @@ SHAPES = (*FLAT_SHAPES, "polygon", "polygon_topdown", "polyline", "point", "poin
 ROW = [4.0, 2.0, 1.5, 1.0, 2.0, 3.0, 0.0, 0.0, 270.0]
 
 
-def frame(stamp, **points):
-    return {"timestamp": stamp, "points": {"positions": TWO + stamp, **points}, "quality": [1, None, "x"]}
+def frame(timestamp, **points):
+    return {
+        "timestamp": timestamp,
+        "points": {"positions": TWO + timestamp, **points},
+        "quality": [1, None, "x"],
+    }
 
 
 @pytest.fixture(scope="module")
@@ -218,7 +222,7 @@ def test_writing_twice_changes_nothing_more(open_header, tmp_path, header):
     write_scene(open_header(header), first)
     write_scene(FORMAT.open(first), second)
     assert first.read_bytes() == second.read_bytes()
-    assert FORMAT.open(first).notices == FORMAT.open(second).notices
+    assert FORMAT.open(first).warnings == FORMAT.open(second).warnings
 
 
 def test_times_are_equal_in_another_unit(open_header, tmp_path, header):
@@ -235,16 +239,16 @@ def test_times_are_equal_in_another_unit(open_header, tmp_path, header):
 
 @pytest.mark.parametrize("with_sensor", [True, False])
 def test_covariances_of_a_trajectory_come_back(target, with_sensor):
-    stamps = np.array([5_000, 105_000], np.int64)
+    timestamps = np.array([5_000, 105_000], np.int64)
     positions, quaternions = np.array([[0.0, 0, 0], [1, 2, 3]]), np.array([[0.0, 0, 0, 1], [0, 0, 0.6, 0.8]])
     covariances = np.arange(72.0).reshape(2, 6, 6) / 7
-    way = Trajectory("lidar", stamps, positions, quaternions, covariances=covariances)
-    sensors = (OdometrySensor("ego", way.poses),) if with_sensor else ()
-    write_scene(Scene(sensors, trajectories={"lidar": way}), target)
+    trajectory = Trajectory("lidar", timestamps, positions, quaternions, covariances=covariances)
+    sensors = (OdometrySensor("ego", trajectory.poses),) if with_sensor else ()
+    write_scene(Scene(sensors, trajectories={"lidar": trajectory}), target)
     read = FORMAT.open(target).trajectories["lidar"]
     np.testing.assert_array_equal(read.covariances, covariances)
     np.testing.assert_array_equal(read.positions, positions)
-    np.testing.assert_array_equal(read.timestamps_ns, stamps)
+    np.testing.assert_array_equal(read.timestamps_ns, timestamps)
 
 
 def test_the_profile_of_scale_keeps_aside_what_it_drops(open_header, target, decode_sfs, header):
@@ -284,7 +288,7 @@ def test_a_file_of_the_profile_of_scale_comes_back_whole(open_header, tmp_path, 
     assert found["attributes"] == expected["attributes"]
 
 
-def test_the_place_of_an_antenna_comes_back(tmp_path):
+def test_the_position_of_an_antenna_comes_back(tmp_path):
     mount = RigidTransform.from_quaternion(np.array([0.4, -0.1, 1.2]), np.array([0.0, 0.0, 0.6, 0.8]))
     times, ones = np.arange(3, dtype=np.int64), np.ones(3)
     sensor = GnssSensor("gnss", times, np.zeros((3, 3)), ones, ones, mount=mount)
@@ -297,6 +301,6 @@ def test_the_place_of_an_antenna_comes_back(tmp_path):
 @pytest.mark.parametrize("unit", ["microseconds", "nanoseconds"])
 def test_a_scene_at_the_earliest_times_of_64_bits_comes_back(target, unit):
     times_ns = INT64_MIN + np.array([808, 100_000_808], np.int64)
-    way = Trajectory("lidar", times_ns, np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
-    write_scene(Scene((), trajectories={"lidar": way}), target, time_unit=unit)
+    trajectory = Trajectory("lidar", times_ns, np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
+    write_scene(Scene((), trajectories={"lidar": trajectory}), target, time_unit=unit)
     np.testing.assert_array_equal(FORMAT.open(target).trajectories["lidar"].timestamps_ns, times_ns)

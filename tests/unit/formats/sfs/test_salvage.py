@@ -1,4 +1,4 @@
-"""Damaged scene files: what is whole comes back as a valid scene, what is not is told."""
+"""Damaged scene files: what is whole comes back as a valid scene, what is not is reported."""
 
 import json
 import pickle
@@ -18,7 +18,7 @@ from sceneloom.formats.sfs.salvaging import salvage
 from sceneloom.formats.sfs.spool import Spool
 
 POSES = {"timestamps": [0, 10**6], "values": [[0, 0, 0, 0, 0, 0, 1], [9, 0, 0, 0, 0, 0, 1]]}
-LENS = {"fx": 60.0, "fy": 60.0, "cx": 48.0, "cy": 32.0, "width": 96, "height": 64}
+CAMERA_MODEL = {"fx": 60.0, "fy": 60.0, "cx": 48.0, "cy": 32.0, "width": 96, "height": 64}
 
 
 def cloud(k, *, points=10):
@@ -34,7 +34,7 @@ def cloud(k, *, points=10):
 
 
 def drive(*, frames=5):
-    """A lidar, a camera with JPEG pictures, and annotations of which one counts frames."""
+    """A lidar, a camera with JPEG images, and annotations of which one counts frames."""
     jpeg = np.frombuffer(simplejpeg.encode_jpeg(np.zeros((64, 96, 3), np.uint8), 50), np.uint8)
     labels = [
         {"sensor_id": "top", "sensor_frame": k, "point_ids": np.array([k], np.uint32)} for k in range(frames)
@@ -52,7 +52,7 @@ def drive(*, frames=5):
                 "id": "cam",
                 "type": "camera",
                 "poses": POSES,
-                "intrinsics": LENS,
+                "intrinsics": CAMERA_MODEL,
                 "images": [{"timestamp": 100_000 * k, "content": jpeg} for k in range(3)],
             },
         ],
@@ -87,21 +87,21 @@ def test_a_whole_file_loses_nothing(salvaged, encode_sfs):
     report, scene = salvaged(encode_sfs(drive()))
     assert report.lost == ()
     assert [(s.id, s.kept, s.count) for s in report.sensors] == [("top", 5, 5), ("cam", 3, 3)]
-    assert "salvaged" not in [notice.code for notice in scene.notices]
+    assert "salvaged" not in [warning.code for warning in scene.warnings]
 
 
-def test_frames_behind_the_cut_are_left_out_and_told(salvaged, encode_sfs):
+def test_frames_behind_the_cut_are_left_out_and_reported(salvaged, encode_sfs):
     content = encode_sfs({name: v for name, v in drive().items() if name != "annotations"})
     report, scene = salvaged(cut_before(content, ["sensors", 0, "frames", 3, "points", "positions"]))
     assert [frame.points.positions[0, 0] for frame in scene.lidars[0].frames] == [0, 1, 2]
-    places = [part.place for part in report.lost]
-    assert places[:2] == ["sensors[0].frames[3]", "sensors[0].frames[4]"]
-    assert places[2:] == [f"sensors[1].images[{k}]" for k in range(3)]
+    locations = [part.location for part in report.lost]
+    assert locations[:2] == ["sensors[0].frames[3]", "sensors[0].frames[4]"]
+    assert locations[2:] == [f"sensors[1].images[{k}]" for k in range(3)]
     assert report.lost[0].bytes == 10 * (12 + 1 + 4)
     assert "the file has" in report.lost[0].problem
     assert [(s.id, s.kept, s.count) for s in report.sensors] == [("top", 3, 5), ("cam", 0, 3)]
     assert scene.lidars[0].poses is not None
-    assert [n.count for n in scene.notices if n.code == "salvaged"] == [5]
+    assert [n.count for n in scene.warnings if n.code == "salvaged"] == [5]
 
 
 def test_an_optional_array_that_is_lost_leaves_its_frame(salvaged, encode_sfs):
@@ -114,7 +114,7 @@ def test_an_optional_array_that_is_lost_leaves_its_frame(salvaged, encode_sfs):
     assert frames[4].points.intensities is None
     assert frames[4].points.timestamps_ns is None
     assert frames[3].points.intensities.tolist() == [3] * 10
-    assert [part.place for part in report.lost] == [
+    assert [part.location for part in report.lost] == [
         "sensors[0].frames[4].points.intensities",
         "sensors[0].frames[4].points.timestamps",
     ]
@@ -133,7 +133,7 @@ def test_labelled_points_follow_the_frames_that_stay(salvaged, encode_sfs):
     text = json.dumps({**header, "$items": items}).encode()
     damaged = text + content[stop:]
     report, scene = salvaged(damaged)
-    assert [part.place for part in report.lost] == ["sensors[0].frames[1]"]
+    assert [part.location for part in report.lost] == ["sensors[0].frames[1]"]
     labels = next(a for a in scene.annotations if a.id == "labels")
     found = [(part.sensor_frame, part.point_ids.tolist()) for part in labels.labeled_points]
     assert found == [(0, [0]), (1, [2]), (2, [3]), (3, [4])]
@@ -147,18 +147,18 @@ def test_a_label_whose_array_is_lost_leaves_the_others(salvaged, encode_sfs):
     report, scene = salvaged(cut)
     labels = next(a for a in scene.annotations if a.id == "labels")
     assert [part.sensor_frame for part in labels.labeled_points] == [0, 1, 2]
-    assert [part.place for part in report.lost] == [
+    assert [part.location for part in report.lost] == [
         "annotations[1].labeled_points[3]",
         "annotations[1].labeled_points[4]",
     ]
 
 
-def test_an_annotation_with_a_number_that_is_none_is_left_out_and_told(salvaged, encode_sfs):
+def test_an_annotation_with_a_number_that_is_none_is_left_out_and_reported(salvaged, encode_sfs):
     content = drive()
     bad = {"timestamps": [0], "values": np.array([[1.0, 1, 1, np.nan, 0, 0, 0, 0, 0]])}
     content["annotations"].insert(0, {"id": "nowhere", "type": "cuboid", "path": bad})
     report, scene = salvaged(encode_sfs(content))
-    assert [part.place for part in report.lost] == ["annotations[nowhere].path.values[0]"]
+    assert [part.location for part in report.lost] == ["annotations[nowhere].path.values[0]"]
     assert "expected finite numbers" in report.lost[0].problem
     assert [annotation.id for annotation in scene.annotations] == ["box", "labels"]
 
@@ -169,7 +169,7 @@ def test_a_header_that_was_cut_keeps_what_is_complete(salvaged, encode_sfs):
     report, scene = salvaged(cut)
     assert [a.id for a in scene.annotations] == ["box", "labels"]
     assert scene.sensors == ()
-    assert report.lost[0].place == "sensors[0]"
+    assert report.lost[0].location == "sensors[0]"
     assert "cut off or damaged here" in report.lost[0].problem
     assert report.annotations == 2
 
@@ -180,22 +180,24 @@ def test_arrays_are_found_behind_a_damaged_part_of_the_header(salvaged, encode_s
     report, scene = salvaged(damaged)
     assert [sensor.id for sensor in scene.sensors] == ["top"]
     assert [frame.points.positions[0, 0] for frame in scene.lidars[0].frames] == [0, 1, 2, 3, 4]
-    assert report.lost[0].place == "sensors[1]"
+    assert report.lost[0].location == "sensors[1]"
     assert "cut off or damaged here" in report.lost[0].problem
     assert sum("lead nowhere" in part.problem for part in report.lost) == 3
 
 
 def test_a_changed_number_costs_one_frame(salvaged, encode_sfs):
     content = encode_sfs({**drive(), "annotations": []})
-    place = content.index(b'"timestamp": 200000')
-    damaged = content[:place] + b'"timestamp": 2x0000'.replace(b"2x0000", b'"0000"') + content[place + 19 :]
+    location = content.index(b'"timestamp": 200000')
+    damaged = (
+        content[:location] + b'"timestamp": 2x0000'.replace(b"2x0000", b'"0000"') + content[location + 19 :]
+    )
     report, scene = salvaged(damaged)
-    assert [part.place for part in report.lost] == ["sensors[0].frames[2]"]
+    assert [part.location for part in report.lost] == ["sensors[0].frames[2]"]
     assert len(scene.lidars[0].frames) == 4
 
 
 @pytest.mark.parametrize("reserve", [640, 1 << 17])
-def test_the_draft_of_a_writer_that_was_stopped_is_told(tmp_path, reserve, monkeypatch):
+def test_the_draft_of_a_writer_that_was_stopped_is_reported(tmp_path, reserve, monkeypatch):
     monkeypatch.setattr("sceneloom.formats.sfs.spool._IN_MEMORY", 1000)
     with Spool(tmp_path / "draft.sfs", reserve=lambda: reserve) as spool:
         spool.add(np.ones(100_000, np.float32))
@@ -205,13 +207,13 @@ def test_the_draft_of_a_writer_that_was_stopped_is_told(tmp_path, reserve, monke
     assert not (tmp_path / "out.sfs").exists()
 
 
-def encoded(path, *, pictures, flags):
-    """H.264 with pictures that are stored in another order than they are shown in."""
+def encoded(path, *, images, flags):
+    """H.264 with images that are stored in another order than they are shown in."""
     rng = np.random.default_rng(5)
     movie = av.open(path, "w", format="mp4", options={"movflags": flags} if flags else {})
     stream = movie.add_stream("libx264", rate=10, options={"bf": "2", "g": "12"})
     stream.width, stream.height = 96, 64
-    for _ in range(pictures):
+    for _ in range(images):
         frame = av.VideoFrame.from_ndarray(rng.integers(0, 256, (64, 96, 3), np.uint8), format="rgb24")
         for packet in stream.encode(frame):
             movie.mux(packet)
@@ -223,49 +225,49 @@ def encoded(path, *, pictures, flags):
 
 def video_scene(encode_sfs, content, count):
     video = {"timestamps": [1000 * k**2 for k in range(count)], "content": content, "fps": 10}
-    camera = {"id": "cam", "type": "camera", "poses": POSES, "intrinsics": LENS, "video": video}
+    camera = {"id": "cam", "type": "camera", "poses": POSES, "intrinsics": CAMERA_MODEL, "video": video}
     return encode_sfs({"version": "1.0", "sensors": [camera]})
 
 
-def test_a_video_that_was_cut_keeps_its_whole_pictures_with_their_times(salvaged, encode_sfs, tmp_path):
-    content = video_scene(encode_sfs, encoded(tmp_path / "video.mp4", pictures=30, flags="faststart"), 30)
+def test_a_video_that_was_cut_keeps_its_whole_images_with_their_times(salvaged, encode_sfs, tmp_path):
+    content = video_scene(encode_sfs, encoded(tmp_path / "video.mp4", images=30, flags="faststart"), 30)
     (tmp_path / "original.sfs").write_bytes(content)
     report, scene = salvaged(content[: len(content) * 2 // 3])
-    original = sceneloom.open(tmp_path / "original.sfs").cameras[0].pictures
-    pictures = scene.cameras[0].pictures
-    assert 10 < len(pictures) < 30
+    original = sceneloom.open(tmp_path / "original.sfs").cameras[0].images
+    images = scene.cameras[0].images
+    assert 10 < len(images) < 30
     times = original.timestamps_ns.tolist()
-    for picture in pictures:
-        expected = original[times.index(picture.timestamp_ns)]
-        np.testing.assert_array_equal(picture.rgb, expected.rgb)
-    assert report.lost[0].place == "sensors[0].video.content"
-    assert f"{len(pictures)} of its 30 pictures" in report.lost[0].problem
+    for image in images:
+        expected = original[times.index(image.timestamp_ns)]
+        np.testing.assert_array_equal(image.rgb, expected.rgb)
+    assert report.lost[0].location == "sensors[0].video.content"
+    assert f"{len(images)} of its 30 images" in report.lost[0].problem
 
 
-def test_a_video_of_our_own_that_was_cut_keeps_its_whole_pictures(salvaged, encode_sfs, tmp_path):
-    content = video_scene(encode_sfs, encoded(tmp_path / "video.mp4", pictures=30, flags=""), 30)
+def test_a_video_of_our_own_that_was_cut_keeps_its_whole_images(salvaged, encode_sfs, tmp_path):
+    content = video_scene(encode_sfs, encoded(tmp_path / "video.mp4", images=30, flags=""), 30)
     (tmp_path / "original.sfs").write_bytes(content)
     with sceneloom.open(tmp_path / "original.sfs") as scene:
         # a part of a video is encoded anew
         sceneloom.write(sceneloom.crop_scene(scene, start=0.001), tmp_path / "ours.sfs")
     content = (tmp_path / "ours.sfs").read_bytes()
     report, scene = salvaged(content[: content.index(b"mdat") + (len(content) - content.index(b"mdat")) // 2])
-    ours = sceneloom.open(tmp_path / "ours.sfs").cameras[0].pictures
-    pictures = scene.cameras[0].pictures
-    assert 5 < len(pictures) < len(ours) == 29
+    ours = sceneloom.open(tmp_path / "ours.sfs").cameras[0].images
+    images = scene.cameras[0].images
+    assert 5 < len(images) < len(ours) == 29
     times = ours.timestamps_ns.tolist()
-    for picture in pictures:
-        np.testing.assert_array_equal(picture.rgb, ours[times.index(picture.timestamp_ns)].rgb)
-    assert f"{len(pictures)} of its 29 pictures" in report.lost[0].problem
+    for image in images:
+        np.testing.assert_array_equal(image.rgb, ours[times.index(image.timestamp_ns)].rgb)
+    assert f"{len(images)} of its 29 images" in report.lost[0].problem
 
 
 @pytest.mark.parametrize("inside", [True, False])
-def test_pictures_before_the_cut_of_a_video_are_read_leniently(encode_sfs, tmp_path, inside):
-    content = encoded(tmp_path / "video.mp4", pictures=30, flags="faststart")
+def test_images_before_the_cut_of_a_video_are_read_leniently(encode_sfs, tmp_path, inside):
+    content = encoded(tmp_path / "video.mp4", images=30, flags="faststart")
     path, fixed = tmp_path / "cut.sfs", tmp_path / "fixed.sfs"
     path.write_bytes(video_scene(encode_sfs, content, 30))
     with sceneloom.open(path) as scene:
-        expected = [picture.rgb for picture in scene.cameras[0].pictures]
+        expected = [image.rgb for image in scene.cameras[0].images]
     whole = path.read_bytes()
     cut = content[: len(content) * 2 // 3]
     path.write_bytes(video_scene(encode_sfs, cut, 30) if inside else whole[: len(whole) * 2 // 3])
@@ -273,36 +275,36 @@ def test_pictures_before_the_cut_of_a_video_are_read_leniently(encode_sfs, tmp_p
         sceneloom.convert(path, tmp_path / "copy.sfs")
     with sceneloom.open(path, lenient=True) as opened:
         scene = pickle.loads(pickle.dumps(opened))
-        pictures = scene.cameras[0].pictures
-        assert 10 < len(pictures) < 30
-        for picture in pictures:
-            number = round((picture.timestamp_ns / 1e6) ** 0.5)
-            np.testing.assert_array_equal(picture.rgb, expected[number])
-        (notice,) = [notice for notice in scene.notices if notice.code == "at-fault"]
-        assert f"{len(pictures)} of its 30 pictures are whole" in notice.message
+        images = scene.cameras[0].images
+        assert 10 < len(images) < 30
+        for image in images:
+            number = round((image.timestamp_ns / 1e6) ** 0.5)
+            np.testing.assert_array_equal(image.rgb, expected[number])
+        (warning,) = [warning for warning in scene.warnings if warning.code == "at-fault"]
+        assert f"{len(images)} of its 30 images are whole" in warning.message
     report = sceneloom.validate(path, fix=fixed)
     assert report.left_out[0].path.startswith("sensors[0].video.content")
     with sceneloom.open(fixed) as scene:
-        assert len(scene.cameras[0].pictures) == len(pictures)
+        assert len(scene.cameras[0].images) == len(images)
 
 
 @pytest.mark.parametrize("flags", ["", "frag_keyframe+empty_moov"])
 def test_a_video_whose_tables_are_lost_is_left_out_and_its_camera_stays(
     salvaged, encode_sfs, tmp_path, flags
 ):
-    content = video_scene(encode_sfs, encoded(tmp_path / "video.mp4", pictures=30, flags=flags), 30)
+    content = video_scene(encode_sfs, encoded(tmp_path / "video.mp4", images=30, flags=flags), 30)
     report, scene = salvaged(content[: len(content) * 2 // 3])
-    assert len(scene.cameras[0].pictures) == 0
+    assert len(scene.cameras[0].images) == 0
     assert scene.cameras[0].poses is not None
-    assert [part.place for part in report.lost] == ["sensors[0].video"]
+    assert [part.location for part in report.lost] == ["sensors[0].video"]
 
 
 def test_a_video_that_is_none_is_left_out_and_its_camera_stays(salvaged, encode_sfs):
     report, scene = salvaged(video_scene(encode_sfs, np.arange(99, dtype=np.uint8), 3))
-    assert len(scene.cameras[0].pictures) == 0
+    assert len(scene.cameras[0].images) == 0
     assert scene.cameras[0].poses is not None
-    ((place, problem),) = [(part.place, part.problem) for part in report.lost]
-    assert place.endswith(".video")
+    ((location, problem),) = [(part.location, part.problem) for part in report.lost]
+    assert location.endswith(".video")
     assert "cannot be read as video" in problem
 
 
@@ -332,9 +334,9 @@ def test_changed_bytes_anywhere_are_salvaged_or_refused(encode_sfs, tmp_path):
     rng = np.random.default_rng(7)
     swaps = b'0-9"[]{},:.eE\0\xff '
     source, target = tmp_path / "changed.sfs", tmp_path / "out.sfs"
-    for place in range(0, len(content), 29):
+    for location in range(0, len(content), 29):
         changed = bytearray(content)
-        changed[place] = swaps[int(rng.integers(len(swaps)))]
+        changed[location] = swaps[int(rng.integers(len(swaps)))]
         source.unlink(missing_ok=True)
         source.write_bytes(changed)
         try:
@@ -355,7 +357,7 @@ def test_the_damaged_file_is_never_written_over(encode_sfs, tmp_path):
         salvage(tmp_path / "absent.sfs", tmp_path / "out.sfs")
 
 
-def test_the_command_tells_what_is_kept_and_lost(encode_sfs, tmp_path):
+def test_the_command_reports_what_is_kept_and_lost(encode_sfs, tmp_path):
     path, target = tmp_path / "drive.sfs", tmp_path / "out.sfs"
     content = encode_sfs(drive())
     path.write_bytes(cut_before(content, ["sensors", 0, "frames", 3, "points", "positions"]))
@@ -395,9 +397,9 @@ def test_the_command_tells_what_is_kept_and_lost(encode_sfs, tmp_path):
     ],
 )
 def test_a_header_is_recovered_up_to_the_damage(text, header, lost):
-    found, told = recover_header(memoryview(text.encode("utf-8", "surrogateescape")), "file")
+    found, reported = recover_header(memoryview(text.encode("utf-8", "surrogateescape")), "file")
     assert found == header
-    assert [place for place, _, _ in told] == [lost]
+    assert [location for location, _, _ in reported] == [lost]
 
 
 def test_a_whole_header_is_not_touched():
@@ -452,23 +454,23 @@ def test_with_a_value_goes_what_cannot_be_without_it(lost, goes):
     assert what_goes(HEADER, parse_path(lost)) == (None if goes is None else parse_path(goes))
 
 
-def test_notes_about_pictures_go_with_their_video():
-    notes = [{"id": "c", "pictures": {"extras": [{}, {}, {}]}}, {"id": "d", "pictures": {"extras": [{}]}}]
+def test_notes_about_images_go_with_their_video():
+    notes = [{"id": "c", "images": {"extras": [{}, {}, {}]}}, {"id": "d", "images": {"extras": [{}]}}]
     header = {
         "sensors": [{"id": "c", "type": "camera", "video": {"timestamps": [1, 2, 3]}}],
         "metadata": {"sceneloom": {"sensor_notes": notes}},
     }
     take_out(header, [("sensors", 0, "video")])
     assert header["sensors"] == [{"id": "c", "type": "camera"}]
-    assert [note["pictures"]["extras"] for note in notes] == [[], [{}]]
+    assert [note["images"]["extras"] for note in notes] == [[], [{}]]
 
 
-def test_notes_about_pictures_follow_those_that_stay():
-    notes = [{"id": "c", "pictures": {"camera_of_picture": [0, 1, 2], "mounts": [5], "extras": [{}, {}, {}]}}]
+def test_notes_about_images_follow_those_that_stay():
+    notes = [{"id": "c", "images": {"camera_of_image": [0, 1, 2], "mounts": [5], "extras": [{}, {}, {}]}}]
     header = {
         "sensors": [{"id": "c", "type": "camera", "images": ["a", "b", "c"]}],
         "metadata": {"sceneloom": {"sensor_notes": notes}},
     }
     take_out(header, [("sensors", 0, "images", 1)])
     assert header["sensors"][0]["images"] == ["a", "c"]
-    assert notes[0]["pictures"] == {"camera_of_picture": [0, 2], "mounts": [5], "extras": [{}, {}]}
+    assert notes[0]["images"] == {"camera_of_image": [0, 2], "mounts": [5], "extras": [{}, {}]}

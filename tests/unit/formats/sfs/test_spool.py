@@ -1,4 +1,4 @@
-"""The spool: arrays before their header, in memory or on disk, and a header that turns out longer than expected."""
+"""The spool: arrays before their header, in memory or on disk, and a header that proves longer than expected."""
 
 import io
 
@@ -13,7 +13,7 @@ LARGE = np.arange(100_000, dtype=np.float32).reshape(-1, 2)
 
 
 def spooled(path, arrays, header, *, reserve=640):
-    """Write arrays and a header, and give the file's bytes and the arrays' places."""
+    """Write arrays and a header, and give the file's bytes and the arrays' locations."""
     with Spool(path, reserve=lambda: reserve) as spool:
         blobs = [spool.add(array) for array in arrays]
         spool.finish(header)
@@ -21,7 +21,7 @@ def spooled(path, arrays, header, *, reserve=640):
 
 
 def check(content, header, arrays, blobs):
-    """The header, blanks, NULs, and every array at its place, aligned, followed by NULs."""
+    """The header, blanks, NULs, and every array at its location, aligned, followed by NULs."""
     stop = content.index(b"\0")
     assert content[:stop].rstrip(b" ") == header
     assert content[stop : stop + 4] == bytes(4)

@@ -14,7 +14,7 @@ from sceneloom.formats.sfs.spec import FORMAT
 
 POSE = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 BOX = [4.0, 2.0, 1.5, 1.0, 2.0, 3.0, 0.0, 0.0, 0.0]
-JPEG = np.frombuffer(b"\xff\xd8\xff\xe0 no picture", np.uint8)
+JPEG = np.frombuffer(b"\xff\xd8\xff\xe0 no image", np.uint8)
 
 
 def poses():
@@ -99,11 +99,11 @@ def header():
     }
 
 
-def with_value(tree, place, value):
+def with_value(tree, location, value):
     """A header in which one value is another."""
     changed = copied(tree)
     node = changed
-    *above, last = parse_path(place)
+    *above, last = parse_path(location)
     for key in above:
         node = node[key]
     node[last] = value
@@ -114,7 +114,7 @@ def outline(scene):
     """What is in a scene, in numbers and names that a lost part would change."""
     found = {}
     for sensor in scene.sensors:
-        frames = getattr(sensor, "frames", None) or getattr(sensor, "pictures", None) or ()
+        frames = getattr(sensor, "frames", None) or getattr(sensor, "images", None) or ()
         given = [getattr(sensor, "poses", None) is not None and len(sensor.poses.timestamps_ns), len(frames)]
         for frame in frames:
             points = getattr(frame, "points", None)
@@ -174,27 +174,27 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("place", "value", "words"), CASES)
+@pytest.mark.parametrize(("location", "value", "words"), CASES)
 def test_a_value_at_fault_costs_the_least_part_that_cannot_be_without_it(
-    tmp_path, encode_sfs, place, value, words
+    tmp_path, encode_sfs, location, value, words
 ):
     file = tmp_path / "scene.sfs"
     file.write_bytes(encode_sfs(header()))
     with FORMAT.open(file) as scene:
         whole = outline(scene)
-    file.write_bytes(encode_sfs(with_value(header(), place, value)))
+    file.write_bytes(encode_sfs(with_value(header(), location, value)))
     with pytest.raises(DataError):
         FORMAT.open(file)
     with FORMAT.open(file, lenient=True) as scene:
         found = outline(scene)
-        notices = [n for n in scene.notices if n.code == "at-fault"]
+        warnings = [n for n in scene.warnings if n.code == "at-fault"]
     owner = words.rpartition("'")[0].rpartition("'")[2] or "scene"
     changed = {name for name in whole if found.get(name) != whole[name]}
     assert changed - {owner} <= ({"road"} if "frame 1 of lidar" in words else set())
     assert owner in changed or words.startswith("projections[1][0]")
-    assert len(notices) == 1
-    assert words in notices[0].message or owner not in found
-    faults = [fault for fault in examine(file).faults if not fault.mended]
+    assert len(warnings) == 1
+    assert words in warnings[0].message or owner not in found
+    faults = [fault for fault in examine(file).faults if not fault.repaired]
     assert faults
     assert {fault.costs for fault in faults} == {words}
 
@@ -246,7 +246,7 @@ def test_fixing_keeps_what_is_whole_and_lists_every_loss(tmp_path, encode_sfs):
     assert [finding.path for finding in found] == ["sensors[0].frames[2].points.positions"]
 
 
-def test_faults_that_a_removal_brings_to_light_are_told_at_their_place_in_the_file(tmp_path):
+def test_faults_that_a_removal_brings_to_light_are_reported_at_their_location_in_the_file(tmp_path):
     content = header()
     content["sensors"] = [{**content["sensors"][4], "poses": poses()}]
     content["annotations"], content["attributes"] = [], []

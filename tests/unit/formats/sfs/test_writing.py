@@ -20,7 +20,7 @@ from sceneloom.scene import (
     LidarSensor,
     OdometrySensor,
     PointsFrame,
-    PosePath,
+    Poses,
     RadarFrame,
     RadarPoints,
     RadarSensor,
@@ -45,9 +45,7 @@ def sweep(timestamp_ns, times_ns=None, **arrays):
 
 def path_at(*timestamps_ns):
     count = len(timestamps_ns)
-    return PosePath(
-        np.array(timestamps_ns, np.int64), np.zeros((count, 3)), np.tile([0.0, 0, 0, 1], (count, 1))
-    )
+    return Poses(np.array(timestamps_ns, np.int64), np.zeros((count, 3)), np.tile([0.0, 0, 0, 1], (count, 1)))
 
 
 @pytest.fixture
@@ -167,7 +165,7 @@ def test_nanoseconds_are_written_exactly_in_64_bits(written):
     ("first", "offset"),
     [(0, 0), (9 * SECOND, 0), (12 * SECOND + 345, 12), (1_700_000_000 * SECOND + 999, 1_700_000_000)],
 )
-def test_the_offset_makes_the_first_stamp_small(written, first, offset):
+def test_the_offset_makes_the_first_timestamp_small(written, first, offset):
     header = written(sweep(first, [first, first + 1000]))
     assert header["time_offset"] == offset * 1_000_000
     assert 0 <= header["sensors"][0]["frames"][0]["timestamp"] < 10_000_000
@@ -272,7 +270,7 @@ def test_a_failure_leaves_nothing_behind(target):
     assert list(target.parent.iterdir()) == []
 
 
-def test_an_existing_file_is_kept_unless_told(target):
+def test_an_existing_file_is_kept_unless_reported(target):
     target.write_bytes(b"precious")
     with pytest.raises(OutputError, match="exists already"), SceneWriter(target):
         pass
@@ -322,14 +320,14 @@ def test_numbers_of_cuboids_must_be_finite(target):
         writer.add_annotation(bad)
 
 
-def test_fields_that_no_file_can_hold_are_refused_with_their_place(target):
+def test_fields_that_no_file_can_hold_are_refused_with_their_location(target):
     with pytest.raises(OptionError, match=r"why\[0\].what: a object"), SceneWriter(target) as writer:
         writer.set_metadata({"why": [{"what": object()}]})
     with pytest.raises(OptionError, match=r"names: an array of <U1"), SceneWriter(target) as writer:
         writer.set_metadata({"names": np.array(["a"])})
 
 
-def test_numbers_that_json_cannot_say_become_null_and_are_counted(target, decode_sfs):
+def test_numbers_that_json_cannot_state_become_null_and_are_counted(target, decode_sfs):
     with SceneWriter(
         target, metadata={"a": float("nan"), "b": [1.0, float("inf")], "c": np.float32(0.5)}
     ) as writer:
@@ -345,9 +343,9 @@ def test_poses_within_one_tick_are_left_out_and_counted(written, target):
 
 def test_a_pose_for_all_time_comes_back_as_one(written, target):
     first = 1_700_000_000 * SECOND
-    header = written(sweep(first, [first, first]), poses=PosePath.identity())
+    header = written(sweep(first, [first, first]), poses=Poses.identity())
     assert header["sensors"][0]["poses"]["timestamps"] == [0]
-    assert FORMAT.open(target).sensors[0].poses.endless
+    assert FORMAT.open(target).sensors[0].poses.static
 
 
 def test_a_sensor_of_which_only_the_mounting_is_known_is_placed_on_the_ego(target, decode_sfs):
@@ -438,11 +436,11 @@ def test_sweeps_that_could_not_be_fused_stand_under_our_metadata(target, decode_
 
 
 def test_trajectories_stand_under_our_metadata_in_their_order(target):
-    ways = {
+    trajectories = {
         "truth": Trajectory("truth", np.array([1, 2**60]), np.ones((2, 3)), None, np.array([0.1, 0.2])),
         "car": Trajectory("car", np.array([0]), np.zeros((1, 3)), np.array([[0.0, 0, 0, 1]])),
     }
-    scene = Scene((OdometrySensor("car", path_at(0)),), trajectories=ways)
+    scene = Scene((OdometrySensor("car", path_at(0)),), trajectories=trajectories)
     report = write_scene(scene, target)
     read = FORMAT.open(target).trajectories
     assert list(read) == ["truth", "car"]
@@ -479,14 +477,14 @@ def test_how_angles_are_meant_is_written(target, decode_sfs):
 def test_sweeps_left_out_for_one_reason_are_one_loss(target):
     with SceneWriter(target) as writer:
         writer.add_sensor(lidar(poses=path_at(0)))
-        for stamp in (0, 1):
-            writer.add_unfused("top", sweep(stamp), f"beyond the trajectory: points at {stamp} ns")
+        for timestamp in (0, 1):
+            writer.add_unfused("top", sweep(timestamp), f"beyond the trajectory: points at {timestamp} ns")
     losses = [(loss.what, loss.count) for loss in writer.losses if "left out of the frames" in loss.what]
     assert losses == [("left out of the frames: beyond the trajectory", 2)]
 
 
 @pytest.mark.parametrize("far", [np.inf, -np.inf, np.nan])
-def test_a_point_without_a_place_is_written_as_it_is(written, far):
+def test_a_point_without_a_location_is_written_as_it_is(written, far):
     positions = np.array([[1.0, far, 2.0], [3, 4, 5]], np.float32)
     header = written(LidarFrame(0, LidarPoints(positions)))
     np.testing.assert_array_equal(header["sensors"][0]["frames"][0]["points"]["positions"], positions)

@@ -13,7 +13,7 @@ from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, Sc
 pytest.importorskip("mcap")
 
 COUNT = 50
-STAMPS = np.array([1_000_000_000, 1_100_000_000])
+TIMESTAMPS = np.array([1_000_000_000, 1_100_000_000])
 
 
 def points(k):
@@ -22,7 +22,7 @@ def points(k):
         rows.normal(size=(COUNT, 3)).astype(np.float32),
         intensities=np.arange(COUNT, dtype=np.uint8),
         colors=rows.integers(0, 256, (COUNT, 3), np.uint8),
-        timestamps_ns=STAMPS[k] + np.arange(COUNT) * 1_000,
+        timestamps_ns=TIMESTAMPS[k] + np.arange(COUNT) * 1_000,
         rings=np.arange(COUNT, dtype=np.uint16),
         camera_index=np.full(COUNT, k, np.uint8),
         extras={"range": rows.random(COUNT, np.float32)},
@@ -31,8 +31,8 @@ def points(k):
 
 @pytest.fixture
 def log(tmp_path):
-    frames = [LidarFrame(int(STAMPS[k]), points(k)) for k in range(2)]
-    scene = Scene((LidarSensor("top", LazyFrames.of(frames, STAMPS.tolist())),))
+    frames = [LidarFrame(int(TIMESTAMPS[k]), points(k)) for k in range(2)]
+    scene = Scene((LidarSensor("top", LazyFrames.of(frames, TIMESTAMPS.tolist())),))
     write_scene(scene, tmp_path / "log.mcap")
     return tmp_path / "log.mcap"
 
@@ -69,21 +69,27 @@ def test_a_sweep_without_points_is_written_with_all_its_fields(tmp_path):
     empty = LidarPoints(
         np.zeros((0, 3), np.float32), intensities=np.zeros(0, np.uint8), rings=np.zeros(0, np.uint16)
     )
-    frames = [LidarFrame(int(STAMPS[0]), empty), LidarFrame(int(STAMPS[1]), points(1))]
-    write_scene(Scene((LidarSensor("top", LazyFrames.of(frames, STAMPS.tolist())),)), tmp_path / "log.mcap")
+    frames = [LidarFrame(int(TIMESTAMPS[0]), empty), LidarFrame(int(TIMESTAMPS[1]), points(1))]
+    write_scene(
+        Scene((LidarSensor("top", LazyFrames.of(frames, TIMESTAMPS.tolist())),)), tmp_path / "log.mcap"
+    )
     with open_scene(tmp_path / "log.mcap") as scene:
         first, second = (frame.points for frame in scene.lidars[0].frames)
         assert (len(first), first.rings.shape, first.intensities.shape) == (0, (0,), (0,))
         np.testing.assert_array_equal(second.positions, points(1).positions)
 
 
-def test_logs_that_say_times_in_their_older_column_are_read(tmp_path, monkeypatch):
-    def old(times, stamp):
-        return {("offset_ns",): (times - stamp).astype(np.int32)}
+def test_logs_that_state_times_in_their_older_column_are_read(tmp_path, monkeypatch):
+    def old(times, timestamp):
+        return {("offset_ns",): (times - timestamp).astype(np.int32)}
 
     monkeypatch.setattr(written_points, "_offsets", old)
     scene = Scene(
-        (LidarSensor("top", LazyFrames.of([LidarFrame(int(STAMPS[0]), points(0))], [int(STAMPS[0])])),)
+        (
+            LidarSensor(
+                "top", LazyFrames.of([LidarFrame(int(TIMESTAMPS[0]), points(0))], [int(TIMESTAMPS[0])])
+            ),
+        )
     )
     write_scene(scene, tmp_path / "old.mcap")
     monkeypatch.undo()

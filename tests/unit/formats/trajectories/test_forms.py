@@ -10,7 +10,7 @@ from sceneloom import read_trajectory, write_trajectory
 from sceneloom.errors import DataError, OptionError, OutputError, PoseError, UnknownFormatError
 from sceneloom.formats.trajectories.content import TrajectoryFile
 from sceneloom.formats.trajectories.table import find_form, read_trajectory_file
-from sceneloom.scene import PosePath, Trajectory
+from sceneloom.scene import Poses, Trajectory
 
 TUM = """# ground truth trajectory
 # timestamp tx ty tz qx qy qz qw
@@ -40,38 +40,38 @@ def put(folder: Path, name: str, text: str) -> Path:
 
 
 def test_a_tum_file_is_read_with_exact_times(tmp_path: Path) -> None:
-    way = read_trajectory(put(tmp_path, "gt.txt", TUM))
-    assert way.name == "gt"
-    assert way.timestamps_ns.tolist() == [1305031098665900000, 1305031098675900123]
-    assert way.positions[1].tolist() == [1.3543, 0.6306, 1.6360]
-    assert way.quaternions_xyzw is not None
-    assert way.quaternions_xyzw[0].tolist() == [0.6132, 0.5962, -0.3311, -0.3986]
+    trajectory = read_trajectory(put(tmp_path, "gt.txt", TUM))
+    assert trajectory.name == "gt"
+    assert trajectory.timestamps_ns.tolist() == [1305031098665900000, 1305031098675900123]
+    assert trajectory.positions[1].tolist() == [1.3543, 0.6306, 1.6360]
+    assert trajectory.quaternions_xyzw is not None
+    assert trajectory.quaternions_xyzw[0].tolist() == [0.6132, 0.5962, -0.3311, -0.3986]
 
 
 def test_a_euroc_file_is_read_with_w_first_velocities_and_biases(tmp_path: Path) -> None:
     content = read_trajectory_file(put(tmp_path, "data.csv", EUROC))
-    way = content.trajectory
+    trajectory = content.trajectory
     assert content.form == "euroc"
-    assert way.timestamps_ns.tolist() == [1403636580838555648, 1403636580843555328]
-    assert way.quaternions_xyzw is not None
-    assert way.quaternions_xyzw[0].tolist() == [-0.153029, -0.827383, -0.082152, 0.534108]
+    assert trajectory.timestamps_ns.tolist() == [1403636580838555648, 1403636580843555328]
+    assert trajectory.quaternions_xyzw is not None
+    assert trajectory.quaternions_xyzw[0].tolist() == [-0.153029, -0.827383, -0.082152, 0.534108]
     assert content.columns["velocities"][1].tolist() == [-0.029272, 0.033992, 0.804771]
     assert content.columns["accelerometer_biases"][0].tolist() == [-0.025266, 0.136696, 0.075593]
 
 
 def test_a_file_of_eurocs_position_tracker_has_no_orientations(tmp_path: Path) -> None:
     text = "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m]\n1403636616613303296,0.1,0.2,0.3\n"
-    way = read_trajectory(put(tmp_path, "leica.csv", text))
-    assert way.positions.tolist() == [[0.1, 0.2, 0.3]]
-    assert way.quaternions_xyzw is None
+    trajectory = read_trajectory(put(tmp_path, "leica.csv", text))
+    assert trajectory.positions.tolist() == [[0.1, 0.2, 0.3]]
+    assert trajectory.quaternions_xyzw is None
 
 
 def test_a_path_of_poses_is_written_as_it_is(tmp_path: Path) -> None:
-    path = PosePath(np.array([5], np.int64), np.ones((1, 3)), np.array([[0.0, 0, 0, 1]]))
+    path = Poses(np.array([5], np.int64), np.ones((1, 3)), np.array([[0.0, 0, 0, 1]]))
     write_trajectory(path, tmp_path / "a.tum")
     assert read_trajectory(tmp_path / "a.tum").positions.tolist() == [[1.0, 1.0, 1.0]]
     with pytest.raises(PoseError, match="holds at all times"):
-        write_trajectory(PosePath.identity(), tmp_path / "b.tum")
+        write_trajectory(Poses.identity(), tmp_path / "b.tum")
 
 
 def test_a_euroc_file_is_written_with_all_that_was_read(tmp_path: Path) -> None:
@@ -84,9 +84,9 @@ def test_a_euroc_file_is_written_with_all_that_was_read(tmp_path: Path) -> None:
         assert np.array_equal(values, again.columns[name])
 
 
-def test_what_a_form_cannot_hold_is_told(tmp_path: Path) -> None:
+def test_what_a_form_cannot_hold_is_reported(tmp_path: Path) -> None:
     content = read_trajectory_file(put(tmp_path, "data.csv", EUROC))
-    losses = write_trajectory(content, tmp_path / "way.tum")
+    losses = write_trajectory(content, tmp_path / "trajectory.tum")
     assert [loss.field.split(".")[-1] for loss in losses] == [
         "velocities",
         "gyroscope_biases",
@@ -99,26 +99,26 @@ def test_kitti_poses_get_their_times_from_a_file_a_rate_or_the_folder(tmp_path: 
     with pytest.raises(DataError, match="--from-rate HZ"):
         read_trajectory(poses)
     assert read_trajectory(poses, rate_hz=3).timestamps_ns.tolist() == [0, 333333333]
-    named = put(tmp_path, "stamps.txt", "5.0\n5.123456789\n")
+    named = put(tmp_path, "timestamps.txt", "5.0\n5.123456789\n")
     assert read_trajectory(poses, times=named).timestamps_ns.tolist() == [5000000000, 5123456789]
     put(tmp_path, "times.txt", "0.000000e+00\n1.036224e-01\n")
     content = read_trajectory_file(poses)
     assert content.trajectory.timestamps_ns.tolist() == [0, 103622400]
-    assert [notice.code for notice in content.notices] == ["times-beside"]
-    # the second rotation turns x to y, y to z and z to x: 120° about (1, 1, 1)
+    assert [warning.code for warning in content.warnings] == ["times-beside"]
+    # the second rotation rotates x to y, y to z and z to x: 120° about (1, 1, 1)
     assert content.trajectory.quaternions_xyzw is not None
     assert content.trajectory.quaternions_xyzw[1].tolist() == [0.5, 0.5, 0.5, 0.5]
     assert content.trajectory.positions.tolist() == [[0.5, -0.25, 2.0], [3.0, 4.0, 5.0]]
 
 
-def test_poses_of_a_camera_are_turned_to_x_forward(tmp_path: Path) -> None:
-    # 10 m ahead, 2 m to the right and 1 m down, turned to the right: about the camera's y axis, which points down
+def test_poses_of_a_camera_are_rotated_to_x_forward(tmp_path: Path) -> None:
+    # 10 m ahead, 2 m to the right and 1 m down, rotated to the right: about the camera's y axis, which points down
     half = math.sqrt(0.5)
-    path = put(tmp_path, "way.tum", f"0 2 1 10 0 {half!r} 0 {half!r}\n")
-    way = read_trajectory(path, optical=True)
-    assert way.positions.tolist() == [[10.0, -2.0, -1.0]]
-    assert way.quaternions_xyzw is not None
-    np.testing.assert_allclose(way.quaternions_xyzw, [[0, 0, -half, half]], atol=1e-15)
+    path = put(tmp_path, "trajectory.tum", f"0 2 1 10 0 {half!r} 0 {half!r}\n")
+    trajectory = read_trajectory(path, optical=True)
+    assert trajectory.positions.tolist() == [[10.0, -2.0, -1.0]]
+    assert trajectory.quaternions_xyzw is not None
+    np.testing.assert_allclose(trajectory.quaternions_xyzw, [[0, 0, -half, half]], atol=1e-15)
 
 
 def test_fixes_are_metres_from_the_first_of_them(tmp_path: Path) -> None:
@@ -136,18 +136,18 @@ def test_fixes_are_metres_from_the_first_of_them(tmp_path: Path) -> None:
 
 
 def test_fixes_are_seen_from_an_origin_that_is_named(tmp_path: Path) -> None:
-    way = read_trajectory(put(tmp_path, "fixes.csv", FIXES), origin_lla=(49.0, 8.0, 100.0))
-    np.testing.assert_allclose(way.positions[0], [0, 0, 10], atol=1e-6)
+    trajectory = read_trajectory(put(tmp_path, "fixes.csv", FIXES), origin_lla=(49.0, 8.0, 100.0))
+    np.testing.assert_allclose(trajectory.positions[0], [0, 0, 10], atol=1e-6)
 
 
-def test_a_way_with_an_origin_is_written_as_fixes(tmp_path: Path) -> None:
-    way = Trajectory("way", np.array([0, 10], np.int64), np.array([[0.0, 0, 0], [10.0, 20, 1]]))
+def test_a_trajectory_with_an_origin_is_written_as_fixes(tmp_path: Path) -> None:
+    trajectory = Trajectory("trajectory", np.array([0, 10], np.int64), np.array([[0.0, 0, 0], [10.0, 20, 1]]))
     with pytest.raises(OptionError, match="--origin"):
-        write_trajectory(way, tmp_path / "a.csv", form="gnss")
-    write_trajectory(way, tmp_path / "a.csv", form="gnss", origin_lla=(60.0, 25.0, 10.0))
+        write_trajectory(trajectory, tmp_path / "a.csv", form="gnss")
+    write_trajectory(trajectory, tmp_path / "a.csv", form="gnss", origin_lla=(60.0, 25.0, 10.0))
     back = read_trajectory(tmp_path / "a.csv")
     # degrees of 64 bits resolve 2e-9 m
-    np.testing.assert_allclose(back.positions, way.positions, atol=1e-8)
+    np.testing.assert_allclose(back.positions, trajectory.positions, atol=1e-8)
 
 
 @pytest.mark.parametrize(
@@ -164,7 +164,7 @@ def test_a_way_with_an_origin_is_written_as_fixes(tmp_path: Path) -> None:
         ("a.out", '{"time":5,"position":{"x":1,"y":2,"z":3}}\n', "jsonl"),
     ],
 )
-def test_the_form_is_told_by_the_content(tmp_path: Path, name: str, text: str, form: str) -> None:
+def test_the_form_is_known_by_the_content(tmp_path: Path, name: str, text: str, form: str) -> None:
     found = find_form(put(tmp_path, name, text))
     assert found is not None
     assert found.name == form
@@ -196,7 +196,7 @@ JSONL = """{"sensor":{"type":"gyroscope","values":[0,0,0]},"time":1403636580.838
 
 
 @pytest.mark.parametrize(
-    ("name", "x", "stamp_ns"),
+    ("name", "x", "timestamp_ns"),
     [
         (None, 1.0, 1403636580838555648),
         ("vio", 9.0, 1403636580838555648),
@@ -205,12 +205,12 @@ JSONL = """{"sensor":{"type":"gyroscope","values":[0,0,0]},"time":1403636580.838
     ],
 )
 def test_lines_of_json_hold_trajectories_under_any_key(
-    tmp_path: Path, name: str | None, x: float, stamp_ns: int
+    tmp_path: Path, name: str | None, x: float, timestamp_ns: int
 ) -> None:
     path = put(tmp_path, "lines.jsonl", JSONL)
-    for way in (read_trajectory(path, name=name), read_trajectory(f"{path}:{name}" if name else path)):
-        assert way.positions[0, 0] == x
-        assert way.timestamps_ns.tolist() == [stamp_ns]
+    for trajectory in (read_trajectory(path, name=name), read_trajectory(f"{path}:{name}" if name else path)):
+        assert trajectory.positions[0, 0] == x
+        assert trajectory.timestamps_ns.tolist() == [timestamp_ns]
 
 
 def test_an_unknown_name_is_answered_with_the_known_ones(tmp_path: Path) -> None:
@@ -221,8 +221,10 @@ def test_an_unknown_name_is_answered_with_the_known_ones(tmp_path: Path) -> None
 
 def pose(time: object, x: object = 1, w: object = 1) -> str:
     """A line of JSON."""
-    turn = f'{{"x":0,"y":0,"z":0,"w":{w}}}'
-    return f'{{"groundTruth":{{"position":{{"x":{x},"y":2,"z":3}},"orientation":{turn}}},"time":{time}}}\n'
+    rotation = f'{{"x":0,"y":0,"z":0,"w":{w}}}'
+    return (
+        f'{{"groundTruth":{{"position":{{"x":{x},"y":2,"z":3}},"orientation":{rotation}}},"time":{time}}}\n'
+    )
 
 
 BAD = [
@@ -269,47 +271,47 @@ def test_a_lenient_reading_leaves_out_what_is_bad(tmp_path: Path) -> None:
     path = put(tmp_path, "a.jsonl", pose(0) + "{torn\n" + pose(1, w=0.5) + pose(0) + pose(2))
     content = read_trajectory_file(path, lenient=True)
     assert content.trajectory.timestamps_ns.tolist() == [0, 2 * 10**9]
-    assert {notice.code for notice in content.notices} == {"bad-lines", "unusable-poses", "repeated-poses"}
+    assert {warning.code for warning in content.warnings} == {"bad-lines", "unusable-poses", "repeated-poses"}
 
 
-def test_poses_out_of_order_are_sorted_and_told(tmp_path: Path) -> None:
+def test_poses_out_of_order_are_sorted_and_reported(tmp_path: Path) -> None:
     content = read_trajectory_file(put(tmp_path, "a.txt", "2 2 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n"))
     assert content.trajectory.positions[:, 0].tolist() == [1.0, 2.0]
-    assert [notice.code for notice in content.notices] == ["poses-sorted"]
+    assert [warning.code for warning in content.warnings] == ["poses-sorted"]
 
 
 def test_times_whose_difference_no_int64_holds_are_in_order(tmp_path: Path) -> None:
     lines = "-9000000000 1 0 0 0 0 0 1\n9000000000 2 0 0 0 0 0 1\n"
     content = read_trajectory_file(put(tmp_path, "a.txt", lines))
     assert content.trajectory.timestamps_ns.tolist() == [-9 * 10**18, 9 * 10**18]
-    assert content.notices == ()
+    assert content.warnings == ()
 
 
 def test_positions_alone_are_refused_where_orientations_are_needed(tmp_path: Path) -> None:
-    way = Trajectory("way", np.array([0], np.int64), np.zeros((1, 3)))
+    trajectory = Trajectory("trajectory", np.array([0], np.int64), np.zeros((1, 3)))
     for name in ("a.tum", "a.kitti", "a.csv"):
         with pytest.raises(OptionError, match="positions without orientations"):
-            write_trajectory(way, tmp_path / name)
+            write_trajectory(trajectory, tmp_path / name)
         assert not (tmp_path / name).exists()
-    write_trajectory(way, tmp_path / "a.csv", form="csv")
+    write_trajectory(trajectory, tmp_path / "a.csv", form="csv")
     assert read_trajectory(tmp_path / "a.csv").quaternions_xyzw is None
 
 
 def test_files_are_not_replaced_unasked(tmp_path: Path) -> None:
-    way = read_trajectory(put(tmp_path, "a.txt", TUM))
-    write_trajectory(way, tmp_path / "a.kitti")
+    trajectory = read_trajectory(put(tmp_path, "a.txt", TUM))
+    write_trajectory(trajectory, tmp_path / "a.kitti")
     (tmp_path / "a.kitti").unlink()
     with pytest.raises(OutputError, match=r"a\.times\.txt: exists already"):
-        write_trajectory(way, tmp_path / "a.kitti")
+        write_trajectory(trajectory, tmp_path / "a.kitti")
     assert not (tmp_path / "a.kitti").exists()
-    write_trajectory(way, tmp_path / "a.kitti", overwrite=True)
-    assert read_trajectory(tmp_path / "a.kitti").timestamps_ns.tolist() == way.timestamps_ns.tolist()
+    write_trajectory(trajectory, tmp_path / "a.kitti", overwrite=True)
+    assert read_trajectory(tmp_path / "a.kitti").timestamps_ns.tolist() == trajectory.timestamps_ns.tolist()
 
 
 def test_a_suffix_that_no_form_has_is_refused(tmp_path: Path) -> None:
-    way = read_trajectory(put(tmp_path, "a.txt", TUM))
+    trajectory = read_trajectory(put(tmp_path, "a.txt", TUM))
     with pytest.raises(OptionError, match=r"expected one of: tum \(\.tum \.txt\)"):
-        write_trajectory(TrajectoryFile(way), tmp_path / "a.poses")
+        write_trajectory(TrajectoryFile(trajectory), tmp_path / "a.poses")
 
 
 def test_a_trajectory_is_taken_out_of_a_scene_by_name(tmp_path: Path) -> None:
@@ -326,17 +328,17 @@ def test_a_trajectory_is_taken_out_of_a_scene_by_name(tmp_path: Path) -> None:
 
 
 def test_fixes_before_reception_are_no_origin(tmp_path: Path) -> None:
-    places = [(0, 0, 0), (0, 0, 0), (49, 8, 1), (49.001, 8, 1)]
+    locations = [(0, 0, 0), (0, 0, 0), (49, 8, 1), (49.001, 8, 1)]
     lines = [
         f'{{"gps":{{"latitude":{latitude},"longitude":{longitude},"altitude":{altitude}}},"time":{k}}}\n'
-        for k, (latitude, longitude, altitude) in enumerate(places)
+        for k, (latitude, longitude, altitude) in enumerate(locations)
     ]
     path = put(tmp_path, "log.jsonl", "".join(lines))
     content = read_trajectory_file(f"{path}:fixes")
     assert content.trajectory.timestamps_ns.tolist() == [2 * 10**9, 3 * 10**9]
     # a thousandth of a degree of latitude at 49 degrees. Source: WGS84's radius there, 6380 km
     np.testing.assert_allclose(content.trajectory.positions, [[0, 0, 0], [0, 111.2, 0]], atol=0.1)
-    assert [(n.code, n.count) for n in content.notices if "fixes" in n.code] == [("gnss-fixes-left-out", 2)]
+    assert [(n.code, n.count) for n in content.warnings if "fixes" in n.code] == [("gnss-fixes-left-out", 2)]
     nowhere = put(tmp_path, "none.jsonl", "".join(lines[:2]))
     with pytest.raises(PoseError, match="no usable GNSS fixes"):
         read_trajectory(f"{nowhere}:fixes")
@@ -355,15 +357,16 @@ def test_fixes_are_taken_out_of_a_log_that_lies_by_itself(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("name", "options", "word"),
     [
-        ("way.tum", {"rate_hz": 10.0}, "has its own times; the rate 10 Hz would not be used"),
-        ("way.tum", {"origin_lla": (48.0, 9.0, 300.0)}, "the origin would not be used"),
-        ("way.kitti", {"rate_hz": 10.0, "unit": "seconds"}, "the unit 'seconds' would not be used"),
+        ("trajectory.tum", {"rate_hz": 10.0}, "has its own times; the rate 10 Hz would not be used"),
+        ("trajectory.tum", {"origin_lla": (48.0, 9.0, 300.0)}, "the origin would not be used"),
+        ("trajectory.kitti", {"rate_hz": 10.0, "unit": "seconds"}, "the unit 'seconds' would not be used"),
     ],
 )
 def test_what_would_be_ignored_of_a_trajectory_s_times_and_origin_is_refused(tmp_path, name, options, word):
-    text = {"way.tum": "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n", "way.kitti": "1 0 0 0 0 1 0 0 0 0 1 0\n" * 2}[
-        name
-    ]
+    text = {
+        "trajectory.tum": "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n",
+        "trajectory.kitti": "1 0 0 0 0 1 0 0 0 0 1 0\n" * 2,
+    }[name]
     (tmp_path / name).write_text(text)
     with pytest.raises(OptionError, match=word):
         read_trajectory(tmp_path / name, **options)

@@ -1,4 +1,4 @@
-"""Videos made with FFmpeg's encoders directly, whose pictures bear their number in black and white bars."""
+"""Videos made with FFmpeg's encoders directly, whose images bear their number in black and white bars."""
 
 import io
 from collections.abc import Callable, Sequence
@@ -13,8 +13,8 @@ import pytest
 WIDTH, HEIGHT, BITS = 96, 64, 8
 
 
-def numbered_picture(number: int, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
-    """A picture that moves from number to number; its upper half is the number in binary, white for 1."""
+def numbered_image(number: int, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
+    """An image that moves from number to number; its upper half is the number in binary, white for 1."""
     columns = np.arange(width)
     rgb = np.empty((height, width, 3), np.uint8)
     rgb[:] = ((columns * 2 + 5 * number) % 256)[None, :, None]
@@ -25,7 +25,7 @@ def numbered_picture(number: int, width: int = WIDTH, height: int = HEIGHT) -> n
 
 
 def read_number(rgb: np.ndarray) -> int:
-    """What number a picture bears, however badly it was coded."""
+    """What number an image bears, however badly it was coded."""
     height, width = rgb.shape[:2]
     band = -(-width // BITS)
     centres = [int(band * (bit + 0.5)) for bit in range(BITS)]
@@ -40,7 +40,7 @@ class Recipe:
         container, codec: FFmpeg's names.
         options: of the encoder.
         pixel_format: what the encoder is fed with.
-        count: how many pictures, numbered from 0.
+        count: how many images, numbered from 0.
         ticks: presentation times in thirtieths of a second; None for 0, 1, 2 ….
     """
 
@@ -54,7 +54,7 @@ class Recipe:
 
 
 def make_video(recipe: Recipe) -> bytes:
-    """Encode numbered pictures."""
+    """Encode numbered images."""
     file = io.BytesIO()
     with av.open(file, "w", format=recipe.container) as output:
         stream = output.add_stream(recipe.codec, rate=30, options=dict(recipe.options))
@@ -62,7 +62,7 @@ def make_video(recipe: Recipe) -> bytes:
         stream.pix_fmt = recipe.pixel_format
         stream.codec_context.time_base = Fraction(1, 30)
         for number in range(recipe.count):
-            frame = av.VideoFrame.from_ndarray(numbered_picture(number, *recipe.size), format="rgb24")
+            frame = av.VideoFrame.from_ndarray(numbered_image(number, *recipe.size), format="rgb24")
             frame.pts = number if recipe.ticks is None else recipe.ticks[number]
             frame.time_base = Fraction(1, 30)
             output.mux(stream.encode(frame))
@@ -74,18 +74,18 @@ def make_video(recipe: Recipe) -> bytes:
 def videos() -> SimpleNamespace:
     """The makers of this module, since tests cannot import one another."""
     return SimpleNamespace(
-        Recipe=Recipe, make=make_video, picture=numbered_picture, number=read_number, decode=decode_all
+        Recipe=Recipe, make=make_video, image=numbered_image, number=read_number, decode=decode_all
     )
 
 
 @pytest.fixture(scope="session")
 def mkv_bytes() -> bytes:
-    """40 pictures of H.264 in Matroska: B-frames, a key frame every 12 pictures, the first decoding times missing."""
+    """40 images of H.264 in Matroska: B-frames, a key frame every 12 images, the first decoding times missing."""
     return make_video(Recipe())
 
 
 def decode_all(content: bytes) -> list[np.ndarray]:
-    """The planes of all pictures of a video as FFmpeg decodes them, one after the other, without any seeking."""
+    """The planes of all images of a video as FFmpeg decodes them, one after the other, without any seeking."""
     with av.open(io.BytesIO(content)) as container:
         frames = list(container.decode(video=0))
     return [np.concatenate([np.frombuffer(plane, np.uint8) for plane in frame.planes]) for frame in frames]

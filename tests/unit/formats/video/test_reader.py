@@ -1,4 +1,4 @@
-"""Pictures come out of videos by their number, exactly, whatever the order of asking."""
+"""Images come out of videos by their number, exactly, whatever the order of asking."""
 
 import gc
 import io
@@ -24,7 +24,7 @@ KINDS = {
     "h264 with B-frames in avi, which has no presentation times": {"container": "avi"},
     "h264 without B-frames in avi": {"container": "avi", "options": X264 | {"bf": "0"}},
     "h264 as a bare stream": {"container": "h264"},
-    "h264 with open groups of pictures": {"options": X264 | {"x264-params": "open-gop=1"}},
+    "h264 with open groups of images": {"options": X264 | {"x264-params": "open-gop=1"}},
     "h264 that refreshes bit by bit": {"options": X264 | {"intra-refresh": "1"}, "container": "mpegts"},
     "hevc": {
         "codec": "libx265",
@@ -39,7 +39,7 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.few(5)
-def test_every_picture_bears_the_number_that_was_asked_for(videos, kind):
+def test_every_image_bears_the_number_that_was_asked_for(videos, kind):
     content = videos.make(videos.Recipe(**KINDS[kind]))
     with open_video(content) as reader:
         assert reader.count == 40
@@ -52,16 +52,16 @@ def test_every_picture_bears_the_number_that_was_asked_for(videos, kind):
     assert jumping == jumps
 
 
-@pytest.mark.parametrize("kind", ["h264 with B-frames in mkv", "h264 with open groups of pictures", "ffv1"])
+@pytest.mark.parametrize("kind", ["h264 with B-frames in mkv", "h264 with open groups of images", "ffv1"])
 def test_a_jump_gives_the_same_pixels_as_reading_forwards(videos, kind):
     content = videos.make(videos.Recipe(**KINDS[kind]))
     with open_video(content) as forwards, open_video(content) as jumping:
-        pictures = [forwards.rgb(index) for index in range(forwards.count)]
+        images = [forwards.rgb(index) for index in range(forwards.count)]
         for index in (25, 3, 37, 12, 11, 24, 0):
-            np.testing.assert_array_equal(jumping.rgb(index), pictures[index])
+            np.testing.assert_array_equal(jumping.rgb(index), images[index])
 
 
-def test_pictures_and_their_order_are_those_that_opencv_reads(data_dir, tmp_path):
+def test_images_and_their_order_are_those_that_opencv_reads(data_dir, tmp_path):
     for path in sorted((data_dir / "recordings").glob("*/data*.mkv")):
         capture = cv2.VideoCapture(str(path))
         with open_video(path) as reader:
@@ -69,7 +69,7 @@ def test_pictures_and_their_order_are_those_that_opencv_reads(data_dir, tmp_path
                 found, bgr = capture.read()
                 assert found
                 difference = reader.rgb(index).astype(int) - bgr[:, :, ::-1]
-                # OpenCV does not interpolate the halved chroma and truncates; other pictures differ by 10 and more
+                # OpenCV does not interpolate the halved chroma and truncates; other images differ by 10 and more
                 assert np.abs(difference).mean() < 2.5
             assert not capture.read()[0]
 
@@ -84,7 +84,7 @@ def test_counting_decodes_nothing_and_reading_forwards_decodes_each_packet_once(
     assert len(decoded_packets) == 40
 
 
-def test_skipping_inside_a_group_of_pictures_decodes_on(mkv_bytes, decoded_packets):
+def test_skipping_inside_a_group_of_images_decodes_on(mkv_bytes, decoded_packets):
     with open_video(mkv_bytes) as reader:
         for index in (0, 4, 8):
             reader.rgb(index)
@@ -97,11 +97,11 @@ def test_a_jump_decodes_from_the_key_frame_before_and_not_from_the_start(mkv_byt
         reader.rgb(2)
         decoded_packets.clear()
         reader.rgb(37)
-    # picture 37 is the second of its group; a decoder of 3 B-frames, and one that works ahead, take a few packets more
+    # image 37 is the second of its group; a decoder of 3 B-frames, and one that works ahead, take a few packets more
     assert len(decoded_packets) <= 11
 
 
-def test_the_same_picture_twice_is_decoded_once(mkv_bytes, decoded_packets):
+def test_the_same_image_twice_is_decoded_once(mkv_bytes, decoded_packets):
     with open_video(mkv_bytes) as reader:
         first = reader.rgb(30)
         decoded = len(decoded_packets)
@@ -113,14 +113,14 @@ def test_times_are_those_of_the_container_in_the_order_of_showing(videos):
     ticks = [30 + t for t in (0, 1, 2, 5, 6, 20, 21, 22, 60, 61)]
     content = videos.make(videos.Recipe(container="mp4", count=10, ticks=ticks))
     with open_video(content) as reader:
-        # mp4 counts time from its first picture where no edit list says otherwise; this one says so
+        # mp4 counts time from its first image where no edit list says otherwise; this one says so
         assert reader.timestamps - reader.timestamps[0] == pytest.approx(
             (np.array(ticks) - 30) / 30, abs=1e-4
         )
         assert [videos.number(reader.rgb(index)) for index in (9, 0, 5)] == [9, 0, 5]
 
 
-def test_a_video_that_starts_late_says_so_and_is_read_from_its_first_picture(videos):
+def test_a_video_that_starts_late_says_so_and_is_read_from_its_first_image(videos):
     content = videos.make(videos.Recipe(count=10, ticks=range(300, 310)))
     with open_video(content) as reader:
         assert reader.timestamps[0] == pytest.approx(10.0, abs=1e-3)
@@ -129,7 +129,7 @@ def test_a_video_that_starts_late_says_so_and_is_read_from_its_first_picture(vid
 
 
 def cut_by_edit_list(content: bytes, hidden: int) -> bytes:
-    """Copy a video into mp4 so that its first pictures come before time 0, which an edit list then cuts away."""
+    """Copy a video into mp4 so that its first images come before time 0, which an edit list then cuts away."""
     file = io.BytesIO()
     with av.open(io.BytesIO(content)) as source, av.open(file, "w", format="mp4") as output:
         original = source.streams.video[0]
@@ -143,7 +143,7 @@ def cut_by_edit_list(content: bytes, hidden: int) -> bytes:
     return file.getvalue()
 
 
-def test_pictures_that_an_edit_list_cuts_away_do_not_count(videos):
+def test_images_that_an_edit_list_cuts_away_do_not_count(videos):
     content = cut_by_edit_list(videos.make(videos.Recipe(container="mp4")), hidden=5)
     with open_video(content) as reader:
         assert reader.count == 35
@@ -164,7 +164,7 @@ def test_a_video_is_read_from_a_file_its_bytes_a_map_of_it_or_whatever_opens_it(
         view.release()
 
 
-def test_threads_that_share_a_reader_get_the_pictures_that_they_asked_for(videos, mkv_bytes):
+def test_threads_that_share_a_reader_get_the_images_that_they_asked_for(videos, mkv_bytes):
     wrong: list[tuple[int, int]] = []
     with open_video(mkv_bytes) as reader:
 
@@ -181,16 +181,16 @@ def test_threads_that_share_a_reader_get_the_pictures_that_they_asked_for(videos
 
 
 @pytest.mark.parametrize("index", [-1, 40])
-def test_a_picture_beyond_the_last_is_refused_with_the_number_that_there_are(mkv_bytes, index):
+def test_an_image_beyond_the_last_is_refused_with_the_number_that_there_are(mkv_bytes, index):
     with (
         open_video(mkv_bytes, name="front.mkv") as reader,
-        pytest.raises(DataError, match=f"front.mkv: picture {index}: .*holds 40"),
+        pytest.raises(DataError, match=f"front.mkv: image {index}: .*holds 40"),
     ):
         reader.rgb(index)
 
 
 @pytest.mark.parametrize(("processors", "most"), [(1, 1), (2, 3), (64, 4)])
-def test_as_many_pictures_are_decoded_at_once_as_there_are_processors_for_and_four_at_most(
+def test_as_many_images_are_decoded_at_once_as_there_are_processors_for_and_four_at_most(
     videos, decoded_packets, monkeypatch, processors, most
 ):
     monkeypatch.setattr("sceneloom.formats.video.source.processors", lambda: processors)
@@ -202,7 +202,7 @@ def test_as_many_pictures_are_decoded_at_once_as_there_are_processors_for_and_fo
         assert len(decoded_packets) == most + 1
 
 
-def test_jumps_among_pictures_that_need_no_other_decode_one_each(videos, decoded_packets, monkeypatch):
+def test_jumps_among_images_that_need_no_other_decode_one_each(videos, decoded_packets, monkeypatch):
     monkeypatch.setattr("sceneloom.formats.video.source.processors", lambda: 64)
     content = videos.make(videos.Recipe(codec="ffv1", pixel_format="bgr0", options={"g": "1"}))
     jumps = [5, 20, 3, 17, 18, 0, 39]
@@ -213,7 +213,7 @@ def test_jumps_among_pictures_that_need_no_other_decode_one_each(videos, decoded
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="the system does not list threads")
-def test_no_thread_of_a_decoder_is_left_when_reading_stops_half_way(mkv_bytes, monkeypatch):
+def test_no_thread_of_a_decoder_is_left_when_reading_stops_halfway(mkv_bytes, monkeypatch):
     monkeypatch.setattr("sceneloom.formats.video.source.processors", lambda: 8)
     tasks = Path("/proc/self/task")
     before = set(tasks.iterdir())
@@ -279,24 +279,24 @@ def test_a_playlist_that_names_other_files_is_no_video(mkv_bytes, tmp_path, play
         open_video(path)
 
 
-def test_a_picture_of_another_size_than_the_first_is_refused_by_its_number(videos):
+def test_an_image_of_another_size_than_the_first_is_refused_by_its_number(videos):
     file = io.BytesIO()
     with av.open(file, "w", format="matroska") as output:
         stream = output.add_stream("mjpeg", rate=10)
         stream.width, stream.height, stream.pix_fmt = 96, 64, "yuvj420p"
         for number, width in enumerate((96, 96, 48, 96)):
-            packet = av.Packet(cv2.imencode(".jpg", videos.picture(number, width, 64))[1].tobytes())
+            packet = av.Packet(cv2.imencode(".jpg", videos.image(number, width, 64))[1].tobytes())
             packet.stream, packet.time_base = stream, Fraction(1, 10)
             packet.pts = packet.dts = number
             packet.is_keyframe = True
             output.mux(packet)
     with open_video(file.getvalue()) as reader:
         assert videos.number(reader.rgb(3)) == 3
-        with pytest.raises(DataError, match="picture 2: is 48x64; expected 96x64"):
+        with pytest.raises(DataError, match="image 2: is 48x64; expected 96x64"):
             reader.rgb(2)
 
 
-def test_a_file_that_ends_before_all_its_pictures_is_cut_off(videos, tmp_path):
+def test_a_file_that_ends_before_all_its_images_is_cut_off(videos, tmp_path):
     content = videos.make(videos.Recipe(container="mp4"))
     with (
         av.open(io.BytesIO(content)) as source,
@@ -367,7 +367,7 @@ def test_colours_follow_the_matrix_range_and_chroma_site_of_the_stream(matrix, f
 
 EXACT = Interpolation.BILINEAR | Interpolation.FULL_CHR_H_INT | Interpolation.ACCURATE_RND
 
-PLACES = {
+LOCATIONS = {
     "left": ("libx264", {"qp": "0", "x264-params": "chromaloc=0"}, 64, 96),
     "centre": ("libx264", {"qp": "0", "x264-params": "chromaloc=1"}, 64, 96),
     "top left": ("libx264", {"qp": "0", "x264-params": "chromaloc=2"}, 64, 96),
@@ -380,9 +380,9 @@ PLACES = {
 """Where the samples of colour lie, and whether there is one for each four pixels."""
 
 
-@pytest.mark.parametrize("place", PLACES)
-def test_halved_colours_are_those_of_ffmpegs_exact_converter_within_a_level(place):
-    codec, options, height, width = PLACES[place]
+@pytest.mark.parametrize("location", LOCATIONS)
+def test_halved_colours_are_those_of_ffmpegs_exact_converter_within_a_level(location):
+    codec, options, height, width = LOCATIONS[location]
     rng = np.random.default_rng(4)
     file = io.BytesIO()
     with av.open(file, "w", format="matroska") as output:
@@ -406,7 +406,7 @@ def test_halved_colours_are_those_of_ffmpegs_exact_converter_within_a_level(plac
     assert np.abs(difference.mean(axis=(0, 1))).max() < 0.06
 
 
-def test_pictures_of_real_drives_are_those_of_ffmpegs_exact_converter_within_a_level(data_dir):
+def test_images_of_real_drives_are_those_of_ffmpegs_exact_converter_within_a_level(data_dir):
     for path in sorted((data_dir / "recordings").glob("*/data.mkv")):
         with av.open(str(path)) as source, open_video(path) as reader:
             image = VideoReformatter().reformat(
@@ -429,11 +429,11 @@ def test_ten_bit_and_grey_videos_come_as_eight_bit_colours(videos):
         assert videos.number(rgb) == 2
 
 
-def test_the_path_is_in_the_message_of_a_damaged_picture(mkv_bytes, tmp_path):
+def test_the_path_is_in_the_message_of_a_damaged_image(mkv_bytes, tmp_path):
     path = Path(tmp_path, "front.mkv")
     content = bytearray(mkv_bytes)
     content[len(content) // 3 : len(content) // 2] = bytes(len(content) // 2 - len(content) // 3)
     path.write_bytes(content)
-    with open_video(path) as reader, pytest.raises(DataError, match=r"front\.mkv: (picture|packet) \d+"):
+    with open_video(path) as reader, pytest.raises(DataError, match=r"front\.mkv: (image|packet) \d+"):
         for index in range(40):
             reader.rgb(index)

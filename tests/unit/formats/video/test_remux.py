@@ -1,4 +1,4 @@
-"""Videos change their container without losing a picture, and without being encoded anew where that can be."""
+"""Videos change their container without losing an image, and without being encoded anew where that can be."""
 
 import io
 from itertools import pairwise
@@ -29,7 +29,7 @@ ENCODED = {
         {"codec": "libvpx-vp9", "options": {"deadline": "realtime", "cpu-used": "8"}},
         "vp9 is not copied",
     ),
-    "h264 with B-frames from avi": ({"container": "avi"}, "does not say when its pictures are shown"),
+    "h264 with B-frames from avi": ({"container": "avi"}, "does not state when its images are shown"),
 }
 
 
@@ -43,22 +43,22 @@ def times_of_packets(content):
 def read_with_opencv(content, tmp_path):
     path = tmp_path / "checked.mp4"
     path.write_bytes(content)
-    capture, pictures = cv2.VideoCapture(str(path)), []
+    capture, images = cv2.VideoCapture(str(path)), []
     while (found := capture.read())[0]:
-        pictures.append(found[1])
-    return int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), pictures
+        images.append(found[1])
+    return int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), images
 
 
 @pytest.mark.parametrize("kind", COPIED)
-def test_a_copy_holds_the_same_pictures_bit_by_bit_in_the_same_order(videos, tmp_path, kind):
+def test_a_copy_holds_the_same_images_bit_by_bit_in_the_same_order(videos, tmp_path, kind):
     content, target = videos.make(videos.Recipe(**COPIED[kind])), io.BytesIO()
     result = remux_to_mp4(lambda: io.BytesIO(content), target)
-    assert (result.pictures, result.copied, result.reason) == (40, True, None)
+    assert (result.images, result.copied, result.reason) == (40, True, None)
     for found, expected in zip(videos.decode(target.getvalue()), videos.decode(content), strict=True):
         np.testing.assert_array_equal(found, expected)
-    counted, pictures = read_with_opencv(target.getvalue(), tmp_path)
+    counted, images = read_with_opencv(target.getvalue(), tmp_path)
     assert counted == 40
-    assert [videos.number(bgr) for bgr in pictures] == list(range(40))
+    assert [videos.number(bgr) for bgr in images] == list(range(40))
 
 
 @pytest.mark.parametrize("kind", COPIED)
@@ -84,20 +84,20 @@ def test_real_recordings_with_b_frames_and_missing_decoding_times_are_copied(dat
         expected = videos.decode(path.read_bytes())
         for found, planes in zip(videos.decode(target.getvalue()), expected, strict=True):
             np.testing.assert_array_equal(found, planes)
-        counted, pictures = read_with_opencv(target.getvalue(), tmp_path)
-        assert counted == len(pictures) == len(expected)
+        counted, images = read_with_opencv(target.getvalue(), tmp_path)
+        assert counted == len(images) == len(expected)
 
 
 def test_given_times_replace_those_of_the_source(videos, mkv_bytes):
-    stamps = 1.7e9 + np.cumsum(np.linspace(0.01, 0.2, 40))
+    timestamps = 1.7e9 + np.cumsum(np.linspace(0.01, 0.2, 40))
     target = io.BytesIO()
-    remux_to_mp4(mkv_bytes, target, timestamps_seconds=stamps)
+    remux_to_mp4(mkv_bytes, target, timestamps_seconds=timestamps)
     found = sorted(pts for pts, _ in times_of_packets(target.getvalue()))
-    assert found == pytest.approx(stamps - stamps[0], abs=1e-6)
-    assert [videos.number(frame) for frame in rgb_pictures(target.getvalue())] == list(range(40))
+    assert found == pytest.approx(timestamps - timestamps[0], abs=1e-6)
+    assert [videos.number(frame) for frame in rgb_images(target.getvalue())] == list(range(40))
 
 
-def rgb_pictures(content):
+def rgb_images(content):
     with av.open(io.BytesIO(content)) as container:
         return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
 
@@ -107,21 +107,21 @@ def test_what_cannot_be_copied_is_encoded_as_h264_and_says_why(videos, tmp_path,
     recipe, reason = ENCODED[kind]
     content, target = videos.make(videos.Recipe(**recipe)), io.BytesIO()
     result = remux_to_mp4(content, target)
-    assert (result.pictures, result.codec, result.copied) == (40, "h264", False)
+    assert (result.images, result.codec, result.copied) == (40, "h264", False)
     assert reason in str(result.reason)
-    counted, pictures = read_with_opencv(target.getvalue(), tmp_path)
+    counted, images = read_with_opencv(target.getvalue(), tmp_path)
     assert counted == 40
-    assert [videos.number(bgr) for bgr in pictures] == list(range(40))
+    assert [videos.number(bgr) for bgr in images] == list(range(40))
     assert [pts for pts, _ in sorted(times_of_packets(target.getvalue()))] == pytest.approx(
         np.arange(40) / 30, abs=1e-3
     )
 
 
-def test_some_of_the_pictures_are_encoded_at_their_times(videos, mkv_bytes):
+def test_some_of_the_images_are_encoded_at_their_times(videos, mkv_bytes):
     target = io.BytesIO()
     result = remux_to_mp4(mkv_bytes, target, frame_indices=[3, 4, 9, 30])
-    assert (result.pictures, result.copied) == (4, False)
-    assert [videos.number(rgb) for rgb in rgb_pictures(target.getvalue())] == [3, 4, 9, 30]
+    assert (result.images, result.copied) == (4, False)
+    assert [videos.number(rgb) for rgb in rgb_images(target.getvalue())] == [3, 4, 9, 30]
     times = [pts for pts, _ in sorted(times_of_packets(target.getvalue()))]
     assert times == pytest.approx((np.array([3, 4, 9, 30]) - 3) / 30, abs=1e-3)
 
@@ -133,19 +133,19 @@ def test_hevc_bears_the_name_that_every_player_knows(videos):
 
 
 @pytest.mark.parametrize("count", [39, 41])
-def test_not_one_time_for_each_picture_is_refused(mkv_bytes, count):
-    with pytest.raises(ArrayError, match=f"{count} times for 40 pictures"):
+def test_not_one_time_for_each_image_is_refused(mkv_bytes, count):
+    with pytest.raises(ArrayError, match=f"{count} times for 40 images"):
         remux_to_mp4(mkv_bytes, io.BytesIO(), timestamps_seconds=np.arange(count) / 10)
 
 
 def test_times_that_do_not_increase_are_refused(mkv_bytes):
-    stamps = np.arange(40) / 10
-    stamps[7] = stamps[6]
+    timestamps = np.arange(40) / 10
+    timestamps[7] = timestamps[6]
     with pytest.raises(ArrayError, match=r"timestamps_seconds\[7\]: 0.6.*; expected more than 0.6"):
-        remux_to_mp4(mkv_bytes, io.BytesIO(), timestamps_seconds=stamps)
+        remux_to_mp4(mkv_bytes, io.BytesIO(), timestamps_seconds=timestamps)
 
 
-def test_odd_pictures_are_cropped_only_on_request(videos):
+def test_odd_images_are_cropped_only_on_request(videos):
     content = videos.make(
         videos.Recipe(codec="ffv1", pixel_format="bgr0", options={}, count=4, size=(97, 65))
     )
@@ -153,10 +153,10 @@ def test_odd_pictures_are_cropped_only_on_request(videos):
         remux_to_mp4(content, io.BytesIO())
     target = io.BytesIO()
     remux_to_mp4(content, target, crop_to_even=True)
-    assert [rgb.shape for rgb in rgb_pictures(target.getvalue())] == [(64, 96, 3)] * 4
+    assert [rgb.shape for rgb in rgb_images(target.getvalue())] == [(64, 96, 3)] * 4
 
 
-def test_pictures_are_encoded_one_at_a_time(videos):
+def test_images_are_encoded_one_at_a_time(videos):
     asked: list[int] = []
 
     class Target(io.BytesIO):
@@ -166,24 +166,24 @@ def test_pictures_are_encoded_one_at_a_time(videos):
             self.first_write_after = self.first_write_after or len(asked)
             return super().write(data)
 
-    def pictures():
+    def images():
         for number in range(100):
             asked.append(number)
-            yield videos.picture(number)
+            yield videos.image(number)
 
     target = Target()
-    assert encode_to_mp4(pictures(), target, fps=10.0).pictures == 100
+    assert encode_to_mp4(images(), target, fps=10.0).images == 100
     assert target.first_write_after < 70
-    assert [videos.number(rgb) for rgb in rgb_pictures(target.getvalue())] == list(range(100))
+    assert [videos.number(rgb) for rgb in rgb_images(target.getvalue())] == list(range(100))
 
 
 def test_encoding_nothing_or_with_a_wrong_number_of_times_is_refused(videos):
-    with pytest.raises(OutputError, match="needs at least one picture"):
+    with pytest.raises(OutputError, match="needs at least one image"):
         encode_to_mp4([], io.BytesIO())
     for count in (2, 4):
-        with pytest.raises(ArrayError, match=f"{count} times for 3 pictures"):
+        with pytest.raises(ArrayError, match=f"{count} times for 3 images"):
             encode_to_mp4(
-                (videos.picture(k) for k in range(3)), io.BytesIO(), timestamps_seconds=np.arange(count) / 10
+                (videos.image(k) for k in range(3)), io.BytesIO(), timestamps_seconds=np.arange(count) / 10
             )
 
 
@@ -233,9 +233,9 @@ def test_a_full_disk_is_an_output_error(mkv_bytes):
 @pytest.mark.parametrize("kind", ["h264 from mp4", "h264 from ts", "hevc from mkv"])
 def test_matroska_takes_the_packets_of_any_codec(videos, tmp_path, kind):
     content = videos.make(videos.Recipe(**COPIED[kind]))
-    result = copy_to_matroska(content, tmp_path / "data.mkv", pictures=40)
+    result = copy_to_matroska(content, tmp_path / "data.mkv", images=40)
     assert result is not None
-    assert (result.pictures, result.copied) == (40, True)
+    assert (result.images, result.copied) == (40, True)
     for found, expected in zip(
         videos.decode((tmp_path / "data.mkv").read_bytes()), videos.decode(content), strict=True
     ):
@@ -254,38 +254,38 @@ def test_matroska_takes_the_packets_of_ffv1(videos, tmp_path):
 def test_nothing_is_written_where_packets_cannot_be_copied(videos, mkv_bytes, tmp_path):
     untimed = videos.make(videos.Recipe(container="avi"))
     assert copy_to_matroska(untimed, tmp_path / "data.mkv") is None
-    assert copy_to_matroska(mkv_bytes, tmp_path / "data.mkv", pictures=39) is None
+    assert copy_to_matroska(mkv_bytes, tmp_path / "data.mkv", images=39) is None
     assert not (tmp_path / "data.mkv").exists()
 
 
 def boxes_of(content):
     """The names of the outermost boxes of an mp4 file, in their order."""
-    place, names = 0, []
-    while place < len(content):
-        names.append(content[place + 4 : place + 8])
-        place += int.from_bytes(content[place : place + 4], "big")
+    location, names = 0, []
+    while location < len(content):
+        names.append(content[location + 4 : location + 8])
+        location += int.from_bytes(content[location : location + 4], "big")
     return names
 
 
 def encoded_anew(videos, kind):
-    """An mp4 file of forty pictures, and the same once more."""
+    """An mp4 file of forty images, and the same once more."""
     targets = io.BytesIO(), io.BytesIO()
     rng = np.random.default_rng(3)
-    pictures = rng.integers(0, 255, (40, 48, 64, 3), np.uint8)
+    images = rng.integers(0, 255, (40, 48, 64, 3), np.uint8)
     uneven = np.cumsum(rng.uniform(0.02, 0.3, 40))
     content = videos.make(videos.Recipe(**(ENCODED["ffv1"][0] if kind == "remuxed" else {})))
     for target in targets:
         if kind in {"copied", "remuxed"}:
             remux_to_mp4(content, target, timestamps_seconds=uneven)
         elif kind == "at times":
-            encode_to_mp4(pictures, target, timestamps_seconds=uneven)
+            encode_to_mp4(images, target, timestamps_seconds=uneven)
         else:
-            encode_to_mp4(iter(pictures), target, fps=10.0, count=40)
+            encode_to_mp4(iter(images), target, fps=10.0, count=40)
     return [target.getvalue() for target in targets]
 
 
 @pytest.mark.parametrize("kind", ["copied", "remuxed", "at times", "counted"])
-def test_the_tables_stand_before_the_pictures_and_the_bytes_are_always_the_same(videos, kind):
+def test_the_tables_stand_before_the_images_and_the_bytes_are_always_the_same(videos, kind):
     first, second = encoded_anew(videos, kind)
     names = boxes_of(first)
     assert names.index(b"moov") < names.index(b"mdat")
@@ -293,24 +293,24 @@ def test_the_tables_stand_before_the_pictures_and_the_bytes_are_always_the_same(
     assert len(videos.decode(first)) == 40
 
 
-def test_pictures_of_which_no_one_says_how_many_are_still_encoded(videos):
+def test_images_of_which_no_one_says_how_many_are_still_encoded(videos):
     target = io.BytesIO()
     encode_to_mp4((np.full((48, 64, 3), k, np.uint8) for k in range(5)), target, fps=10.0)
     assert boxes_of(target.getvalue())[-1] == b"moov"
     assert len(videos.decode(target.getvalue())) == 5
 
 
-def test_one_picture_more_than_was_said_is_refused():
-    pictures = np.zeros((3, 48, 64, 3), np.uint8)
-    with pytest.raises(ArrayError, match="picture 2: expected no more than 2"):
-        encode_to_mp4(pictures, io.BytesIO(), fps=10.0, count=2)
+def test_one_image_more_than_was_stated_is_refused():
+    images = np.zeros((3, 48, 64, 3), np.uint8)
+    with pytest.raises(ArrayError, match="image 2: expected no more than 2"):
+        encode_to_mp4(images, io.BytesIO(), fps=10.0, count=2)
 
 
 def test_tables_of_very_many_uneven_key_frames_find_room():
-    stamps = np.cumsum(np.random.default_rng(1).uniform(1e-3, 1.0, 3000))
+    timestamps = np.cumsum(np.random.default_rng(1).uniform(1e-3, 1.0, 3000))
     target = io.BytesIO()
-    with VideoWriter(target, 16, 16, 10.0, container="mp4", pictures=3000) as writer:
-        for seconds in stamps:
+    with VideoWriter(target, 16, 16, 10.0, container="mp4", images=3000) as writer:
+        for seconds in timestamps:
             writer.add(np.full((16, 16, 3), int(seconds * 255) % 255, np.uint8), seconds)
     names = boxes_of(target.getvalue())
     assert names.index(b"moov") < names.index(b"mdat")

@@ -1,4 +1,4 @@
-"""The list of pictures by an mp4's tables is that of a walk through all its packets."""
+"""The list of images by an mp4's tables is that of a walk through all its packets."""
 
 import av
 import numpy as np
@@ -24,12 +24,12 @@ class Counted:
         return piece
 
 
-def encoded(path, codec, options, *, flags="", pictures=40, form="mp4"):
+def encoded(path, codec, options, *, flags="", images=40, form="mp4"):
     rng = np.random.default_rng(5)
     movie = av.open(path, "w", format=form, options={"movflags": flags} if flags else {})
     stream = movie.add_stream(codec, rate=10, options=options)
     stream.width = stream.height = 128
-    for _ in range(pictures):
+    for _ in range(images):
         frame = av.VideoFrame.from_ndarray(rng.integers(0, 256, (128, 128, 3), np.uint8), format="rgb24")
         for packet in stream.encode(frame):
             movie.mux(packet)
@@ -40,7 +40,7 @@ def encoded(path, codec, options, *, flags="", pictures=40, form="mp4"):
 
 
 CASES = {
-    "H.264 with pictures out of order": ("libx264", {"bf": "3", "g": "12"}, ""),
+    "H.264 with images out of order": ("libx264", {"bf": "3", "g": "12"}, ""),
     "H.264 with the tables in front": ("libx264", {"g": "10"}, "faststart"),
     "H.264 in fragments": ("libx264", {"g": "10"}, "frag_keyframe+empty_moov"),
     "MPEG-4": ("mpeg4", {}, ""),
@@ -48,7 +48,7 @@ CASES = {
 
 
 @pytest.mark.parametrize(("codec", "options", "flags"), CASES.values(), ids=CASES)
-def test_tables_tell_what_a_walk_through_all_packets_tells(tmp_path, codec, options, flags):
+def test_tables_report_what_a_walk_through_all_packets_reports(tmp_path, codec, options, flags):
     content = encoded(tmp_path / "video.mp4", codec, options, flags=flags)
     expected = read_index(content, "video")
     found = read_table_index(content, "video")
@@ -66,8 +66,8 @@ def test_a_quicktime_file_has_such_tables_too(tmp_path):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
-def test_pictures_are_not_read(tmp_path):
-    counted = Counted(encoded(tmp_path / "video.mp4", "libx264", {"g": "10"}, pictures=60))
+def test_images_are_not_read(tmp_path):
+    counted = Counted(encoded(tmp_path / "video.mp4", "libx264", {"g": "10"}, images=60))
     assert len(read_table_index(counted, "video")) == 60
     assert counted.looked_at < len(counted) / 2
 

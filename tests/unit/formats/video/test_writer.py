@@ -1,4 +1,4 @@
-"""Encoded pictures come back in order, with their colours and times; impossible requests are refused."""
+"""Encoded images come back in order, with their colours and times; impossible requests are refused."""
 
 import io
 
@@ -11,19 +11,19 @@ from sceneloom.errors import ArrayError, OptionError, OutputError
 from sceneloom.formats.video.writer import VideoWriter
 
 
-def write(target, pictures, times=None, *, fps=10.0, **options):
-    height, width = pictures[0].shape[:2]
+def write(target, images, times=None, *, fps=10.0, **options):
+    height, width = images[0].shape[:2]
     with VideoWriter(target, width, height, fps, **options) as writer:
-        for number, rgb in enumerate(pictures):
+        for number, rgb in enumerate(images):
             writer.add(rgb, None if times is None else times[number])
     return writer
 
 
 def read_with_opencv(path):
-    capture, pictures = cv2.VideoCapture(str(path)), []
+    capture, images = cv2.VideoCapture(str(path)), []
     while (found := capture.read())[0]:
-        pictures.append(found[1][:, :, ::-1])
-    return pictures
+        images.append(found[1][:, :, ::-1])
+    return images
 
 
 def presentation_times(content):
@@ -32,43 +32,43 @@ def presentation_times(content):
 
 
 @pytest.mark.parametrize("name", ["data.mkv", "data.mp4", "a: strange name.mkv"])
-def test_opencv_reads_as_many_pictures_in_the_same_order(tmp_path, videos, name):
-    pictures = [videos.picture(number) for number in range(40)]
-    assert write(tmp_path / name, pictures).count == 40
+def test_opencv_reads_as_many_images_in_the_same_order(tmp_path, videos, name):
+    images = [videos.image(number) for number in range(40)]
+    assert write(tmp_path / name, images).count == 40
     assert [videos.number(rgb) for rgb in read_with_opencv(tmp_path / name)] == list(range(40))
 
 
 @pytest.mark.parametrize("container", ["matroska", "mp4"])
-def test_the_same_pictures_give_the_same_bytes(videos, container):
-    pictures = [videos.picture(number) for number in range(12)]
+def test_the_same_images_give_the_same_bytes(videos, container):
+    images = [videos.image(number) for number in range(12)]
     files = [io.BytesIO(), io.BytesIO()]
     for file in files:
-        write(file, pictures, container=container)
+        write(file, images, container=container)
         assert not file.closed
     assert files[0].getvalue() == files[1].getvalue()
 
 
 @pytest.mark.parametrize("container", ["matroska", "mp4"])
 @pytest.mark.parametrize("start", [0.0, -3.2, 1.7e9])
-def test_uneven_times_are_kept_from_the_first_picture_on(videos, container, start):
+def test_uneven_times_are_kept_from_the_first_image_on(videos, container, start):
     steps = np.cumsum([0.0, 0.1, 0.1, 0.033, 0.5, 0.1, 0.067, 2.0])
     file = io.BytesIO()
-    write(file, [videos.picture(number) for number in range(8)], list(start + steps), container=container)
+    write(file, [videos.image(number) for number in range(8)], list(start + steps), container=container)
     # Matroska counts milliseconds; seconds since 1970 resolve a quarter of a microsecond
     tolerance = 5.1e-4 if container == "matroska" else 1e-6
     assert presentation_times(file.getvalue()) == pytest.approx(steps, abs=tolerance)
 
 
-def test_pictures_closer_than_a_tick_of_the_container_stay_apart_and_in_order(videos):
+def test_images_closer_than_a_tick_of_the_container_stay_apart_and_in_order(videos):
     file = io.BytesIO()
     times = [0.0, 0.0001, 0.0002, 0.0003, 0.1]
-    write(file, [videos.picture(number) for number in range(5)], times, container="matroska")
+    write(file, [videos.image(number) for number in range(5)], times, container="matroska")
     found = presentation_times(file.getvalue())
     assert len(set(found)) == 5
     assert found == sorted(found)
 
 
-def smooth_picture(seed, width=320, height=240):
+def smooth_image(seed, width=320, height=240):
     noise = np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
     return cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 8), None, 20, 235, cv2.NORM_MINMAX)
 
@@ -76,18 +76,18 @@ def smooth_picture(seed, width=320, height=240):
 def test_colours_come_back_unshifted(tmp_path):
     from sceneloom.formats.video.reader import open_video
 
-    pictures = [smooth_picture(seed) for seed in range(3)]
-    write(tmp_path / "data.mkv", pictures)
+    images = [smooth_image(seed) for seed in range(3)]
+    write(tmp_path / "data.mkv", images)
     with open_video(tmp_path / "data.mkv") as reader:
-        errors = np.stack([reader.rgb(k).astype(int) - rgb for k, rgb in enumerate(pictures)])
+        errors = np.stack([reader.rgb(k).astype(int) - rgb for k, rgb in enumerate(images)])
     assert np.abs(errors.mean(axis=(0, 1, 2))).max() < 0.2  # no tint
     assert np.median(np.abs(errors)) <= 4  # what the main job allows H.264 to lose
 
 
 def test_opencv_which_ignores_what_a_stream_says_of_its_colours_gets_them_right(tmp_path):
     colours = np.array([(200, 40, 40), (40, 200, 40), (40, 40, 200), (220, 200, 30)], np.uint8)
-    picture = np.repeat(np.repeat(colours[None], 64, axis=1), 64, axis=0)
-    write(tmp_path / "data.mkv", [picture] * 3)
+    image = np.repeat(np.repeat(colours[None], 64, axis=1), 64, axis=0)
+    write(tmp_path / "data.mkv", [image] * 3)
     found = read_with_opencv(tmp_path / "data.mkv")[1][32, 32::64].astype(int)
     # OpenCV truncates and the encoder rounds; BT.709 taken for BT.601 is up to 17 levels off in these colours
     assert np.abs(found - colours).max() <= 5
@@ -95,7 +95,7 @@ def test_opencv_which_ignores_what_a_stream_says_of_its_colours_gets_them_right(
 
 def test_the_stream_says_which_colours_it_has(videos):
     file = io.BytesIO()
-    write(file, [videos.picture(0)])
+    write(file, [videos.image(0)])
     with av.open(io.BytesIO(file.getvalue())) as container:
         frame = next(container.decode(video=0))
     assert (frame.colorspace, frame.color_range, frame.format.name) == (6, 1, "yuv420p")
@@ -103,9 +103,9 @@ def test_the_stream_says_which_colours_it_has(videos):
 
 def test_ffv1_loses_nothing_and_takes_odd_sizes(tmp_path):
     rng = np.random.default_rng(0)
-    pictures = [rng.integers(0, 256, (33, 51, 3), dtype=np.uint8) for _ in range(4)]
-    write(tmp_path / "data.mkv", pictures, codec="ffv1")
-    for found, expected in zip(read_with_opencv(tmp_path / "data.mkv"), pictures, strict=True):
+    images = [rng.integers(0, 256, (33, 51, 3), dtype=np.uint8) for _ in range(4)]
+    write(tmp_path / "data.mkv", images, codec="ffv1")
+    for found, expected in zip(read_with_opencv(tmp_path / "data.mkv"), images, strict=True):
         np.testing.assert_array_equal(found, expected)
 
 
@@ -121,9 +121,9 @@ def test_an_odd_size_is_refused_with_the_remedy(tmp_path, size):
     [
         ({"codec": "divx"}, "no video codec 'divx'; there are h264, ffv1"),
         ({"container": "avi"}, "no video container 'avi'"),
-        ({"fps": 0.0}, "0.0 pictures a second"),
-        ({"fps": float("nan")}, "nan pictures a second"),
-        ({"width": 0}, "picture size 0x64"),
+        ({"fps": 0.0}, "0.0 images a second"),
+        ({"fps": float("nan")}, "nan images a second"),
+        ({"width": 0}, "image size 0x64"),
     ],
 )
 def test_impossible_requests_are_refused(tmp_path, change, problem):
@@ -137,58 +137,58 @@ def test_a_suffix_that_no_container_has_is_refused(tmp_path):
         VideoWriter(tmp_path / "data.gif", 96, 64, 10.0)
 
 
-def test_a_picture_of_another_shape_or_type_is_refused_by_its_number(tmp_path, videos):
+def test_an_image_of_another_shape_or_type_is_refused_by_its_number(tmp_path, videos):
     with VideoWriter(tmp_path / "data.mkv", 96, 64, 10.0) as writer:
-        writer.add(videos.picture(0))
-        for wrong in (videos.picture(1)[:62], videos.picture(1).astype(float), videos.picture(1)[:, :, :1]):
-            with pytest.raises(ArrayError, match=r"picture 1: .*expected \(64, 96, 3\) uint8"):
+        writer.add(videos.image(0))
+        for wrong in (videos.image(1)[:62], videos.image(1).astype(float), videos.image(1)[:, :, :1]):
+            with pytest.raises(ArrayError, match=r"image 1: .*expected \(64, 96, 3\) uint8"):
                 writer.add(wrong)
-        writer.add(videos.picture(1))
+        writer.add(videos.image(1))
     assert len(read_with_opencv(tmp_path / "data.mkv")) == 2
 
 
 @pytest.mark.parametrize("second", [0.5, float("nan")])
 def test_a_time_before_the_last_one_is_refused(tmp_path, videos, second):
     with VideoWriter(tmp_path / "data.mkv", 96, 64, 10.0) as writer:
-        writer.add(videos.picture(0), 1.0)
-        with pytest.raises(ArrayError, match=r"picture 1: its time .* is before 1\.0 s"):
-            writer.add(videos.picture(1), second)
+        writer.add(videos.image(0), 1.0)
+        with pytest.raises(ArrayError, match=r"image 1: its time .* is before 1\.0 s"):
+            writer.add(videos.image(1), second)
 
 
-def test_pictures_of_one_time_keep_their_order(tmp_path):
+def test_images_of_one_time_keep_their_order(tmp_path):
     greys = [np.full((64, 96, 3), level, np.uint8) for level in (200, 10, 90)]
     with VideoWriter(tmp_path / "data.mkv", 96, 64, 10.0, codec="ffv1") as writer:
         for grey, second in zip(greys, (1.0, 1.0, 1.5), strict=True):
             writer.add(grey, second)
-    assert [picture[0, 0, 0] for picture in read_with_opencv(tmp_path / "data.mkv")] == [200, 10, 90]
+    assert [image[0, 0, 0] for image in read_with_opencv(tmp_path / "data.mkv")] == [200, 10, 90]
 
 
-def test_a_video_without_pictures_is_refused(tmp_path):
+def test_a_video_without_images_is_refused(tmp_path):
     with (
-        pytest.raises(OutputError, match="needs at least one picture"),
+        pytest.raises(OutputError, match="needs at least one image"),
         VideoWriter(tmp_path / "data.mkv", 96, 64, 10),
     ):
         pass
 
 
-def test_a_closed_writer_takes_no_pictures_and_closing_twice_is_harmless(tmp_path, videos):
-    writer = write(tmp_path / "data.mkv", [videos.picture(0)])
+def test_a_closed_writer_takes_no_images_and_closing_twice_is_harmless(tmp_path, videos):
+    writer = write(tmp_path / "data.mkv", [videos.image(0)])
     writer.close()
     with pytest.raises(OutputError, match="the video is closed"):
-        writer.add(videos.picture(1))
+        writer.add(videos.image(1))
 
 
-def test_a_place_that_cannot_be_written_is_named(tmp_path, videos):
+def test_a_location_that_cannot_be_written_is_named(tmp_path, videos):
     with pytest.raises(OutputError, match=r"nowhere/data\.mkv: cannot be written: No such file"):
-        write(tmp_path / "nowhere" / "data.mkv", [videos.picture(0)])
+        write(tmp_path / "nowhere" / "data.mkv", [videos.image(0)])
 
 
 def test_an_exception_in_between_passes_through_and_leaves_the_file_closed(tmp_path, videos):
     with pytest.raises(KeyError), VideoWriter(tmp_path / "data.mkv", 96, 64, 10.0) as writer:
-        writer.add(videos.picture(0))
+        writer.add(videos.image(0))
         raise KeyError
     with pytest.raises(OutputError, match="closed"):
-        writer.add(videos.picture(1))
+        writer.add(videos.image(1))
 
 
 class FullDisk(io.BytesIO):
@@ -199,6 +199,6 @@ class FullDisk(io.BytesIO):
 
 
 def test_a_full_disk_is_an_output_error(videos):
-    pictures = [np.random.default_rng(k).integers(0, 256, (64, 96, 3), dtype=np.uint8) for k in range(30)]
+    images = [np.random.default_rng(k).integers(0, 256, (64, 96, 3), dtype=np.uint8) for k in range(30)]
     with pytest.raises(OutputError, match="No space left"):
-        write(FullDisk(), pictures)
+        write(FullDisk(), images)

@@ -18,7 +18,7 @@ from sceneloom.fusion.calibration.axes import DeclaredAxes, SensorKind
         ((0, 1, 2), False, "-x,+y,+z"),
     ],
 )
-def test_a_triple_says_what_its_words_say(triple, left_handed, words):
+def test_a_triple_says_what_its_words_state(triple, left_handed, words):
     by_triple = DeclaredAxes.of_triple(triple, left_handed=left_handed)
     assert by_triple.words == words
     assert by_triple.left_handed is left_handed

@@ -1,4 +1,4 @@
-"""Records of table 3 as lenses and mountings, in frames of any axes."""
+"""Records of table 3 as camera models and mountings, in frames of any axes."""
 
 import itertools
 
@@ -51,13 +51,13 @@ def declared_record(rotation, translation, *, layout=MatrixLayout.COLUMN_MAJOR, 
 
 def test_the_example_of_the_standard_looks_forward_from_beside_the_lidar():
     pair = calibrated_pair(record(), CAMERA_AXES, LIDAR_AXES)
-    np.testing.assert_allclose(pair.camera_from_lidar.rotation, FORWARD, atol=0.008)  # it is turned by 0.4°
+    np.testing.assert_allclose(pair.camera_from_lidar.rotation, FORWARD, atol=0.008)  # it is rotated by 0.4°
     np.testing.assert_allclose(pair.camera_from_lidar.translation, (-0.0062, 0.0756, 0.0337))
-    assert pair.remarks == ()
+    assert pair.notes == ()
     assert (pair.camera.fx, pair.camera.cy, pair.camera.coefficients[4]) == (468.3708, 235.6143, 0.0429)
 
 
-def test_rows_and_columns_are_told_by_where_the_translation_stands():
+def test_rows_and_columns_are_reported_by_where_the_translation_stands():
     by_columns = declared_record(FORWARD, (1, 2, 3))
     by_rows = declared_record(FORWARD, (1, 2, 3), layout=MatrixLayout.ROW_MAJOR)
     assert possible_layouts(by_columns.extrinsic_matrix) == (MatrixLayout.COLUMN_MAJOR,)
@@ -120,12 +120,12 @@ def test_a_mirroring_matrix_is_refused():
         calibrated_pair(mirrored, CAMERA_AXES, LIDAR_AXES)
 
 
-@pytest.mark.parametrize("turn_deg", [44, 46, 90, 180])
-def test_a_camera_that_looks_far_off_forward_is_remarked(turn_deg):
-    rotation = FORWARD @ Rotation.from_euler("z", turn_deg, degrees=True).as_matrix()
+@pytest.mark.parametrize("rotation_deg", [44, 46, 90, 180])
+def test_a_camera_that_looks_far_off_forward_is_remarked(rotation_deg):
+    rotation = FORWARD @ Rotation.from_euler("z", rotation_deg, degrees=True).as_matrix()
     pair = calibrated_pair(declared_record(rotation, (0, 0, 1)), CAMERA_AXES, LIDAR_AXES)
-    assert bool(pair.remarks) is (turn_deg > 45)
-    assert all("mirrored or transposed?" in remark for remark in pair.remarks)
+    assert bool(pair.notes) is (rotation_deg > 45)
+    assert all("mirrored or transposed?" in note for note in pair.notes)
 
 
 @pytest.mark.parametrize(
@@ -142,11 +142,11 @@ def test_numbers_that_are_no_calibration_are_refused(changed, problem):
         check_calibration(record(**changed))
 
 
-def test_a_lens_without_distortion_is_a_pinhole():
+def test_a_camera_model_without_distortion_is_a_pinhole():
     assert camera_of(record(distortion_coeffs=(0, 0, 0, 0, 0))).model == "pinhole"
 
 
-def test_a_lens_that_table_3_lacks_is_refused_by_name():
+def test_a_camera_model_that_table_3_lacks_is_refused_by_name():
     fisheye = Camera("fisheye", 640, 480, 300.0, 300.0, 319.5, 239.5, (0.1, 0.0, 0.0, 0.0))
     with pytest.raises(CalibrationError, match="fisheye"):
         calibration_data(fisheye, RigidTransform.identity(), CAMERA_AXES, LIDAR_AXES)

@@ -76,7 +76,7 @@ def test_raw_bytes_are_a_list_of_int8_as_the_standard_says():
     assert from_json("raw", content).data == record.data
 
 
-def test_points_in_lists_are_written_as_short_as_they_were_said():
+def test_points_in_lists_are_written_as_short_as_they_were_stated():
     cloud = PointCloudData(
         sensor_id=0,
         timestamp=Timestamp(1),
@@ -108,7 +108,7 @@ def test_names_of_the_same_field_in_other_tables_are_read(name, content):
     assert to_json(from_json(name, content), lists=True) == IMAGE
 
 
-def test_a_time_stamp_can_be_two_numbers():
+def test_a_timestamp_can_be_two_numbers():
     record = from_json("image", {**IMAGE, "timestamp": {"s": 1595682678, "ns": 715705367}})
     assert isinstance(record, ImageData)
     assert str(record.timestamp) == TIME
@@ -142,16 +142,16 @@ FAULTS = [
 EXAMPLES = {"image": IMAGE, "box_3d": BOX, "boxes_3d": BOXES}
 
 
-@pytest.mark.parametrize(("name", "changes", "place", "problem"), FAULTS)
-def test_a_fault_in_json_is_named(name, changes, place, problem):
+@pytest.mark.parametrize(("name", "changes", "location", "problem"), FAULTS)
+def test_a_fault_in_json_is_named(name, changes, location, problem):
     with pytest.raises(DataError) as fault:
         from_json(name, {**EXAMPLES[name], **changes})
-    assert fault.value.place == place
+    assert fault.value.location == location
     assert problem in fault.value.problem
 
 
 @pytest.mark.parametrize(
-    "text", ["", "{", "[]", "{}", '{"image": {}, "raw": {}}', '{"picture": {}}', '{"image": NaN}', b"\xff"]
+    "text", ["", "{", "[]", "{}", '{"image": {}, "raw": {}}', '{"image": {}}', '{"image": NaN}', b"\xff"]
 )
 def test_a_text_that_is_no_record_is_refused(text):
     with pytest.raises(DataError, match="record"):

@@ -22,13 +22,13 @@ from sceneloom.fusion.messages.protobuf_form import (
 from sceneloom.fusion.messages.wire import fusion_pb2
 
 TIME = Timestamp(1595682678, 715705367)
-STAMP = fusion_pb2.Timestamp(s=1595682678, ns=715705367)
+TIMESTAMP = fusion_pb2.Timestamp(s=1595682678, ns=715705367)
 
 
 def image(data=b"\1\2\3", **changes):
     fields = {
         "sensor_id": 1,
-        "timestamp": STAMP,
+        "timestamp": TIMESTAMP,
         "seq": 1,
         "height": 1,
         "width": 1,
@@ -44,7 +44,7 @@ def box(**changes):
         "class": "Car",
         "points_seq": 5,
         "confidence": 0.5,
-        "timestamp": STAMP,
+        "timestamp": TIMESTAMP,
         "X": 1,
         "Y": 2,
         "Z": 3,
@@ -54,7 +54,9 @@ def box(**changes):
 
 
 def boxes(*members, **changes):
-    return fusion_pb2.Boxes3d(**{"sensor_id": 1, "seq": 5, "timestamp": STAMP, "boxes": members, **changes})
+    return fusion_pb2.Boxes3d(
+        **{"sensor_id": 1, "seq": 5, "timestamp": TIMESTAMP, "boxes": members, **changes}
+    )
 
 
 def test_pixels_are_a_read_only_view_of_the_bytes_of_the_message():
@@ -133,17 +135,19 @@ FAULTS = [
 ]
 
 
-@pytest.mark.parametrize(("message", "place", "problem"), FAULTS, ids=[place for _, place, _ in FAULTS])
-def test_a_fault_in_a_message_is_named(message, place, problem):
+@pytest.mark.parametrize(
+    ("message", "location", "problem"), FAULTS, ids=[location for _, location, _ in FAULTS]
+)
+def test_a_fault_in_a_message_is_named(message, location, problem):
     with pytest.raises(DataError) as fault:
         from_protobuf(message)
-    assert fault.value.place == place
+    assert fault.value.location == location
     assert problem in fault.value.problem
 
 
 def test_points_that_are_no_whole_number_of_values_are_refused():
     message = fusion_pb2.PointCloudData(
-        timestamp=STAMP, fields=["x", "y", "z"], fields_number=3, data=b"12345"
+        timestamp=TIMESTAMP, fields=["x", "y", "z"], fields_number=3, data=b"12345"
     )
     with pytest.raises(DataError, match="data: 5 bytes; expected a multiple of 4"):
         from_protobuf(message)
@@ -168,7 +172,7 @@ def test_pixels_of_a_request_are_a_view_of_its_bytes():
 
 @pytest.mark.parametrize("before", range(4))
 def test_points_of_a_request_are_aligned_wherever_they_stand(before):
-    fields = {"timestamp": STAMP, "fields": ["x", "y", "z"], "fields_number": 3, "number": 1}
+    fields = {"timestamp": TIMESTAMP, "fields": ["x", "y", "z"], "fields_number": 3, "number": 1}
     points = fusion_pb2.PointCloudData(**fields, data=np.float32([1, 2, 3]).tobytes())
     content = (
         b"\xa2\x06"
@@ -186,7 +190,7 @@ def test_a_record_that_stands_twice_is_read_as_protobuf_reads_it():
         fusion_pb2.SendRequest(image=image(data)).SerializeToString() for data in (b"123", b"456")
     )
     assert decode_send_request(first + second).data.tobytes() == b"456"
-    other = fusion_pb2.SendRequest(raw=fusion_pb2.RawData(timestamp=STAMP)).SerializeToString()
+    other = fusion_pb2.SendRequest(raw=fusion_pb2.RawData(timestamp=TIMESTAMP)).SerializeToString()
     assert type(decode_send_request(first + other)).__name__ == "RawData"
 
 
@@ -202,7 +206,7 @@ def test_what_is_no_record_and_no_message_of_one_is_refused():
         from_protobuf(fusion_pb2.Status(status=1))
 
 
-def test_a_list_without_boxes_marks_its_place_in_a_reply():
+def test_a_list_without_boxes_marks_its_location_in_a_reply():
     reply = fusion_pb2.GetReply()
     fill_message(
         reply.detections,
@@ -228,6 +232,6 @@ def test_records_and_json_need_no_protobuf_and_without_it_the_extra_is_named():
         "except MissingExtraError as error:\n    print(error)\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    loaded, told = done.stdout.splitlines()
+    loaded, reported = done.stdout.splitlines()
     assert loaded == "False"
-    assert "pip install 'sceneloom[serve]'" in told
+    assert "pip install 'sceneloom[serve]'" in reported

@@ -173,7 +173,7 @@ def test_some_fields_of_a_cloud_can_be_taken():
         cloud.columns(("ring",))
 
 
-def test_a_file_of_a_picture_has_no_pixels_before_it_is_decoded():
+def test_a_file_of_an_image_has_no_pixels_before_it_is_decoded():
     jpeg = replace(IMAGE, encoding="jpeg", data=np.zeros(7, np.uint8))
     assert jpeg.pixels is None
 
@@ -302,12 +302,14 @@ def test_a_cloud_may_hold_points_that_are_not_finite():
     assert np.isnan(replace(CLOUD, data=data).data[3999])
 
 
-@pytest.mark.parametrize(("record", "changes", "place", "problem"), FAULTS, ids=lambda value: str(value)[:40])
-def test_a_fault_names_table_field_value_and_what_was_expected(record, changes, place, problem):
+@pytest.mark.parametrize(
+    ("record", "changes", "location", "problem"), FAULTS, ids=lambda value: str(value)[:40]
+)
+def test_a_fault_names_table_field_value_and_what_was_expected(record, changes, location, problem):
     with pytest.raises(DataError) as fault:
         replace(record, **changes)
     assert fault.value.file.endswith(f"(table {kind_of(record).table.number})")
-    assert fault.value.place == place
+    assert fault.value.location == location
     assert problem in fault.value.problem
 
 

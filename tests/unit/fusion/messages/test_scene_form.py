@@ -23,15 +23,15 @@ from sceneloom.fusion.messages.scene_form.clouds import (
     lidar_frame_of_result,
     point_cloud_of,
 )
-from sceneloom.fusion.messages.scene_form.pictures import (
+from sceneloom.fusion.messages.scene_form.images import (
     image_data_of,
-    picture_of,
-    picture_of_raw,
-    picture_of_result,
+    image_of,
+    image_of_result,
+    pixels_of_raw,
 )
 from sceneloom.fusion.messages.scene_form.results import depth_frame_of, sensor_fusion_of
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Boxes2D, Boxes3D, LidarFrame, LidarPoints, Picture, PointsFrame, ScoreForm
+from sceneloom.scene import Boxes2D, Boxes3D, CameraImage, LidarFrame, LidarPoints, PointsFrame, ScoreForm
 
 TIME = Timestamp(1595682678, 715705367)
 CAMERA = Camera("pinhole", 4, 3, 5.0, 5.0, 1.5, 1.0)
@@ -183,39 +183,39 @@ def test_raw_bytes_that_are_no_records_are_refused(content, problem):
         ("png", file_of(RGB, "PNG")),
     ],
 )
-def test_a_picture_of_every_encoding_is_red_green_blue(encoding, pixels):
+def test_an_image_of_every_encoding_is_red_green_blue(encoding, pixels):
     record = image(pixels, encoding)
-    picture = picture_of(record, CAMERA)
-    np.testing.assert_array_equal(picture.rgb, RGB)
-    assert picture.timestamp_ns == TIME.nanoseconds
+    camera_image = image_of(record, CAMERA)
+    np.testing.assert_array_equal(camera_image.rgb, RGB)
+    assert camera_image.timestamp_ns == TIME.nanoseconds
     if encoding not in ("raw", "png"):
-        back = image_data_of(picture, sensor_id=1, seq=4, encoding=encoding)
+        back = image_data_of(camera_image, sensor_id=1, seq=4, encoding=encoding)
         np.testing.assert_array_equal(back.data, record.data)
 
 
-def test_a_grey_picture_has_equal_colours():
+def test_a_grey_image_has_equal_colours():
     record = image(RGB[:, :, :1], "mono8")
-    picture = picture_of(record, CAMERA)
-    np.testing.assert_array_equal(picture.rgb, np.repeat(RGB[:, :, :1], 3, axis=2))
+    camera_image = image_of(record, CAMERA)
+    np.testing.assert_array_equal(camera_image.rgb, np.repeat(RGB[:, :, :1], 3, axis=2))
     np.testing.assert_array_equal(
-        image_data_of(picture, sensor_id=1, seq=4, encoding="mono8").data, record.data
+        image_data_of(camera_image, sensor_id=1, seq=4, encoding="mono8").data, record.data
     )
 
 
 def test_a_jpeg_is_passed_on_as_it_is():
     record = image(file_of(RGB, "JPEG"), "jpeg")
-    picture = picture_of(record, CAMERA)
+    camera_image = image_of(record, CAMERA)
     decoded = np.asarray(Image.open(io.BytesIO(record.data.tobytes())).convert("RGB"))
     # two decoders may round differently by a level or two
-    assert np.abs(picture.rgb.astype(int) - decoded).max() <= 3
+    assert np.abs(camera_image.rgb.astype(int) - decoded).max() <= 3
     np.testing.assert_array_equal(
-        image_data_of(picture, sensor_id=1, seq=4, encoding="jpeg").data, record.data
+        image_data_of(camera_image, sensor_id=1, seq=4, encoding="jpeg").data, record.data
     )
 
 
 def test_pixels_in_order_are_not_copied():
     record = image(RGB, "rgb8")
-    assert np.shares_memory(picture_of(record, CAMERA).rgb, RGB)
+    assert np.shares_memory(image_of(record, CAMERA).rgb, RGB)
 
 
 @pytest.mark.parametrize("form", ["jpeg", "png"])
@@ -223,42 +223,42 @@ def test_pixels_in_order_are_not_copied():
 def test_a_damaged_file_is_a_fault_when_it_is_decoded(form, damage):
     good = file_of(RGB if damage != "size" else RGB[:2], form.upper())
     data = {"cut": good[: len(good) // 2], "other": np.zeros(50, np.uint8), "size": good}[damage]
-    picture = picture_of(image(data, form), CAMERA)
+    camera_image = image_of(image(data, form), CAMERA)
     if damage == "cut" and form == "jpeg":
         data = good[:20]
-        picture = picture_of(image(data, form), CAMERA)
+        camera_image = image_of(image(data, form), CAMERA)
     with pytest.raises(DataError, match=r"image data \(table 5\): data"):
-        _ = picture.rgb
+        _ = camera_image.rgb
 
 
 def test_a_png_of_16_bits_is_refused():
     target = io.BytesIO()
     Image.fromarray(np.zeros((3, 4), np.uint16)).save(target, "PNG")
-    picture = picture_of(image(np.frombuffer(target.getvalue(), np.uint8), "png"), CAMERA)
+    camera_image = image_of(image(np.frombuffer(target.getvalue(), np.uint8), "png"), CAMERA)
     with pytest.raises(DataError, match="16 bits a value; expected 8 or less"):
-        _ = picture.rgb
+        _ = camera_image.rgb
 
 
-def test_a_picture_of_another_size_than_the_calibration_is_refused():
+def test_an_image_of_another_size_than_the_calibration_is_refused():
     with pytest.raises(DataError, match="width: 4; expected 8 as in the calibration"):
-        picture_of(image(RGB, "rgb8"), Camera("pinhole", 8, 3, 5.0, 5.0, 1.5, 1.0))
+        image_of(image(RGB, "rgb8"), Camera("pinhole", 8, 3, 5.0, 5.0, 1.5, 1.0))
 
 
 def test_raw_pixels_that_cannot_be_shown_are_refused():
     with pytest.raises(DataError, match="channel: 2 of raw; expected 1, 3 or 4"):
-        picture_of(image(RGB[:, :, :2], "raw"), CAMERA)
+        image_of(image(RGB[:, :, :2], "raw"), CAMERA)
 
 
 def test_raw_bytes_of_a_camera_are_what_the_encoding_says():
     raw = RawData(sensor_id=1, timestamp=TIME, seq=1, length=36, data=RGB.tobytes())
-    np.testing.assert_array_equal(picture_of_raw(raw, CAMERA, "bgr8").rgb, RGB[:, :, ::-1])
+    np.testing.assert_array_equal(pixels_of_raw(raw, CAMERA, "bgr8").rgb, RGB[:, :, ::-1])
     with pytest.raises(DataError, match="length: 36; expected 12, as 4x3 pixels of mono8 have"):
-        picture_of_raw(raw, CAMERA, "mono8")
+        pixels_of_raw(raw, CAMERA, "mono8")
     with pytest.raises(OptionError, match="expected one of rgb8"):
-        picture_of_raw(raw, CAMERA, "raw")
+        pixels_of_raw(raw, CAMERA, "raw")
     content = file_of(RGB, "PNG").tobytes()
     png = RawData(sensor_id=1, timestamp=TIME, seq=1, length=len(content), data=content)
-    np.testing.assert_array_equal(picture_of_raw(png, CAMERA, "png").rgb, RGB)
+    np.testing.assert_array_equal(pixels_of_raw(png, CAMERA, "png").rgb, RGB)
 
 
 def test_the_speed_along_a_direction_of_any_length_becomes_a_velocity():
@@ -305,7 +305,7 @@ def test_a_velocity_of_its_own_wins_over_the_speed():
     assert boxes_3d_of(record).velocities.tolist() == [[1, 2, 3]]
 
 
-def test_boxes_without_ids_and_velocities_are_numbered_and_stand_still():
+def test_boxes_without_ids_and_velocities_are_numbered_and_are_stationary():
     boxes = Boxes3D(
         7,
         np.zeros((2, 3)),
@@ -332,7 +332,7 @@ def test_boxes_with_broken_edges_get_the_whole_pixels_that_they_touch():
     corners = np.array([[-3.5, 1.25, 10.0, 19.5], [2.0, 3.0, 4.0, 5.0], [30.0, 40.0, 50.0, 60.0]])
     boxes = Boxes2D(5, corners, np.ones(3), ("a", "b", "c"))
     record = boxes_2d_record(boxes, sensor_id=0, seq=1, size_wh=(16, 12))
-    assert record.corners_xyxy.tolist() == [[0, 1, 10, 12], [2, 3, 4, 5]]  # the third is beside the picture
+    assert record.corners_xyxy.tolist() == [[0, 1, 10, 12], [2, 3, 4, 5]]  # the third is beside the image
     assert record.class_names == ("a", "b")
     unbounded = boxes_2d_record(boxes, sensor_id=0, seq=1)
     assert unbounded.corners_xyxy.tolist() == [[0, 1, 10, 20], [2, 3, 4, 5], [30, 40, 50, 60]]
@@ -348,7 +348,7 @@ def test_boxes_with_whole_edges_come_back_as_they_were():
 
 @pytest.fixture
 def fused():
-    """Three points before a camera, one of them hidden behind another, in a picture of 4x3."""
+    """Three points before a camera, one of them hidden behind another, in an image of 4x3."""
     camera_points = np.array([[0.0, 0.0, 5.0], [0.0, 0.0, 10.0], [3.0, 2.0, 10.0]])
     world_from_camera = RigidTransform.from_quaternion(np.array([10.0, 0, 0]), np.array([0.0, 0, 0, 1]))
     points_world = world_from_camera.apply(camera_points)
@@ -374,7 +374,7 @@ def record_of(fused, depth_kind):
     )
 
 
-def test_a_result_holds_picture_depths_and_points(fused):
+def test_a_result_holds_image_depths_and_points(fused):
     record = record_of(fused, "z")
     assert (record.timestamp, record.image_timestamp) == (Timestamp(0, 1_000), Timestamp(0, 2_000))
     assert (record.camera_id, record.lidar_id, record.image_seq, record.points_seq) == (1, 2, 3, 4)
@@ -400,7 +400,7 @@ def test_a_result_can_hold_distances_along_the_rays(fused):
 @pytest.mark.parametrize("depth_kind", ["z", "range"])
 def test_a_result_comes_back_into_the_model(fused, depth_kind):
     record = record_of(fused, depth_kind)
-    np.testing.assert_array_equal(picture_of_result(record, CAMERA).rgb, RGB)
+    np.testing.assert_array_equal(image_of_result(record, CAMERA).rgb, RGB)
     frame = lidar_frame_of_result(record)
     assert frame.points.intensities.tolist() == [1, 2, 3]
     depth = depth_frame_of(record, CAMERA)
@@ -408,11 +408,11 @@ def test_a_result_comes_back_into_the_model(fused, depth_kind):
     along = 10.0 if depth_kind == "z" else np.sqrt(113) / np.linalg.norm(ray)
     np.testing.assert_allclose(depth.depth[2, 3], along, rtol=1e-6)
     assert depth.timestamp_ns == 2_000
-    assert isinstance(picture_of_result(record, CAMERA), Picture)
+    assert isinstance(image_of_result(record, CAMERA), CameraImage)
 
 
 def test_a_result_of_another_size_than_the_camera_is_refused(fused):
     other = Camera("pinhole", 8, 3, 5.0, 5.0, 1.5, 1.0)
-    for read in (depth_frame_of, picture_of_result):
+    for read in (depth_frame_of, image_of_result):
         with pytest.raises(DataError, match=r"fused sensor data \(table 9\): width: 4; expected 8"):
             read(record_of(fused, "z"), other)

@@ -1,4 +1,4 @@
-"""Time stamps of seconds and nanoseconds."""
+"""Timestamps of seconds and nanoseconds."""
 
 import pytest
 
@@ -32,7 +32,7 @@ def test_numbers_out_of_range_are_refused(s, ns):
 
 
 @pytest.mark.parametrize("timestamp_ns", [-1, 2**32 * 10**9, 1.5])
-def test_times_that_no_stamp_can_say_are_refused(timestamp_ns):
+def test_times_that_no_timestamp_can_state_are_refused(timestamp_ns):
     with pytest.raises(DataError, match="expected 0 to"):
         Timestamp.of(timestamp_ns)
 

@@ -90,8 +90,8 @@ def test_whole_numbers_do_not_wrap(kind, low, high):
 )
 def test_a_value_of_another_type_or_size_is_refused(kind, value):
     with pytest.raises(DataError) as fault:
-        ValueType.parse(kind).check(value, owner="properties", place="p")
-    assert (fault.value.file, fault.value.place[:1]) == ("properties", "p")
+        ValueType.parse(kind).check(value, owner="properties", location="p")
+    assert (fault.value.file, fault.value.location[:1]) == ("properties", "p")
     assert "expected" in fault.value.problem
 
 

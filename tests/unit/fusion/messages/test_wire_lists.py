@@ -151,8 +151,8 @@ def test_broken_bytes_have_the_outcome_that_the_library_gives_them(make):
         content = bytearray(to_send_request(make(seed)).SerializeToString())
         for _ in range(12):
             broken = bytearray(content)
-            for place in random.integers(len(broken), size=random.integers(1, 3)):
-                broken[place] = random.choice([0, 1, 0xFF, broken[place] ^ 1 << random.integers(8)])
+            for location in random.integers(len(broken), size=random.integers(1, 3)):
+                broken[location] = random.choice([0, 1, 0xFF, broken[location] ^ 1 << random.integers(8)])
             broken = bytes(broken[: random.integers(1, 2 * len(broken))])
             assert outcome(decode_send_request, broken) == outcome(by_the_library, broken)
             faults += isinstance(outcome(by_the_library, broken), str)
@@ -173,9 +173,7 @@ UNUSUAL = {
     "a number of 64 bits": lambda head, time, box: (
         head + time + _field(box + tagged(9, 0, b"\xff" * 9 + b"\x01"))
     ),
-    "another number of the picture": lambda head, time, box: (
-        head + time + _field(box + tagged(3, 0, b"\x09"))
-    ),
+    "another number of the image": lambda head, time, box: head + time + _field(box + tagged(3, 0, b"\x09")),
     "no UTF-8": lambda head, time, box: head + time + _field(box + tagged(2, 2, b"\x01\xff")),
     "a text that is too long": lambda head, time, box: head + time + _field(box + tagged(2, 2, b"\x7fa")),
 }

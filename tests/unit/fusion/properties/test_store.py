@@ -163,7 +163,7 @@ def test_a_snapshot_stays_as_it_was():
 
 def test_what_is_wrong_with_a_property_that_is_added_is_named():
     store = PropertyStore()
-    told = store.add("frequency", "x" * 100_001, "uint32")
-    assert (told.status, "description" in told.reason, "name" in told.reason) == (0, True, False)
-    told = store.add("a name", "", "uint32")
-    assert (told.status, "name" in told.reason, "description" in told.reason) == (0, True, False)
+    reported = store.add("frequency", "x" * 100_001, "uint32")
+    assert (reported.status, "description" in reported.reason, "name" in reported.reason) == (0, True, False)
+    reported = store.add("a name", "", "uint32")
+    assert (reported.status, "name" in reported.reason, "description" in reported.reason) == (0, True, False)

@@ -35,13 +35,13 @@ class Sway:
         return (self.amplitudes * np.sin(self.frequencies * seconds[:, None, None] + self.phases)).sum(axis=1)
 
     def orientations(self, seconds: np.ndarray) -> np.ndarray:
-        """(N, 4) at ascending times: products of the turns of two thousandths of a second each."""
+        """(N, 4) at ascending times: products of the rotations of two thousandths of a second each."""
         edges = np.arange(seconds[0] - 0.5, seconds[-1] + 0.5, 2e-3)
         steps = quaternion_from_rotation_vector(self.rates(edges[:-1] + 1e-3) * 2e-3)
-        turns = [np.array([0.0, 0.0, 0.0, 1.0])]
+        rotations = [np.array([0.0, 0.0, 0.0, 1.0])]
         for x, y, z, w in steps.tolist():
-            a, b, c, d = turns[-1]
-            turns.append(
+            a, b, c, d = rotations[-1]
+            rotations.append(
                 np.array(
                     [
                         d * x + a * w + b * z - c * y,
@@ -53,7 +53,7 @@ class Sway:
             )
         rows = np.searchsorted(edges, seconds) - 1
         rest = (seconds - edges[rows])[:, None] * self.rates(0.5 * (seconds + edges[rows]))
-        return multiply_quaternions(np.array(turns)[rows], quaternion_from_rotation_vector(rest))
+        return multiply_quaternions(np.array(rotations)[rows], quaternion_from_rotation_vector(rest))
 
 
 @pytest.fixture
@@ -62,12 +62,12 @@ def sway() -> Callable[..., Sway]:
     return Sway.of
 
 
-def stamps(seconds: np.ndarray, offset: float = 0.0, skew_ppm: float = 0.0) -> np.ndarray:
-    """Stamps [ns] of a clock that is off by an offset at 0 and a skew; its zero is a date of today."""
+def timestamps(seconds: np.ndarray, offset: float = 0.0, skew_ppm: float = 0.0) -> np.ndarray:
+    """Timestamps [ns] of a clock that is off by an offset at 0 and a skew; its zero is a date of today."""
     off = offset + skew_ppm * 1e-6 * seconds
     return 1_700_000_000_000_000_000 + np.rint((seconds + off) * 1e9).astype(np.int64)
 
 
-@pytest.fixture(name="stamps")
-def _stamps() -> Callable[..., np.ndarray]:
-    return stamps
+@pytest.fixture(name="timestamps")
+def _timestamps() -> Callable[..., np.ndarray]:
+    return timestamps

@@ -7,7 +7,7 @@ from sceneloom.motion.clock.fitting import Linearised, fit, misfit_of
 
 ROWS, WINDOWS = 60, 3
 SIGMA = 0.3
-"""Standard deviation of the noise; half of what the fit is told, lest weights fall."""
+"""Standard deviation of the noise; half of what the fit is reported, lest weights fall."""
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from sceneloom.simulate.inertial import GRAVITY, ImuSpec, imu_truth
 from sceneloom.simulate.path import PathSpec, plan_path
 
 PATH = plan_path(
-    np.random.default_rng(0), start_ns=0, duration=10.0, spec=PathSpec(turn_rate=0.8, speeds=(3.0, 5.0))
+    np.random.default_rng(0), start_ns=0, duration=10.0, spec=PathSpec(yaw_rate=0.8, speeds=(3.0, 5.0))
 )
 KNOTS = np.array([500, 1400, 2300, 3200]) * 1_000_000
 TIMES = np.array([490, 500, 800, 1399, 1500, 2000, 2309, 3200, 3210]) * 1_000_000
@@ -33,25 +33,25 @@ def antennas() -> GnssFixes:
     states, count = PATH.at(TIMES), len(TIMES)
     sigmas, levers = np.ones((count, 3)), np.tile(LEVER, (count, 1))
     positions = states.positions + states.rotations @ LEVER
-    told, receivers = np.zeros(count, np.bool_), np.zeros(count, np.int64)
-    return GnssFixes(TIMES, positions, sigmas, told, levers, receivers, np.zeros(3), ())
+    reported, receivers = np.zeros(count, np.bool_), np.zeros(count, np.int64)
+    return GnssFixes(TIMES, positions, sigmas, reported, levers, receivers, np.zeros(3), ())
 
 
 def expected(fixes: Fixes, moved: np.ndarray | None = None) -> np.ndarray:
-    """Where true states say that the antennas are, (F, 3), moved by (K, 15)."""
+    """Where true states state that the antennas are, (F, 3), moved by (K, 15)."""
     moved = np.zeros((len(KNOTS), SIZE)) if moved is None else moved
-    states, at = PATH.at(KNOTS), fixes.places
-    turns = states.rotations @ matrix_from_quaternion(quaternion_from_rotation_vector(moved[:, :3]))
+    states, at = PATH.at(KNOTS), fixes.locations
+    rotations = states.rotations @ matrix_from_quaternion(quaternion_from_rotation_vector(moved[:, :3]))
     levers = fixes.levers + np.einsum("nij,nj->ni", fixes.slopes, moved[at, 9:] - fixes.biases)
-    away = np.einsum("nij,nj->ni", turns[at], levers) - fixes.falls[:, None] * [0.0, 0.0, 1.0]
-    ways = fixes.seconds[:, None] * (states.velocities + moved[:, 6:9])[at]
-    return states.positions[at] + moved[at, 3:6] + ways + away
+    away = np.einsum("nij,nj->ni", rotations[at], levers) - fixes.falls[:, None] * [0.0, 0.0, 1.0]
+    trajectories = fixes.seconds[:, None] * (states.velocities + moved[:, 6:9])[at]
+    return states.positions[at] + moved[at, 3:6] + trajectories + away
 
 
 def test_true_states_expect_the_antenna_where_it_is():
     found = carried_fixes(antennas(), KNOTS, MEASURED, samples(), biases=np.zeros((3, 6)), gravity=GRAVITY)
-    assert found.places.tolist() == [0, 0, 0, 0, 1, 1, 2, 3, 3]
-    # 10 ms beyond the first and the last state nothing but the velocity leads on: 1 m/s² and turns of 1 rad/s leave
+    assert found.locations.tolist() == [0, 0, 0, 0, 1, 1, 2, 3, 3]
+    # 10 ms beyond the first and the last state nothing but the velocity leads on: 1 m/s² and rotates of 1 rad/s leave
     # less than a millimetre of the ego, and a centimetre of the lever
     limits = np.where((KNOTS[0] > TIMES) | (KNOTS[-1] < TIMES), 2e-2, 1e-4)
     assert (np.abs(expected(found) - found.positions).max(axis=1) < limits).all()
@@ -59,7 +59,7 @@ def test_true_states_expect_the_antenna_where_it_is():
 
 def test_without_imu_each_fix_goes_to_the_nearest_state():
     found = carried_fixes(antennas(), KNOTS, ~MEASURED, samples(), biases=np.zeros((3, 6)), gravity=GRAVITY)
-    assert found.places.tolist() == [0, 0, 0, 1, 1, 2, 2, 3, 3]
+    assert found.locations.tolist() == [0, 0, 0, 1, 1, 2, 2, 3, 3]
     assert not found.falls.any()
     assert np.array_equal(found.levers, np.tile(LEVER, (len(TIMES), 1)))
 

@@ -23,7 +23,7 @@ COUNT = 5
 WEIGHTS = np.array([1.0, 0.5, 1.0])
 
 
-def turned(rng: np.random.Generator, size: float, count: int) -> np.ndarray:
+def rotated(rng: np.random.Generator, size: float, count: int) -> np.ndarray:
     return matrix_from_quaternion(quaternion_from_rotation_vector(size * rng.standard_normal((count, 3))))
 
 
@@ -35,15 +35,15 @@ def made_up_chain(rng: np.random.Generator, parts: str) -> Chain:
     inertial = preintegrated(
         times, values, knots, biases=np.zeros((4, 6)), densities=np.tile([1e-4, 1e-2], (4, 1))
     )
-    places, seconds = np.array([0, 2, 4]), np.array([0.3, 0.0, -0.01])
+    locations, seconds = np.array([0, 2, 4]), np.array([0.3, 0.0, -0.01])
     fixes = Fixes(
-        knots[places] + np.int64(seconds * 1e9), places, seconds, rng.standard_normal((3, 3)),
+        knots[locations] + np.int64(seconds * 1e9), locations, seconds, rng.standard_normal((3, 3)),
         rng.standard_normal((3, 3)), np.array([0.44, 0.0, 0.0]), rng.standard_normal((3, 3, 6)),
         0.02 * rng.standard_normal((3, 6)), rng.uniform(0.5, 2.0, (3, 3)), np.zeros(3, np.int64),
     )  # fmt: skip
     spread = rng.standard_normal((2, 6, 6))
     relative = RelativePoses(
-        np.array([1, 3]), turned(rng, 0.5, 2), rng.standard_normal((2, 3)),
+        np.array([1, 3]), rotated(rng, 0.5, 2), rng.standard_normal((2, 3)),
         spread @ spread.swapaxes(1, 2) + np.eye(6),
     )  # fmt: skip
     axes = rng.standard_normal((2, 3))
@@ -61,7 +61,7 @@ def made_up_chain(rng: np.random.Generator, parts: str) -> Chain:
 
 def made_up_states(rng: np.random.Generator) -> States:
     return States(
-        turned(rng, 0.7, COUNT),
+        rotated(rng, 0.7, COUNT),
         rng.standard_normal((COUNT, 3)),
         rng.standard_normal((COUNT, 3)),
         0.02 * rng.standard_normal((COUNT, 6)),
@@ -88,7 +88,7 @@ def test_the_right_side_is_half_the_falling_slope_of_the_cost(parts):
 def test_whitened_slopes_of_the_imu_make_up_its_normal_equations():
     rng = np.random.default_rng(3)
     chain, states = made_up_chain(rng, "i"), made_up_states(rng)
-    # close to what was measured, where leaving out the second order of the turn does not matter
+    # close to what was measured, where leaving out the second order of the rotation does not matter
     for _ in range(30):
         states = step(chain, states, WEIGHTS, 0.0).states
     here = equations(chain, states, WEIGHTS)
@@ -117,7 +117,7 @@ def test_steps_lead_to_where_no_direction_leads_down():
 def test_a_part_of_a_chain_holds_what_was_measured_in_it():
     chain = made_up_chain(np.random.default_rng(5), "irs").part(1, 4)
     assert len(chain.knots_ns) == 3
-    assert chain.fixes.places.tolist() == [1]
-    assert chain.relative[0].places.tolist() == [0]
-    assert chain.speeds[0].places.tolist() == [0]
-    assert len(chain.inertial.turns) == 2
+    assert chain.fixes.locations.tolist() == [1]
+    assert chain.relative[0].locations.tolist() == [0]
+    assert chain.speeds[0].locations.tolist() == [0]
+    assert len(chain.inertial.rotations) == 2

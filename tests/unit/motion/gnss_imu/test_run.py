@@ -1,4 +1,4 @@
-"""The way from satellite fixes and IMU against the exact motion of made-up drives."""
+"""The trajectory from satellite fixes and IMU against the exact motion of synthetic drives."""
 
 from dataclasses import dataclass, replace
 
@@ -16,24 +16,24 @@ from sceneloom.geometry.rotations import (
     quaternion_from_rotation_vector,
     rotation_vector_from_quaternion,
 )
-from sceneloom.motion.ego_motion import find_ego_motion, with_way_found
+from sceneloom.motion.ego_motion import find_ego_motion, with_trajectory_estimated
 from sceneloom.motion.gnss_imu.run import GnssImuRun, gnss_imu_motion
 from sceneloom.motion.gnss_imu.settings import SmootherSettings
 from sceneloom.scene import (
     GnssSensor,
     ImuSensor,
-    NoticeKind,
     PlainAnnotation,
     Scene,
     Trajectory,
     VectorSamples,
+    WarningKind,
 )
 from sceneloom.simulate.inertial import GRAVITY, ImuSpec, ImuTruth, imu_sensor, imu_truth
 from sceneloom.simulate.path import EgoPath, PathSpec, plan_path
 from sceneloom.simulate.satellite import GnssSpec, gnss_sensor
 from sceneloom.simulate.warp import Stop
 
-SETTINGS = SmootherSettings(gravity=GRAVITY)  # the made-up world has the same gravity everywhere
+SETTINGS = SmootherSettings(gravity=GRAVITY)  # the synthetic world has the same gravity everywhere
 ORIGIN = GnssSpec().origin_lla
 SECOND = 1_000_000_000
 
@@ -61,22 +61,24 @@ def drive(
     path: PathSpec | None = None,
 ) -> Drive:
     imu, gnss = imu or ImuSpec(rate_hz=100.0), GnssSpec(rate_hz=rate)
-    way = plan_path(np.random.default_rng(seed), start_ns=0, duration=seconds, spec=path)
+    trajectory = plan_path(np.random.default_rng(seed), start_ns=0, duration=seconds, spec=path)
     samples = np.arange(int(seconds * imu.rate_hz)) * round(SECOND / imu.rate_hz) + 1_300_000
     fixes = np.arange(int(seconds * rate)) * round(SECOND / rate)
-    truth = imu_truth(imu, way, samples, seed=seed)
-    return Drive(way, truth, imu_sensor(imu, truth, seed=seed), gnss_sensor(gnss, way, fixes, seed=seed))
+    truth = imu_truth(imu, trajectory, samples, seed=seed)
+    return Drive(
+        trajectory, truth, imu_sensor(imu, truth, seed=seed), gnss_sensor(gnss, trajectory, fixes, seed=seed)
+    )
 
 
 def errors(run: GnssImuRun, path: EgoPath) -> np.ndarray:
-    """(N, 6) turn [rad] and shift [m] about the world's axes, away from the truth."""
+    """(N, 6) rotate [rad] and shift [m] about the world's axes, away from the truth."""
     states = path.at(run.trajectory.timestamps_ns)
-    turns = multiply_quaternions(
+    rotations = multiply_quaternions(
         run.trajectory.quaternions_xyzw, conjugate_quaternion(states.quaternions_xyzw)
     )
     shift = enu_from_geodetic(run.origin_lla, ORIGIN)
     return np.hstack(
-        [rotation_vector_from_quaternion(turns), run.trajectory.positions + shift - states.positions]
+        [rotation_vector_from_quaternion(rotations), run.trajectory.positions + shift - states.positions]
     )
 
 
@@ -118,7 +120,7 @@ def town() -> Drive:
     return drive(5)
 
 
-def test_errors_are_small_and_as_large_as_the_covariances_say():
+def test_errors_are_small_and_as_large_as_the_covariances_state():
     squares, away, biases = [], [], []
     for seed in range(6):
         one = drive(seed)
@@ -141,7 +143,7 @@ def test_errors_are_small_and_as_large_as_the_covariances_say():
     assert 0.4 < np.mean(np.square(biases)) < 1.6
 
 
-def test_the_way_is_given_at_the_rate_of_the_imu_in_the_world_of_the_first_fix(town):
+def test_the_trajectory_is_given_at_the_rate_of_the_imu_in_the_world_of_the_first_fix(town):
     run = town.run()
     assert run.trajectory.name == "gnss"
     samples = town.imu.streams["gyroscope"].timestamps_ns
@@ -153,7 +155,7 @@ def test_the_way_is_given_at_the_rate_of_the_imu_in_the_world_of_the_first_fix(t
     assert rms(speeds) < 0.2
 
 
-def test_between_samples_of_low_rate_the_way_is_as_good():
+def test_between_samples_of_low_rate_the_trajectory_is_as_good():
     one = drive(6, imu=ImuSpec(rate_hz=10.0))
     run = one.run()
     assert rms(errors(run, one.path)[:, 3:5]) < 0.25
@@ -182,9 +184,9 @@ def test_fixes_that_jump_are_left_out_alone_and_in_a_row(town):
     assert not run.used[jumped].any()
     assert run.used[~jumped].mean() > 0.95
     assert rms(errors(run, town.path)[:, 3:5]) < 0.25
-    [told] = [notice for notice in run.notices if notice.code == "gnss-jumps"]
-    assert told.count == (~run.used).sum()
-    assert told.message.startswith(f"{told.count} of {len(positions)} fixes left out")
+    [reported] = [warning for warning in run.warnings if warning.code == "gnss-jumps"]
+    assert reported.count == (~run.used).sum()
+    assert reported.message.startswith(f"{reported.count} of {len(positions)} fixes left out")
 
 
 def test_without_fixes_for_ten_seconds_the_imu_leads_on(town):
@@ -203,33 +205,33 @@ def test_without_imu_for_five_seconds_the_fixes_lead_on(town):
     run = town.run(imu=some_samples(town.imu, (seconds < 15) | (seconds > 20)))
     assert rms(errors(run, town.path)[:, 3:5]) < 0.4
     assert np.degrees(rms(errors(run, town.path)[:, 2:3])) < 4.0
-    assert "imu-gaps" in [notice.code for notice in run.notices]
+    assert "imu-gaps" in [warning.code for warning in run.warnings]
 
 
-def test_the_noise_of_fixes_is_found_whatever_they_tell(town):
+def test_the_noise_of_fixes_is_found_whatever_they_report(town):
     nothing = np.full(len(town.gnss.timestamps_ns), np.nan)
     for accuracy in (nothing, np.full(len(nothing), 0.05)):
         run = town.run(gnss=replace(town.gnss, accuracies=accuracy, vertical_accuracies=nothing))
-        # 240 residuals tell a deviation to 5 %
+        # 240 residuals report a deviation to 5 %
         assert np.median(run.fix_sigmas[:, 0]) == pytest.approx(0.4, rel=0.25)
         assert np.median(run.fix_sigmas[:, 2]) == pytest.approx(0.8, rel=0.25)
 
 
 def test_an_accuracy_worse_than_the_noise_stands_for_what_all_fixes_have_in_common(town):
-    told = replace(town.gnss, accuracies=np.full(len(town.gnss.timestamps_ns), 3.0))
-    run = town.run(gnss=told)
-    assert "gnss-common-offset" in [notice.code for notice in run.notices]
+    reported = replace(town.gnss, accuracies=np.full(len(town.gnss.timestamps_ns), 3.0))
+    run = town.run(gnss=reported)
+    assert "gnss-common-offset" in [warning.code for warning in run.warnings]
     assert np.sqrt(run.trajectory.covariances[:, 3, 3]).min() > 2.5
 
 
 @pytest.mark.parametrize("mounting", [(0.0, 0.0, 3.0), (0.0, 1.2, 0.5)])
 def test_an_imu_that_looks_elsewhere_is_found_to(mounting, town):
-    turn = matrix_from_quaternion(quaternion_from_rotation_vector(np.array(mounting)))
+    rotation = matrix_from_quaternion(quaternion_from_rotation_vector(np.array(mounting)))
     streams = {
-        name: VectorSamples(s.timestamps_ns, s.values @ turn.T) for name, s in town.imu.streams.items()
+        name: VectorSamples(s.timestamps_ns, s.values @ rotation.T) for name, s in town.imu.streams.items()
     }
     run = town.run(imu=ImuSensor("imu", streams))
-    back = quaternion_from_matrix(matrix_from_quaternion(run.trajectory.quaternions_xyzw) @ turn)
+    back = quaternion_from_matrix(matrix_from_quaternion(run.trajectory.quaternions_xyzw) @ rotation)
     looked = replace(run, trajectory=replace(run.trajectory, quaternions_xyzw=back))
     away = errors(looked, town.path)
     heading = np.sqrt(run.trajectory.covariances[:, 2, 2])
@@ -245,7 +247,7 @@ def test_a_drive_that_begins_with_a_stand_is_followed():
     assert np.degrees(rms(errors(run, one.path)[:, 2:3])) < 2.0
 
 
-def test_an_ego_that_stands_all_the_time_has_no_heading_and_that_is_said():
+def test_an_ego_that_stands_all_the_time_has_no_heading_and_that_is_stated():
     rng = np.random.default_rng(0)
     times = np.arange(2000) * 10_000_000
     streams = {
@@ -258,20 +260,20 @@ def test_an_ego_that_stands_all_the_time_has_no_heading_and_that_is_said():
         "gnss", fixes, geodetic_from_enu(rng.standard_normal((20, 3)), ORIGIN), unknown, unknown
     )
     run = gnss_imu_motion(Scene((ImuSensor("imu", streams), gnss)))
-    assert "heading-unknown" in [notice.code for notice in run.notices]
+    assert "heading-unknown" in [warning.code for warning in run.warnings]
     spread = np.linalg.norm(run.trajectory.positions - run.trajectory.positions.mean(axis=0), axis=1)
-    # fixes of a metre would let a moving ego wander by some decimetres; a stand is one place
+    # fixes of a metre would let a moving ego wander by some decimetres; a stand is one location
     assert spread.max() < 0.05
 
 
-def test_fixes_alone_make_a_smooth_way_whose_heading_is_that_of_the_motion(town):
+def test_fixes_alone_make_a_smooth_trajectory_whose_heading_is_that_of_the_motion(town):
     scene = Scene((town.gnss,), source="made up")
     run = gnss_imu_motion(scene, settings=SETTINGS)
     assert run.trajectory.quaternions_xyzw is None
     states = town.path.at(run.trajectory.timestamps_ns)
     away = run.trajectory.positions + enu_from_geodetic(run.origin_lla, ORIGIN) - states.positions
     assert rms(away[:, :2]) < 0.5
-    with pytest.raises(PoseError, match="--heading motion"):
+    with pytest.raises(PoseError, match="--orientation-from motion"):
         find_ego_motion(scene, name="gnss")
     ego = find_ego_motion(scene, name="gnss", heading="motion")
     assert ego.heading == "motion"
@@ -280,25 +282,25 @@ def test_fixes_alone_make_a_smooth_way_whose_heading_is_that_of_the_motion(town)
     assert np.median(cosine) > np.cos(np.radians(8.0))  # fixes of 0.4 m every half second
 
 
-def test_it_is_the_default_after_recorded_ways_and_says_where_its_world_is(town):
+def test_it_is_the_default_after_recorded_trajectories_and_says_where_its_world_is(town):
     scene = town.scene()
     ego = find_ego_motion(scene)
     assert ego.name == "gnss"
     assert ego.enu_origin_lla == tuple(town.gnss.positions_lla[0])
     assert ego.covariances is not None
-    placed = with_way_found(replace(scene, metadata={"sceneloom": {"seed": 1}}), ego)
+    placed = with_trajectory_estimated(replace(scene, metadata={"sceneloom": {"seed": 1}}), ego)
     assert placed.metadata["sceneloom"]["seed"] == 1
     assert placed.metadata["sceneloom"]["enu_origin"]["latitude"] == town.gnss.positions_lla[0, 0]
-    told = [notice for notice in ego.notices if notice.code == "trajectory-from-gnss"]
-    assert [notice.kind for notice in told] == [NoticeKind.ASSUMED]
+    reported = [warning for warning in ego.warnings if warning.code == "trajectory-from-gnss"]
+    assert [warning.kind for warning in reported] == [WarningKind.ASSUMED]
     recorded = Trajectory("pose", np.zeros(1, np.int64), np.ones((1, 3)), np.array([[0.0, 0, 0, 1]]))
     with_pose = replace(scene, trajectories={"pose": recorded})
     assert find_ego_motion(with_pose).name == "pose"
     assert find_ego_motion(with_pose, name="gnss").name == "gnss"
 
 
-@pytest.mark.parametrize(("frame", "told"), [("world", True), ("ego", False)])
-def test_annotations_in_the_world_of_a_recorded_way_are_told(frame, told, town):
+@pytest.mark.parametrize(("frame", "reported"), [("world", True), ("ego", False)])
+def test_annotations_in_the_world_of_a_recorded_trajectory_are_reported(frame, reported, town):
     recorded = Trajectory("pose", np.zeros(1, np.int64), np.ones((1, 3)), np.array([[0.0, 0, 0, 1]]))
     annotated = replace(
         town.scene(),
@@ -306,22 +308,22 @@ def test_annotations_in_the_world_of_a_recorded_way_are_told(frame, told, town):
         metadata={"sceneloom": {"annotations_frame": frame}},
     )
     with_pose = replace(annotated, trajectories={"pose": recorded})
-    codes = {notice.code for notice in find_ego_motion(with_pose, name="gnss").notices}
-    assert ("annotations-not-moved" in codes) is told
-    codes = {notice.code for notice in find_ego_motion(annotated, name="gnss").notices}
+    codes = {warning.code for warning in find_ego_motion(with_pose, name="gnss").warnings}
+    assert ("annotations-not-moved" in codes) is reported
+    codes = {warning.code for warning in find_ego_motion(annotated, name="gnss").warnings}
     assert "annotations-not-moved" not in codes
 
 
 def test_fixes_that_are_none_are_left_out(town):
     gnss = town.gnss
     times = np.concatenate([gnss.timestamps_ns, [7, 8, 9]])
-    places = np.vstack([gnss.positions_lla, [[0, 0, 0], [np.nan, 25, 0], [200, 25, 0]]])
+    locations = np.vstack([gnss.positions_lla, [[0, 0, 0], [np.nan, 25, 0], [200, 25, 0]]])
     more = np.ones(3)
     wrong = GnssSensor(
-        "gnss", times, places, np.append(gnss.accuracies, more), np.append(gnss.vertical_accuracies, more)
+        "gnss", times, locations, np.append(gnss.accuracies, more), np.append(gnss.vertical_accuracies, more)
     )
     run = town.run(gnss=wrong)
-    assert {notice.code: notice.count for notice in run.notices}["gnss-fixes-left-out"] == 3
+    assert {warning.code: warning.count for warning in run.warnings}["gnss-fixes-left-out"] == 3
     assert len(run.used) == len(gnss.timestamps_ns)
 
 
@@ -332,25 +334,25 @@ def test_without_two_fixes_there_is_no_way(count, town):
         find_ego_motion(scene, name="gnss")
 
 
-def test_two_fixes_are_enough_for_a_way(town):
+def test_two_fixes_are_enough_for_a_trajectory(town):
     run = town.run(gnss=some_fixes(town.gnss, np.array([0, 40])))
     assert np.isfinite(run.trajectory.positions).all()
     assert np.isfinite(run.trajectory.covariances).all()
 
 
-def test_of_two_places_far_apart_one_is_taken(town):
+def test_of_two_locations_far_apart_one_is_taken(town):
     """Their middle is a hundred kilometres and more from both."""
-    places = town.gnss.positions_lla.copy()
-    places[: len(places) // 2, 0] -= 20.0
-    run = town.run(gnss=replace(town.gnss, positions_lla=places))
-    assert len(run.fixes) == len(places) // 2
-    assert "gnss-fixes-elsewhere" in {notice.code for notice in run.notices}
+    locations = town.gnss.positions_lla.copy()
+    locations[: len(locations) // 2, 0] -= 20.0
+    run = town.run(gnss=replace(town.gnss, positions_lla=locations))
+    assert len(run.fixes) == len(locations) // 2
+    assert "gnss-fixes-elsewhere" in {warning.code for warning in run.warnings}
 
 
 def test_a_height_of_no_receiver_makes_a_fix_none(town):
-    places = town.gnss.positions_lla.copy()
-    places[3, 2] = 1e300
-    assert len(town.run(gnss=replace(town.gnss, positions_lla=places)).fixes) == len(places) - 1
+    locations = town.gnss.positions_lla.copy()
+    locations[3, 2] = 1e300
+    assert len(town.run(gnss=replace(town.gnss, positions_lla=locations)).fixes) == len(locations) - 1
 
 
 @pytest.mark.parametrize("wrong_ns", [9_000_000_000 * SECOND, -9_000_000_000 * SECOND, 2 * 86_400 * SECOND])
@@ -362,7 +364,7 @@ def test_a_wrong_time_is_not_bridged_by_states(wrong_ns, town):
 
 
 @pytest.mark.parametrize("late", ["all", "imu", "gnss", "gnss alone"])
-def test_milliseconds_taken_for_seconds_are_told(late, town):
+def test_milliseconds_taken_for_seconds_are_reported(late, town):
     gnss = replace(town.gnss, timestamps_ns=town.gnss.timestamps_ns * (1 if late == "imu" else 1000))
     times = 1 if late == "gnss" else 1000
     streams = {n: VectorSamples(s.timestamps_ns * times, s.values) for n, s in town.imu.streams.items()}
@@ -376,7 +378,7 @@ def test_slow_errors_of_heights_leave_the_covariances_across_as_they_are(town):
     heights = np.stack([0 * times, 0 * times, 3.0 * np.sin(0.8 * times)], axis=1)
     plain, wavy = town.run(), town.run(gnss=moved(town.gnss, enu(town.gnss) + heights))
     before, after = (np.median(run.trajectory.covariances[:, 3, 3]) for run in (plain, wavy))
-    # by as much as the receiver's heights tell the IMU less: far from the factor (1 + ρ) / (1 - ρ), here above 2
+    # by as much as the receiver's heights report the IMU less: far from the factor (1 + ρ) / (1 - ρ), here above 2
     assert after < 1.5 * before
     assert np.median(wavy.trajectory.covariances[:, 5, 5]) > 4.0 * np.median(
         plain.trajectory.covariances[:, 5, 5]
@@ -390,7 +392,7 @@ def test_samples_that_nothing_measures_are_left_out(stream, torn, town):
     values[700, 1] = torn
     streams = {**town.imu.streams, stream: VectorSamples(samples.timestamps_ns, values)}
     run = town.run(imu=ImuSensor("imu", streams))
-    assert {notice.code: notice.count for notice in run.notices}["imu-samples"] == 1
+    assert {warning.code: warning.count for warning in run.warnings}["imu-samples"] == 1
     assert np.abs(errors(run, town.path)[:, 3:]).max() < 2.0  # as without it: fixes of 0.4 m an axis
 
 

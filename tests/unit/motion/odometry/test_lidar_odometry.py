@@ -51,16 +51,16 @@ def test_equal_sweeps_give_equal_bits(clouds):
 
 
 def spoilt(kind: str, cloud: Cloud) -> Cloud:
-    stamp, points, times = cloud
+    timestamp, points, times = cloud
     if kind == "empty":
-        return stamp, np.zeros((0, 3)), np.zeros(0, np.int64)
+        return timestamp, np.zeros((0, 3)), np.zeros(0, np.int64)
     if kind == "nan":
-        return stamp, np.full_like(points, np.nan), times
+        return timestamp, np.full_like(points, np.nan), times
     if kind == "few":
-        return stamp, points[:100], times[:100]
+        return timestamp, points[:100], times[:100]
     generator = np.random.default_rng(0)
     return (
-        stamp,
+        timestamp,
         generator.uniform(-20, 20, (4000, 3)),
         np.linspace(times[0], times[-1], 4000).astype(np.int64),
     )
@@ -75,7 +75,7 @@ def spoilt(kind: str, cloud: Cloud) -> Cloud:
         ("noise", Outcome.MISFIT),
     ],
 )
-def test_a_sweep_that_tells_nothing_is_predicted_with_a_larger_covariance_and_the_next_one_finds_back(
+def test_a_sweep_that_states_nothing_is_predicted_with_a_larger_covariance_and_the_next_one_finds_back(
     clouds, drive, kind, outcome
 ):
     estimates = follow([spoilt(kind, cloud) if k == 6 else cloud for k, cloud in enumerate(clouds[:10])])
@@ -87,11 +87,11 @@ def test_a_sweep_that_tells_nothing_is_predicted_with_a_larger_covariance_and_th
 
 
 def test_points_that_are_no_numbers_or_absurdly_far_change_nothing(clouds):
-    stamp, points, times = clouds[3]
+    timestamp, points, times = clouds[3]
     strange = np.array([[np.nan, 0, 0], [np.inf, 1, 1], [1e30, 0, 0], [0, 0, 0]])
     dirty = [
         *clouds[:3],
-        (stamp, np.vstack([points, strange]), np.concatenate([times, times[-4:]])),
+        (timestamp, np.vstack([points, strange]), np.concatenate([times, times[-4:]])),
         clouds[4],
     ]
     for clean, found in zip(follow(clouds[:5]), follow(dirty), strict=True):
@@ -105,13 +105,15 @@ def test_after_a_gap_in_time_a_new_map_begins_where_the_motion_before_leads(clou
     assert deviation.min() > 0.5
     assert miss(estimates[8], estimates[0], drive) < 3 * np.linalg.norm(deviation)
     after = miss(estimates[-1], estimates[8], drive)
-    assert after < 0.5  # the heading is as uncertain as the turning during a second, but the way goes on
+    assert (
+        after < 0.5
+    )  # the heading is as uncertain as the rotating during a second, but the trajectory goes on
 
 
-def test_the_same_sweep_over_and_over_is_a_standing_ego(clouds):
-    stamp, points, times = clouds[0]
+def test_the_same_sweep_over_and_over_is_a_stationary_ego(clouds):
+    timestamp, points, times = clouds[0]
     period = 100_000_000
-    estimates = follow([(stamp + k * period, points, times + k * period) for k in range(20)])
+    estimates = follow([(timestamp + k * period, points, times + k * period) for k in range(20)])
     assert max(np.abs(estimate.state.position).max() for estimate in estimates) < 0.005
 
 
@@ -131,13 +133,13 @@ def test_sweeps_before_the_first_with_points_stand_at_its_pose(clouds):
     np.testing.assert_array_equal(estimates[2].state.position, 0.0)
 
 
-def test_without_point_times_the_way_is_found_less_well_but_found(clouds, drive):
-    estimates = follow([(stamp, points, None) for stamp, points, _ in clouds[:12]])
+def test_without_point_times_the_trajectory_is_found_less_well_but_found(clouds, drive):
+    estimates = follow([(timestamp, points, None) for timestamp, points, _ in clouds[:12]])
     assert {estimate.outcome for estimate in estimates[1:]} == {Outcome.FITTED}
     assert miss(estimates[-1], estimates[0], drive) < 0.5
 
 
-def test_a_bare_plain_tells_nothing_about_the_way_along_it_and_the_covariance_says_so():
+def test_a_bare_plain_states_nothing_about_the_trajectory_along_it_and_the_covariance_says_so():
     generator, odometry = np.random.default_rng(0), LidarOdometry()
     for k in range(15):
         times = np.linspace(k * 10**8, k * 10**8 + 9 * 10**7, 8000).astype(np.int64)
@@ -149,7 +151,7 @@ def test_a_bare_plain_tells_nothing_about_the_way_along_it_and_the_covariance_sa
 
 
 @pytest.mark.slow
-def test_a_standing_car_stays_where_it_is_while_others_pass():
+def test_a_stationary_car_stays_where_it_is_while_others_pass():
     path = PathSpec(stops=(Stop(0.0, 12.0),))
     drive = simulate_street(
         5, frames=40, lidar=SPEC, cameras=(), path=path, traffic=TrafficSpec(cars=5.0, pedestrians=8.0)

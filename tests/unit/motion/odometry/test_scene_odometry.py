@@ -1,4 +1,4 @@
-"""Lidar odometry of whole scenes: which lidars count, what belongs together, what is said."""
+"""Lidar odometry of whole scenes: which lidars count, what belongs together, what is stated."""
 
 from dataclasses import replace
 
@@ -49,7 +49,7 @@ def last_position(run) -> np.ndarray:
 
 
 def codes(run) -> set[str]:
-    return {notice.code for notice in run.notices}
+    return {warning.code for warning in run.warnings}
 
 
 def test_sweeps_of_one_period_make_one_cloud_with_every_point_at_its_own_time(scene):
@@ -75,7 +75,7 @@ def test_one_blind_lidar_among_two_does_not_matter(scene, alone):
     assert np.linalg.norm(reference) > 3.0
     for half in (left_blind, right_blind):
         run = lidar_odometry(half)
-        ((code, count),) = ((notice.code, notice.count) for notice in run.notices)
+        ((code, count),) = ((warning.code, warning.count) for warning in run.warnings)
         assert (code, count) == ("sweeps-without-returns", FRAMES)
         # they end at other times: the second lidar begins 30 ms later
         shared_ns = alone.lidars[0].frames.timestamps_ns[-1:] + 90_000_000
@@ -100,7 +100,7 @@ def test_points_in_the_ego_frame_need_no_mounting(alone):
     ego = replace(with_frames(lidar, frames), mount=None, points_frame=PointsFrame.EGO)
     run = lidar_odometry(replace(alone, sensors=(ego,)))
     np.testing.assert_allclose(last_position(run), last_position(lidar_odometry(alone)), atol=1e-3)
-    assert run.notices == ()
+    assert run.warnings == ()
 
 
 def test_a_lidar_without_a_mounting_is_taken_as_the_ego_if_there_is_no_other(scene, alone):
@@ -110,7 +110,7 @@ def test_a_lidar_without_a_mounting_is_taken_as_the_ego_if_there_is_no_other(sce
     assert codes(beside) == {"lidar-left-out-of-odometry"}
 
 
-def test_a_scene_that_odometry_cannot_follow_is_told_what_to_do(alone):
+def test_a_scene_that_odometry_cannot_follow_is_reported_what_to_do(alone):
     lidar = alone.lidars[0]
     with pytest.raises(PoseError, match=r"no lidar sweeps.*--trajectory"):
         lidar_odometry(replace(alone, sensors=()))
@@ -131,7 +131,7 @@ def unreadable(lidar: LidarSensor, broken: int) -> LidarSensor:
     return replace(lidar, frames=LazyFrames(lidar.frames.timestamps_ns, read))
 
 
-def test_a_sweep_that_cannot_be_read_stops_or_is_skipped_with_a_notice(alone):
+def test_a_sweep_that_cannot_be_read_stops_or_is_skipped_with_a_warning(alone):
     scene = replace(alone, sensors=(unreadable(alone.lidars[0], 4),))
     with pytest.raises(DataError, match="17 bytes"):
         lidar_odometry(scene)
@@ -152,12 +152,12 @@ def test_sweeps_out_of_order_are_sorted_and_those_of_one_time_left_out(alone):
 @pytest.mark.parametrize(
     ("change", "code", "exact"),
     [
-        (lambda times, stamp: times - stamp, "relative-point-times", True),
-        (lambda times, stamp: times // 1000, "unit-of-point-times", False),
-        (lambda times, stamp: np.zeros_like(times), "times-of-points", None),
+        (lambda times, timestamp: times - timestamp, "relative-point-times", True),
+        (lambda times, timestamp: times // 1000, "unit-of-point-times", False),
+        (lambda times, timestamp: np.zeros_like(times), "times-of-points", None),
     ],
 )
-def test_broken_point_times_are_mended_or_left_aside_and_told(alone, change, code, exact):
+def test_broken_point_times_are_repaired_or_left_aside_and_reported(alone, change, code, exact):
     lidar = alone.lidars[0]
     frames = [
         replace(
@@ -177,10 +177,10 @@ def test_broken_point_times_are_mended_or_left_aside_and_told(alone, change, cod
         np.testing.assert_allclose(last_position(run), sound, atol=0 if exact else 1e-3)
 
 
-def test_progress_is_told_after_each_cloud(alone):
-    told = []
-    lidar_odometry(alone, progress=lambda done, total: told.append((done, total)))
-    assert told == [(k, FRAMES) for k in range(1, FRAMES + 1)]
+def test_progress_is_reported_after_each_cloud(alone):
+    reported = []
+    lidar_odometry(alone, progress=lambda done, total: reported.append((done, total)))
+    assert reported == [(k, FRAMES) for k in range(1, FRAMES + 1)]
 
 
 def test_a_single_sweep_gives_the_identity_over_its_whole_time(alone):
@@ -194,13 +194,13 @@ def test_a_single_sweep_gives_the_identity_over_its_whole_time(alone):
     assert np.sqrt(run.trajectory.covariances[-1, 3, 3]) > 0.3
 
 
-def test_a_lidar_that_repeats_its_sweep_seems_to_stand_and_that_is_told(alone):
+def test_a_lidar_that_repeats_its_sweep_seems_to_stand_and_that_is_reported(alone):
     lidar = alone.lidars[0]
-    stamps = lidar.frames.timestamps_ns.tolist()
+    timestamps = lidar.frames.timestamps_ns.tolist()
     points = replace(lidar.frames[0].points, timestamps_ns=None)
-    stuck = with_frames(lidar, [LidarFrame(stamp, points) for stamp in stamps])
+    stuck = with_frames(lidar, [LidarFrame(timestamp, points) for timestamp in timestamps])
     run = lidar_odometry(replace(alone, sensors=(stuck,)))
-    assert {notice.code: notice.count for notice in run.notices}["repeated-sweeps"] == FRAMES - 1
+    assert {warning.code: warning.count for warning in run.warnings}["repeated-sweeps"] == FRAMES - 1
     np.testing.assert_allclose(run.trajectory.positions, 0.0, atol=1e-3)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.formats.loss import Fate
+from sceneloom.formats.loss import Support
 from sceneloom.formats.table import written_formats
 from sceneloom.scene import (
     AttributePath,
@@ -24,7 +24,7 @@ from sceneloom.scene import (
     ObjectAnnotation,
     PointPath,
     PointsAnnotation,
-    PosePath,
+    Poses,
     ShapeAnnotation,
     ShapeType,
     VertexPath,
@@ -49,7 +49,7 @@ def annotated(with_camera):
     times = drive.lidars[0].frames.timestamps_ns
     here = next(iter(drive.trajectories.values())).positions[20]
     cuboids = [a for a in drive.annotations if isinstance(a, CuboidAnnotation)][:6]
-    still = PosePath(times[:1], np.zeros((1, 3)), np.array([[0, 0, 0, 1.0]]))
+    still = Poses(times[:1], np.zeros((1, 3)), np.array([[0, 0, 0, 1.0]]))
     state = AttributePath("review_state", ("approved",), times[:1])
     ahead = [here + np.array([x, y, 1]) for x, y in ((10, 0), (10, 3), (15, 3))]
     found = [
@@ -68,7 +68,7 @@ def annotated(with_camera):
         LocalizationAdjustment("adjustment", still),
     ]
     if with_camera:
-        seen = drive.cameras[0].pictures.timestamps_ns
+        seen = drive.cameras[0].images.timestamps_ns
         found += [
             Box2DAnnotation("box", "camera0", BoxPath(seen, np.tile([50.0, 60, 70, 80], (3, 1))), "car"),
             shape("line in images", "polyline_2d", seen, [[1, 2], [30, 40]]),
@@ -109,9 +109,9 @@ def test_each_annotation_is_read_back_or_listed_with_its_count(source, target, t
             found = again.annotations
     listed = Counter()
     for loss in report.losses.losses:
-        if loss.fate is Fate.DROPPED and loss.field in _WHOLE:
+        if loss.support is Support.DROPPED and loss.field in _WHOLE:
             listed[loss.field.removeprefix("annotations.")] += loss.count
-    applied = [n for n in report.notices if n.code == "correction-applied"]
+    applied = [n for n in report.warnings if n.code == "correction-applied"]
     kept = Counter(n.message.split(" ")[0] for n in applied)
     missing = kinds_of(scene.annotations) - kinds_of(found) - kept
     unlisted = missing - listed
@@ -128,7 +128,7 @@ _WHOLE = {"annotations", *(f"annotations.{kind}" for kind in kinds_of(annotated(
 
 
 @pytest.mark.parametrize("target", ["kitti-object", "kitti-tracking", "kitti-raw"])
-def test_boxes_of_a_drive_without_a_camera_are_in_their_places_in_each_frame(tmp_path, target):
+def test_boxes_of_a_drive_without_a_camera_are_in_their_locations_in_each_frame(tmp_path, target):
     scene = annotated(with_camera=False)
     sceneloom.convert(_saved(scene, tmp_path), tmp_path / "out", to=target)
     with sceneloom.open(tmp_path / "out") as again:

@@ -7,7 +7,7 @@ import pytest
 
 from sceneloom.errors import LossError, OptionError, OutputError
 from sceneloom.formats import open_scene, write_scene
-from sceneloom.formats.loss import Fate
+from sceneloom.formats.loss import Support
 from sceneloom.pipeline import convert
 from sceneloom.scene import (
     EventAnnotation,
@@ -16,23 +16,25 @@ from sceneloom.scene import (
     LidarPoints,
     LidarSensor,
     PointsFrame,
-    PosePath,
+    Poses,
     Scene,
     Trajectory,
 )
 
-STAMPS = np.array([1_000_000_000, 1_100_000_000])
-WAY = PosePath(STAMPS, np.array([[0.0, 0, 0], [1.0, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1)))
+TIMESTAMPS = np.array([1_000_000_000, 1_100_000_000])
+TRAJECTORY = Poses(TIMESTAMPS, np.array([[0.0, 0, 0], [1.0, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1)))
 
 
 def drive(*, events=(), points_ns=0):
     frames = [
         LidarFrame(int(t), LidarPoints(np.ones((4, 3), np.float32), timestamps_ns=np.full(4, t + points_ns)))
-        for t in STAMPS
+        for t in TIMESTAMPS
     ]
-    lidar = LidarSensor("top", LazyFrames.of(frames, STAMPS.tolist()), WAY, points_frame=PointsFrame.WORLD)
-    way = Trajectory("way", STAMPS, WAY.positions, WAY.quaternions_xyzw)
-    return Scene((lidar,), annotations=events, trajectories={"way": way})
+    lidar = LidarSensor(
+        "top", LazyFrames.of(frames, TIMESTAMPS.tolist()), TRAJECTORY, points_frame=PointsFrame.WORLD
+    )
+    trajectory = Trajectory("trajectory", TIMESTAMPS, TRAJECTORY.positions, TRAJECTORY.quaternions_xyzw)
+    return Scene((lidar,), annotations=events, trajectories={"trajectory": trajectory})
 
 
 @pytest.fixture
@@ -43,7 +45,7 @@ def scene_file(tmp_path):
 
 @pytest.fixture
 def with_event(tmp_path):
-    write_scene(drive(events=(EventAnnotation("e", int(STAMPS[0])),)), tmp_path / "event.sfs")
+    write_scene(drive(events=(EventAnnotation("e", int(TIMESTAMPS[0])),)), tmp_path / "event.sfs")
     return tmp_path / "event.sfs"
 
 
@@ -64,11 +66,11 @@ def test_what_is_known_beforehand_is_refused_before_anything_is_written(with_eve
     with pytest.raises(LossError, match=r"recording would not hold all: .*annotations.event.id") as caught:
         convert(with_event, tmp_path / "drive", strict=True, loss=tmp_path / "loss.json")
     assert names(tmp_path) == ["event.sfs", "loss.json"]
-    told = json.loads((tmp_path / "loss.json").read_text())
-    assert told["written"] is False
-    assert {"field": "annotations.event.id", "fate": "dropped"}.items() <= {
+    reported = json.loads((tmp_path / "loss.json").read_text())
+    assert reported["written"] is False
+    assert {"field": "annotations.event.id", "support": "dropped"}.items() <= {
         key: value
-        for row in told["fields"]
+        for row in reported["fields"]
         if row["field"] == "annotations.event.id"
         for key, value in row.items()
     }.items()
@@ -78,16 +80,16 @@ def test_what_is_known_beforehand_is_refused_before_anything_is_written(with_eve
 def test_what_shows_only_while_writing_leaves_nothing_behind(tmp_path):
     write_scene(drive(points_ns=500), tmp_path / "drive.sfs", time_unit="nanoseconds")
     with open_scene(tmp_path / "drive.sfs") as scene:
-        assert scene.lidars[0].frames[0].points.timestamps_ns[0] == STAMPS[0] + 500
+        assert scene.lidars[0].frames[0].points.timestamps_ns[0] == TIMESTAMPS[0] + 500
     with pytest.raises(LossError, match=r"'lidar'|points_frame|model|poses"):
-        convert(tmp_path / "drive.sfs", tmp_path / "way", strict=True)
+        convert(tmp_path / "drive.sfs", tmp_path / "trajectory", strict=True)
     assert names(tmp_path) == ["drive.sfs"]
 
 
 def test_rounding_to_other_units_is_no_loss(tmp_path):
     write_scene(drive(points_ns=500), tmp_path / "drive.sfs", time_unit="nanoseconds")
     report = convert(tmp_path / "drive.sfs", tmp_path / "copy.sfs", strict=True, time_unit="microseconds")
-    rounded = {field.field: field for field in report.of_fate(Fate.CONVERTED)}
+    rounded = {field.field: field for field in report.of_support(Support.CONVERTED)}
     assert rounded["sensors.lidar.frames.points.timestamps_ns"].largest_error == 0.5
 
 
@@ -102,18 +104,18 @@ def test_strict_output_replaces_only_where_it_may(scene_file, tmp_path):
 
 
 def test_a_trajectory_out_of_a_drive_says_what_stays_behind(scene_file, tmp_path):
-    report = convert(scene_file, tmp_path / "way.jsonl")
-    fates = {field.field: field.fate for field in report.fields}
-    assert fates["trajectories.positions"] == fates["trajectories.name"] == Fate.KEPT
-    assert fates["sensors.lidar.frames.points.positions"] == Fate.DROPPED
+    report = convert(scene_file, tmp_path / "trajectory.jsonl")
+    supports = {field.field: field.support for field in report.fields}
+    assert supports["trajectories.positions"] == supports["trajectories.name"] == Support.KEPT
+    assert supports["sensors.lidar.frames.points.positions"] == Support.DROPPED
     with pytest.raises(LossError, match="jsonl would not hold all"):
         convert(scene_file, tmp_path / "again.jsonl", strict=True)
     assert "again.jsonl" not in names(tmp_path)
 
 
 def test_a_trajectory_from_form_to_form_loses_nothing(tmp_path, scene_file):
-    convert(scene_file, tmp_path / "way.jsonl")
-    report = convert(tmp_path / "way.jsonl", tmp_path / "way.tum")
+    convert(scene_file, tmp_path / "trajectory.jsonl")
+    report = convert(tmp_path / "trajectory.jsonl", tmp_path / "trajectory.tum")
     assert [field.field for field in report.lost] == ["trajectories.name"]
 
 

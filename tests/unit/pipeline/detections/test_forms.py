@@ -12,7 +12,7 @@ from sceneloom.fusion.messages.scene_form.boxes import boxes_2d_record, boxes_3d
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detections.lists.context import ListContext
 from sceneloom.pipeline.detections.lists.table import form_of, read_boxes_2d, read_boxes_3d
-from sceneloom.scene import Boxes2D, Boxes3D, PosePath, ScoreForm
+from sceneloom.scene import Boxes2D, Boxes3D, Poses, ScoreForm
 from sceneloom.scene.pose_source import PoseSource
 
 TIMES = np.array([0, 100_000_000, 200_000_000], np.int64)
@@ -25,12 +25,12 @@ LIDAR_FROM_CAMERA = RigidTransform(
 @pytest.fixture
 def context() -> ListContext:
     """A lidar that drives 10 m/s to the north and looks there."""
-    way = PosePath(
+    trajectory = Poses(
         TIMES,
         np.array([[5.0, 0.0, 0.0], [5.0, 1.0, 0.0], [5.0, 2.0, 0.0]]),
         np.tile([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)], (3, 1)),
     )
-    source = PoseSource(way, RigidTransform.identity())
+    source = PoseSource(trajectory, RigidTransform.identity())
     return ListContext("lidar", TIMES, source=source, sensor_from_camera=LIDAR_FROM_CAMERA)
 
 
@@ -97,11 +97,11 @@ def test_lists_of_frames_are_read_as_they_were_written(tmp_path, context):
     )
     seen = Boxes2D(200_000_000, np.array([[1.0, 2.0, 3.0, 4.0]]), np.array([0.5]), ("Car",))
     in_space = file(tmp_path, format_json(boxes_3d_record(boxes, sensor_id=0, seq=1)), "a.jsonl")
-    in_picture = file(tmp_path, format_json(boxes_2d_record(seen, sensor_id=1, seq=2)), "b.jsonl")
+    in_image = file(tmp_path, format_json(boxes_2d_record(seen, sensor_id=1, seq=2)), "b.jsonl")
     (back,) = read_boxes_3d(in_space, context, strict())
     assert (back.labels, back.scores.tolist(), back.sensor_id) == (("Car", "Bus"), [0.25, 0.75], "lidar")
-    (picture,) = read_boxes_2d(in_picture, context, strict())
-    assert picture.corners_xyxy.tolist() == [[1.0, 2.0, 3.0, 4.0]]
+    (image,) = read_boxes_2d(in_image, context, strict())
+    assert image.corners_xyxy.tolist() == [[1.0, 2.0, 3.0, 4.0]]
 
 
 def test_frames_between_bare_records_are_frames_in_which_nothing_was_found(tmp_path, context):
@@ -117,7 +117,7 @@ def test_lists_of_other_sensors_are_left_out_and_counted(tmp_path, context):
     ledger = strict()
     own = ListContext("camera", TIMES, number=2, others=frozenset({1, 2}))
     assert len(read_boxes_2d(file(tmp_path, "\n".join(lines)), own, ledger)) == 1
-    assert [(notice.code, notice.count) for notice in ledger.notices] == [("other-sensors", 1)]
+    assert [(warning.code, warning.count) for warning in ledger.warnings] == [("other-sensors", 1)]
 
 
 TOKEN = "ca9a282c9e77460f8360f564131a8af5"
@@ -161,11 +161,11 @@ def test_samples_whose_times_are_not_known_are_a_question(tmp_path, context):
 def test_samples_of_other_drives_are_left_out(tmp_path, context):
     ledger = strict()
     assert not read_boxes_3d(nuscenes(tmp_path, NUSCENES, micros=10**15), context, ledger)
-    assert [notice.code for notice in ledger.notices] == ["other-samples"]
+    assert [warning.code for warning in ledger.warnings] == ["other-samples"]
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "told"),
+    ("field", "value", "reported"),
     [
         ("size", [2.0, -4.0, 1.5], "size: .*expected sizes above 0"),
         ("size", [2.0, 4.0], "size: .*expected 3 finite numbers"),
@@ -177,9 +177,9 @@ def test_samples_of_other_drives_are_left_out(tmp_path, context):
         ("velocity", [1.0], "velocity: .*expected two numbers"),
     ],
 )
-def test_a_faulty_box_of_nuscenes_is_told_with_its_place(tmp_path, context, field, value, told):
+def test_a_faulty_box_of_nuscenes_is_reported_with_its_location(tmp_path, context, field, value, reported):
     path = nuscenes(tmp_path, {**NUSCENES, field: value})
-    with pytest.raises(DataError, match=rf"results\.{TOKEN}\[0\]\.{told}"):
+    with pytest.raises(DataError, match=rf"results\.{TOKEN}\[0\]\.{reported}"):
         read_boxes_3d(path, context, strict())
 
 
@@ -195,7 +195,7 @@ def test_kittis_lists_are_in_the_cameras_frame(tmp_path, context):
     assert (boxes.score_form, boxes.timestamp_ns) == (ScoreForm.LOGIT, 100_000_000)
 
 
-def test_kittis_lists_of_pictures_take_the_class_of_their_folder(tmp_path, context):
+def test_kittis_lists_of_images_take_the_class_of_their_folder(tmp_path, context):
     path = file(tmp_path, "0,10,20,30,40,0.5\n", "pedestrian/0000.txt")
     boxes = read_boxes_2d(path, context, strict())[0]
     assert boxes.labels == ("Pedestrian",)
@@ -207,7 +207,7 @@ NOWHERE = "1 -1 DontCare -1 -1 -10 1 2 3 4 -1 -1 -1 -1000 -1000 -1000 -10 {score
 
 
 @pytest.mark.parametrize(("score", "form"), [("0.5", ScoreForm.PROBABILITY), ("7.5", ScoreForm.LOGIT)])
-def test_kittis_results_tell_by_their_range_what_scores_are(tmp_path, context, score, form):
+def test_kittis_results_report_by_their_range_what_scores_are(tmp_path, context, score, form):
     path = file(tmp_path, (RESULT + NOWHERE).format(score=score))
     assert form_of(path).name == "kitti-results"
     boxes = read_boxes_3d(path, context, strict())[1]
@@ -224,20 +224,20 @@ def test_an_empty_file_says_that_nothing_was_found(tmp_path, context):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("hello\n", "'hello'; expected a list of boxes: json-lines"),
         ("\x00\x01\x02", "expected a list of boxes"),
         ("1,2,3\n", "'1,2,3'; expected a list of boxes"),
     ],
 )
-def test_what_is_no_list_is_told_with_the_forms_that_there_are(tmp_path, context, text, told):
-    with pytest.raises(UnknownFormatError, match=told):
+def test_what_is_no_list_is_reported_with_the_forms_that_there_are(tmp_path, context, text, reported):
+    with pytest.raises(UnknownFormatError, match=reported):
         read_boxes_3d(file(tmp_path, text), context, strict())
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         (json.dumps(BOX_3D)[:-9], "line 1: no JSON"),
         (json.dumps(BOX_3D) + "\n{}", "line 2: .*missing"),
@@ -250,8 +250,8 @@ def test_what_is_no_list_is_told_with_the_forms_that_there_are(tmp_path, context
         ("1,2,0,0,9,9,-1.5,1.5,1.6,nan,2.0,1.5,10.0,0.0,0.2", "line 1: l 'nan'"),
     ],
 )
-def test_a_faulty_list_is_told_with_its_line(tmp_path, context, text, told):
-    with pytest.raises(DataError, match=told):
+def test_a_faulty_list_is_reported_with_its_line(tmp_path, context, text, reported):
+    with pytest.raises(DataError, match=reported):
         read_boxes_3d(file(tmp_path, text, "Car/list.txt"), context, strict())
 
 
@@ -259,4 +259,4 @@ def test_a_lenient_reading_leaves_faulty_records_out(tmp_path, context):
     path = file(tmp_path, f"{json.dumps(BOX_3D)}\n{{}}\n")
     ledger = Ledger(lenient=True)
     assert [len(boxes) for boxes in read_boxes_3d(path, context, ledger)] == [1]
-    assert [(notice.code, notice.count) for notice in ledger.notices] == [("faulty-detections", 1)]
+    assert [(warning.code, warning.count) for warning in ledger.warnings] == [("faulty-detections", 1)]

@@ -23,10 +23,10 @@ def findings(group):
 def test_this_installation_is_sound_and_says_its_versions():
     found = examine_installation()
     assert found.is_sound
-    said = {(one.group, one.name): one.said for one in found.findings}
-    assert said["packages", "numpy"] == importlib.metadata.version("numpy")
-    assert said["versions", "Python"].startswith(f"{sys.version_info.major}.{sys.version_info.minor}.")
-    assert said["codecs", "H.264, written"] == "there"
+    stated = {(one.group, one.name): one.stated for one in found.findings}
+    assert stated["packages", "numpy"] == importlib.metadata.version("numpy")
+    assert stated["versions", "Python"].startswith(f"{sys.version_info.major}.{sys.version_info.minor}.")
+    assert stated["codecs", "H.264, written"] == "there"
 
 
 REQUIREMENTS = [
@@ -74,7 +74,7 @@ def test_a_folder_that_is_not_installed_says_so(monkeypatch):
         raise importlib.metadata.PackageNotFoundError
 
     monkeypatch.setattr(packages, "requires", absent)
-    assert "not installed" in findings("packages")["sceneloom"].said
+    assert "not installed" in findings("packages")["sceneloom"].stated
 
 
 def test_kernels_count_as_compiled_once_there_is_an_index_of_their_present_source(monkeypatch, tmp_path):
@@ -134,7 +134,7 @@ def test_kept_kernels_are_those_of_the_content_of_their_sources_and_not_of_their
 
 
 @pytest.mark.parametrize(
-    ("warm", "writable", "said"),
+    ("warm", "writable", "stated"),
     [
         (True, True, None),
         (True, False, "NUMBA_CACHE_DIR"),
@@ -142,9 +142,9 @@ def test_kept_kernels_are_those_of_the_content_of_their_sources_and_not_of_their
         (False, False, "NUMBA_CACHE_DIR"),
     ],
 )
-def test_what_to_do_about_kernels(warm, writable, said):
+def test_what_to_do_about_kernels(warm, writable, stated):
     remedy = report._kernel_remedy(warm=warm, writable=writable)
-    assert remedy is None if said is None else said in remedy
+    assert remedy is None if stated is None else stated in remedy
 
 
 @pytest.mark.parametrize("usable", [False, True])

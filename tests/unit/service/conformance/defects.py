@@ -63,7 +63,7 @@ class Broken:
 
 
 def records(reply):
-    """The messages in a reply of Get that have a time stamp of their own."""
+    """The messages in a reply of Get that have a timestamp of their own."""
     if reply.HasField("sensor_data"):
         return [reply.sensor_data]
     return [reply.detections, *reply.detections.detections] if reply.HasField("detections") else []
@@ -96,7 +96,7 @@ def reference_frame_ignored(_, method, request):
 
 
 def colours_swapped(_, method, request):
-    """Red and blue change places."""
+    """Red and blue change locations."""
     if method == "Send" and request.WhichOneof("data") == "image" and request.image.encoding == "rgb8":
         pixels = np.frombuffer(request.image.data, np.uint8)
         if pixels.size % 3 == 0:
@@ -105,7 +105,7 @@ def colours_swapped(_, method, request):
 
 
 def blue_taken_for_red(_, method, request):
-    """Pictures are taken to have red first, whatever they say."""
+    """Images are taken to have red first, whatever they state."""
     if method == "Send" and request.WhichOneof("data") == "image" and request.image.encoding == "bgr8":
         request.image.encoding = "rgb8"
     return request
@@ -128,14 +128,14 @@ def chirality_ignored(_, method, request):
 
 
 def distortion_ignored(_, method, request):
-    """Lenses are taken to have no distortion."""
+    """Camera models are taken to have no distortion."""
     if method == "SetCalibration" and len(request.calibration.distortion_coeffs) == 5:
         request.calibration.distortion_coeffs[:] = [0.0] * 5
     return request
 
 
 def tangential_swapped(_, method, request):
-    """p1 and p2 change places."""
+    """p1 and p2 change locations."""
     coefficients = request.calibration.distortion_coeffs if method == "SetCalibration" else ()
     if len(coefficients) == 5:
         coefficients[2], coefficients[3] = coefficients[3], coefficients[2]
@@ -161,7 +161,7 @@ def one_session(_, method, request):
 
 
 def motion_ignored(_, method, request):
-    """The vehicle stands, whatever is told."""
+    """The vehicle stands, whatever is reported."""
     if method == "SendMotion":
         for pose in request.poses:
             pose.position[:] = [0.0, 0.0, 0.0]
@@ -171,10 +171,10 @@ def motion_ignored(_, method, request):
 def late_refused(broken, method, request):
     """What is older than something that came before is refused."""
     if method == "Send" and request.WhichOneof("data") == "image":
-        stamp = request.image.timestamp
+        timestamp = request.image.timestamp
         newest = broken.notes.get(request.session, (0, 0))
-        broken.notes[request.session] = max(newest, (stamp.s, stamp.ns))
-        if (stamp.s, stamp.ns) < newest:
+        broken.notes[request.session] = max(newest, (timestamp.s, timestamp.ns))
+        if (timestamp.s, timestamp.ns) < newest:
             return fusion_pb2.SendRequest(session=request.session)
     return request
 
@@ -224,7 +224,7 @@ def vertical_taken_for_forward(_, method, request):
 
 
 def always_rgb8(_, method, request, reply):
-    """Pictures are told to be rgb8, whatever they are."""
+    """Images are reported to be rgb8, whatever they are."""
     if method == "Get" and reply.HasField("sensor_data"):
         reply.sensor_data.encoding = "rgb8"
     return reply
@@ -244,7 +244,7 @@ def layout_by_values(_, method, request, reply):
 
 
 def unseen_white(_, method, request, reply):
-    """Points that the picture does not show are white."""
+    """Points that the image does not show are white."""
     record = reply.sensor_data if method == "Get" else None
     if record is not None and record.point_data:
         rows = np.frombuffer(record.point_data, "<f4").reshape(-1, len(record.point_fields)).copy()
@@ -254,7 +254,7 @@ def unseen_white(_, method, request, reply):
 
 
 def outlines_at_the_border(_, method, request, reply):
-    """Outlines of what is not in the picture are somewhere at its border."""
+    """Outlines of what is not in the image are somewhere at its border."""
     if method == "Get" and reply.HasField("detections"):
         for found in reply.detections.detections:
             if found.x2 == 0:
@@ -263,7 +263,7 @@ def outlines_at_the_border(_, method, request, reply):
 
 
 def status_two(_, method, request, reply):
-    """What is done is told with 2."""
+    """What is done is reported with 2."""
     if (
         isinstance(reply, fusion_pb2.Status)
         and reply.status == 1
@@ -274,7 +274,7 @@ def status_two(_, method, request, reply):
 
 
 def always_done(_, method, request, reply):
-    """What is refused is told as done."""
+    """What is refused is reported as done."""
     if isinstance(reply, fusion_pb2.Status) and method == "AddProperty":
         reply.Clear()
         reply.status = 1
@@ -394,11 +394,11 @@ class UnknownIsEmpty(Broken):
 
 
 class RangesForDepths(Broken):
-    """Depth images hold distances along the rays, and the records say that they do not."""
+    """Depth images hold distances along the rays, and the records state that they do not."""
 
     def call(self, method, request):
         if method == "Send" and request.session not in self.notes:
-            self.notes[request.session] = "said"
+            self.notes[request.session] = "stated"
             kind = fusion_pb2.Value(string_value="range")
             self.inner.call(
                 "SetProperty",
@@ -469,7 +469,7 @@ def points_reversed(_, method, request, reply):
     return reply
 
 
-def directions_turned(_, method, request, reply):
+def directions_rotated(_, method, request, reply):
     """Directions come in the frame of the camera."""
     if method == "Get" and reply.HasField("detections"):
         for found in reply.detections.detections:
@@ -478,8 +478,8 @@ def directions_turned(_, method, request, reply):
     return reply
 
 
-def time_of_the_picture(_, method, request, reply):
-    """Results bear the time of the picture."""
+def time_of_the_image(_, method, request, reply):
+    """Results bear the time of the image."""
     if method == "Get" and reply.HasField("sensor_data"):
         reply.sensor_data.timestamp.CopyFrom(reply.sensor_data.image_timestamp)
     return reply
@@ -527,8 +527,8 @@ OUTGOING = {
     layout_by_values: "6.7-1",
     unseen_white: "6.7-3",
     outlines_at_the_border: "6.8-1",
-    directions_turned: "5.2-1 5.2-2 5.2-3 T10-13",
-    time_of_the_picture: "T9-1",
+    directions_rotated: "5.2-1 5.2-2 5.2-3 T10-13",
+    time_of_the_image: "T9-1",
 }
 """What is broken on the way out, and the checks that find it."""
 

@@ -40,7 +40,7 @@ class HereTransport:
         try:
             result = fusion.get(wanted)
             if result is None and getattr(request, "wait_ms", 0):
-                fusion.flush()  # what another sweep or picture would set free comes when nothing does for a while
+                fusion.flush()  # what another sweep or image would set free comes when nothing does for a while
                 result = fusion.get(wanted)
         except OptionError as error:
             raise CallFailedError("INVALID_ARGUMENT", str(error)) from error

@@ -27,7 +27,7 @@ def made(number=1, label="car", *, count=21, period_ns=100_000_000, speed=8.0, *
 
 
 def followed(drive, timestamps_ns):
-    """What a perfect tracker would say of a simulated drive."""
+    """What a perfect tracker would state of a simulated drive."""
     truth = drive.truth.boxes(timestamps_ns)
     found = []
     for i, (instance, label) in enumerate(zip(truth.instances.tolist(), truth.labels, strict=True)):

@@ -52,7 +52,7 @@ def cuboids_of(scene):
     return {each.id: each for each in scene.annotations if isinstance(each, CuboidAnnotation)}
 
 
-def told(cuboid, name):
+def reported(cuboid, name):
     return next(path for path in cuboid.attributes if path.name == name)
 
 
@@ -66,18 +66,23 @@ def test_true_tracks_become_cuboids_that_stay_within_the_tolerances(labelled, tr
         # what stands is one pose: people who stand in the street do not move at all
         assert np.linalg.norm(values[:, 3:6] - track.centers, axis=1).max() <= TOLERANCES.tolerance_m + 1e-9
         assert values[:, :3] == pytest.approx(track.sizes_lwh, abs=1e-12)
-        turned = (values[:, 8] - np.degrees(track.yaws) + 180.0) % 360.0 - 180.0
-        assert np.abs(turned).max() <= TOLERANCES.tolerance_deg + 1e-6
+        rotated = (values[:, 8] - np.degrees(track.yaws) + 180.0) % 360.0 - 180.0
+        assert np.abs(rotated).max() <= TOLERANCES.tolerance_deg + 1e-6
     assert labelled.keyframes < labelled.states / 3
 
 
 def test_what_stands_in_the_street_is_found(labelled, tracks):
-    standing = {each.id for each in cuboids_of(labelled.scene).values() if each.stationary}
-    ways = {track.id: np.linalg.norm(np.ptp(track.centers, axis=0)) for track in tracks}
-    assert {f"cuboid-{number}" for number, way in ways.items() if way < 1e-9} <= standing
-    # in nine tenths of a second, by the speed that counts as standing
-    assert not {f"cuboid-{number}" for number, way in ways.items() if way > 0.25} & standing
-    assert labelled.standing == len(standing) > 5
+    stationary = {each.id for each in cuboids_of(labelled.scene).values() if each.stationary}
+    trajectories = {track.id: np.linalg.norm(np.ptp(track.centers, axis=0)) for track in tracks}
+    assert {
+        f"cuboid-{number}" for number, trajectory in trajectories.items() if trajectory < 1e-9
+    } <= stationary
+    # in nine tenths of a second, by the speed that counts as stationary
+    assert (
+        not {f"cuboid-{number}" for number, trajectory in trajectories.items() if trajectory > 0.25}
+        & stationary
+    )
+    assert labelled.stationary == len(stationary) > 5
 
 
 def test_points_in_labels_are_those_of_the_truth(labelled, drive):
@@ -89,7 +94,7 @@ def test_points_in_labels_are_those_of_the_truth(labelled, drive):
             cuboid = cuboids.get(f"cuboid-{instance}")
             if cuboid is None or not cuboid.stationary:
                 continue
-            points = told(cuboid, "points")
+            points = reported(cuboid, "points")
             row = points.timestamps_ns.tolist().index(sweep.frame.timestamp_ns)
             # range noise of centimetres puts points of a face just outside of it, and some of the ground into it
             assert points.values[row] <= 1.1 * count + 3
@@ -97,7 +102,7 @@ def test_points_in_labels_are_those_of_the_truth(labelled, drive):
     assert compared > 3
 
 
-def test_cameras_and_lidars_tell_when_they_see_a_cuboid(labelled):
+def test_cameras_and_lidars_report_when_they_see_a_cuboid(labelled):
     seen = [each for each in cuboids_of(labelled.scene).values() if each.projections]
     assert len(seen) > 5
     for each in seen:
@@ -147,25 +152,25 @@ def test_a_label_says_how_sure_it_is_and_whence_it_comes(a_track):
     track = a_track(7, scores=scores, supports=supports)
     scene = label_tracks(Scene(()), Tracks((track,)), settings=LabelSettings(source="made by hand")).scene
     cuboid = cuboids_of(scene)["cuboid-7"]
-    existence = told(cuboid, "existence")
+    existence = reported(cuboid, "existence")
     rows = np.searchsorted(existence.timestamps_ns, track.timestamps_ns, side="right") - 1
     assert np.abs(np.array(existence.values)[rows] - scores).max() <= 0.05 + 1e-3
     assert len(existence.values) < 21
-    support = told(cuboid, "support")
+    support = reported(cuboid, "support")
     assert support.values == ("both", "predicted", "both")
     assert support.timestamps_ns.tolist() == track.timestamps_ns[[0, 8, 10]].tolist()
-    assert told(cuboid, "source").values == ("made by hand",)
-    assert told(cuboid, "track").values == (7,)
+    assert reported(cuboid, "source").values == ("made by hand",)
+    assert reported(cuboid, "track").values == (7,)
 
 
-def test_boxes_in_pictures_and_cuboid_belong_to_one_object(a_track, drive):
-    pictures = drive.scene.cameras[0].pictures.timestamps_ns
+def test_boxes_in_images_and_cuboid_belong_to_one_object(a_track, drive):
+    images = drive.scene.cameras[0].images.timestamps_ns
     corners = np.full((FRAMES, 4), np.nan)
     corners[[0, 1, 2, 8, 9]] = np.array([10.0, 20.0, 50.0, 60.004])
     track = a_track(
         5,
         count=FRAMES,
-        timestamps_ns=pictures + 7_000_000,
+        timestamps_ns=images + 7_000_000,
         corners_xyxy={"camera0": corners, "other": corners},
     )
     settings = LabelSettings(projections=False, points=False, radar=False)
@@ -173,8 +178,8 @@ def test_boxes_in_pictures_and_cuboid_belong_to_one_object(a_track, drive):
     (thing,) = [each for each in scene.annotations if isinstance(each, ObjectAnnotation)]
     boxes = [each for each in scene.annotations if isinstance(each, Box2DAnnotation)]
     assert [box.path.timestamps_ns.tolist() for box in boxes] == [
-        pictures[[0, 1, 2]].tolist(),
-        pictures[[8, 9]].tolist(),
+        images[[0, 1, 2]].tolist(),
+        images[[8, 9]].tolist(),
     ]
     assert boxes[0].path.values[0].tolist() == [10.0, 20.0, 40.0, 40.0]
     assert {each.parent_id for each in (*boxes, *cuboids_of(scene).values())} == {thing.id}
@@ -187,7 +192,7 @@ def test_riders_are_linked_with_what_they_ride_and_do_not_count_as_overlapping(a
     assert not found.flags
 
 
-def test_flags_are_told_in_the_label_and_the_worst_first_in_the_metadata(a_track, drive):
+def test_flags_are_reported_in_the_label_and_the_worst_first_in_the_metadata(a_track, drive):
     short, empty = a_track(1, count=3), a_track(2, centers=a_track().centers + np.array([0.0, 0.0, 300.0]))
     settings = LabelSettings(projections=False, radar=False)
     found = label_tracks(replace(drive.scene, annotations=()), Tracks((short, empty)), settings=settings)
@@ -195,8 +200,8 @@ def test_flags_are_told_in_the_label_and_the_worst_first_in_the_metadata(a_track
     assert [one["urgency"] for one in review] == sorted((one["urgency"] for one in review), reverse=True)
     assert ("cuboid-2", "empty boxes") in {(one["annotation"], one["flag"]) for one in review}
     cuboids = cuboids_of(found.scene)
-    assert "short" in told(cuboids["cuboid-1"], "review").values[0]
-    assert told(cuboids["cuboid-2"], "review").values == (("empty boxes",),)
+    assert "short" in reported(cuboids["cuboid-1"], "review").values[0]
+    assert reported(cuboids["cuboid-2"], "review").values == (("empty boxes",),)
 
 
 def test_what_is_hardly_there_is_left_out_on_request(a_track):
@@ -206,12 +211,12 @@ def test_what_is_hardly_there_is_left_out_on_request(a_track):
     assert label_tracks(Scene(()), Tracks(())).objects == 0
 
 
-def test_a_scene_without_a_way_keeps_the_labels_and_says_what_is_missing(a_track, drive):
+def test_a_scene_without_a_trajectory_keeps_the_labels_and_says_what_is_missing(a_track, drive):
     lost = replace(drive.scene, annotations=(), trajectories={})
     sensors = tuple(replace(s, poses=None) if hasattr(s, "poses") else s for s in lost.sensors)
     found = label_tracks(replace(lost, sensors=sensors), Tracks((a_track(),)))
     assert {"labels-not-projected", "labels-not-counted", "labels-not-heard"} <= {
-        notice.code for notice in found.scene.notices
+        warning.code for warning in found.scene.warnings
     }
     assert len(cuboids_of(found.scene)) == 1
 

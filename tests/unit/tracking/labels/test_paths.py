@@ -15,7 +15,7 @@ DEGREES = CuboidAngles()
 
 
 def wandering(a_track, seed, count=16):
-    """A track that wanders and turns."""
+    """A track that wanders and rotates."""
     random = np.random.default_rng(seed)
     centers = np.cumsum(random.normal(0.0, 0.08, (count, 3)), axis=0) + np.arange(count)[:, None] * [
         0.8,
@@ -32,39 +32,39 @@ def wandering(a_track, seed, count=16):
 
 
 def deviations(path, rows):
-    """How far the scene's own readers, asked for all states, are from them: places [m], headings [deg]."""
+    """How far the scene's own readers, asked for all states, are from them: locations [m], headings [deg]."""
     annotation = CuboidAnnotation("a", path.cuboids(rows, DEGREES))
     values, there = cuboid_at(annotation, path.timestamps_ns)
     assert there.all()
-    places = np.linalg.norm(values[:, 3:6] - path.boxes[:, :3], axis=1)
-    turns = (values[:, 8] - np.degrees(path.boxes[:, 6]) + 180.0) % 360.0 - 180.0
-    return places, np.abs(turns)
+    locations = np.linalg.norm(values[:, 3:6] - path.boxes[:, :3], axis=1)
+    rotations = (values[:, 8] - np.degrees(path.boxes[:, 6]) + 180.0) % 360.0 - 180.0
+    return locations, np.abs(rotations)
 
 
 def least_count(path, settings):
     """The fewest keyframes, by trying every way from the first state to the last."""
 
     @cache
-    def tells(a, b):
+    def reports(a, b):
         rows = np.array([a, b])
         part = CuboidPath(path.timestamps_ns[rows], path.cuboids(rows, DEGREES).values)
         values, _ = cuboid_at(CuboidAnnotation("a", part), path.timestamps_ns[a : b + 1])
         away = np.linalg.norm(values[:, 3:6] - path.boxes[a : b + 1, :3], axis=1)
-        turns = (values[:, 8] - np.degrees(path.boxes[a : b + 1, 6]) + 180.0) % 360.0 - 180.0
-        return away.max() <= settings.tolerance_m and np.abs(turns).max() <= settings.tolerance_deg
+        rotations = (values[:, 8] - np.degrees(path.boxes[a : b + 1, 6]) + 180.0) % 360.0 - 180.0
+        return away.max() <= settings.tolerance_m and np.abs(rotations).max() <= settings.tolerance_deg
 
     last = len(path.timestamps_ns) - 1
 
     @cache
     def fewest(a):
-        return 0 if a == last else 1 + min(fewest(b) for b in range(a + 1, last + 1) if tells(a, b))
+        return 0 if a == last else 1 + min(fewest(b) for b in range(a + 1, last + 1) if reports(a, b))
 
     return 1 + fewest(0)
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_no_fewer_keyframes_would_do(a_track, seed):
-    settings = LabelSettings(tolerance_m=0.1, tolerance_deg=2.0, standing=False)
+    settings = LabelSettings(tolerance_m=0.1, tolerance_deg=2.0, stationary=False)
     path = label_path(wandering(a_track, seed), settings)
     rows = path.keyframes(settings)
     assert len(rows) == least_count(path, settings)
@@ -72,12 +72,12 @@ def test_no_fewer_keyframes_would_do(a_track, seed):
 
 
 @pytest.mark.parametrize(("tolerance_m", "tolerance_deg"), [(0.02, 5.0), (0.3, 0.5), (0.0, 0.0)])
-def test_every_state_is_told_within_the_tolerances(a_track, tolerance_m, tolerance_deg):
+def test_every_state_is_reported_within_the_tolerances(a_track, tolerance_m, tolerance_deg):
     settings = LabelSettings(tolerance_m=tolerance_m, tolerance_deg=tolerance_deg)
     path = label_path(wandering(a_track, 9, count=60), settings)
-    places, turns = deviations(path, path.keyframes(settings))
-    assert places.max() <= tolerance_m + 1e-9  # centimetres of metres: sums of few roundings
-    assert turns.max() <= tolerance_deg + 1e-6
+    locations, rotations = deviations(path, path.keyframes(settings))
+    assert locations.max() <= tolerance_m + 1e-9  # centimetres of metres: sums of few roundings
+    assert rotations.max() <= tolerance_deg + 1e-6
 
 
 def test_a_straight_drive_needs_two_keyframes_and_a_long_gap_no_more(a_track):
@@ -89,7 +89,7 @@ def test_a_straight_drive_needs_two_keyframes_and_a_long_gap_no_more(a_track):
     assert path.keyframes(LabelSettings()).tolist() == [0, 19]
 
 
-def test_a_heading_goes_on_beyond_the_half_turn(a_track):
+def test_a_heading_goes_on_beyond_the_half_rotation(a_track):
     yaws = (np.linspace(2.6, 3.8, 21) + np.pi) % (2 * np.pi) - np.pi
     path = label_path(a_track(yaws=yaws), LabelSettings())
     assert path.boxes[:, 6] == pytest.approx(np.linspace(2.6, 3.8, 21), abs=1e-12)
@@ -118,13 +118,13 @@ def test_medians_are_those_of_repeated_values():
 def test_what_stands_gets_one_pose_and_what_creeps_does_not(a_track):
     random = np.random.default_rng(0)
     noise = np.column_stack([random.normal(0.0, 0.1, (21, 2)), np.zeros(21)])
-    standing = label_path(a_track(speed=0.0, centers=noise + np.array([5.0, 2.0, 0.8])), LabelSettings())
-    assert standing.stands
-    assert standing.keyframes(LabelSettings()).tolist() == [0]
+    stationary = label_path(a_track(speed=0.0, centers=noise + np.array([5.0, 2.0, 0.8])), LabelSettings())
+    assert stationary.stands
+    assert stationary.keyframes(LabelSettings()).tolist() == [0]
     # the median of 21 numbers of deviation 0.1 deviates by 0.027
-    assert standing.boxes[0, :3] == pytest.approx([5.0, 2.0, 0.8], abs=0.1)
+    assert stationary.boxes[0, :3] == pytest.approx([5.0, 2.0, 0.8], abs=0.1)
     assert not label_path(a_track(speed=0.5), LabelSettings()).stands
-    assert not label_path(a_track(speed=0.0), LabelSettings(standing=False)).stands
+    assert not label_path(a_track(speed=0.0), LabelSettings(stationary=False)).stands
 
 
 def test_what_is_seen_so_briefly_that_its_speed_is_not_known_may_stand(a_track):
@@ -140,7 +140,7 @@ def test_a_pedestrian_who_stands_at_first_and_then_walks_does_not_stand(a_track)
     assert not label_path(track, LabelSettings()).stands
 
 
-def test_a_standing_object_heads_where_most_states_head():
+def test_a_stationary_object_heads_where_most_states_head():
     yaws = np.full(21, 0.4)
     yaws[[2, 7, 8]] += np.pi
     assert usual_heading(yaws, np.ones(21)) == pytest.approx(0.4, abs=1e-12)
@@ -150,7 +150,7 @@ def test_a_standing_object_heads_where_most_states_head():
 def test_states_before_the_first_box_and_after_the_last_are_left_out(a_track):
     supports = np.full(21, Support.PREDICTED, np.uint8)
     assert boxed_part(a_track(supports=supports)) is None
-    supports[[4, 9]] = Support.PICTURE, Support.SWEEP
+    supports[[4, 9]] = Support.IMAGE, Support.SWEEP
     part = boxed_part(a_track(supports=supports, corners_xyxy={"camera": np.ones((21, 4))}))
     assert part.timestamps_ns.tolist() == a_track().timestamps_ns[4:10].tolist()
     assert part.corners_xyxy["camera"].shape == (6, 4)

@@ -37,7 +37,7 @@ ZIGZAG = np.column_stack([0.8 * np.arange(21), 0.3 * (-1.0) ** np.arange(21), np
         ({"count": 4}, FlagKind.SHORT, 0),
         ({"scores": np.full(21, 0.3)}, FlagKind.UNSURE, 0),
         (("supports", slice(3, 18), Support.INTERPOLATED), FlagKind.SPARSE, 10),
-        ({"supports": np.full(21, Support.PICTURE, np.uint8)}, FlagKind.PICTURE_ONLY, 0),
+        ({"supports": np.full(21, Support.IMAGE, np.uint8)}, FlagKind.IMAGE_ONLY, 0),
         ({"centers": ZIGZAG}, FlagKind.JITTER, 1),
         (("centers", (slice(12, None), 1), 3.0), FlagKind.JUMP, 12),
         (("sizes_lwh", (5, 0), 6.0), FlagKind.SIZE, 5),
@@ -58,14 +58,14 @@ def test_one_jump_is_no_jitter_and_one_flip_is_no_jitter_of_the_heading(changed)
     assert FlagKind.YAW_JITTER not in kinds(changed("yaws", slice(9, 10), np.pi))
 
 
-def test_a_heading_that_goes_round_the_half_turn_is_no_flip(a_track):
+def test_a_heading_that_goes_round_the_half_rotation_is_no_flip(a_track):
     yaws = (np.linspace(2.9, 3.5, 21) + np.pi) % (2 * np.pi) - np.pi
     velocities = 8.0 * np.column_stack([np.cos(yaws), np.sin(yaws), np.zeros(21)])
     centers = np.cumsum(velocities * 0.1, axis=0)
     assert not flags_of(a_track(yaws=yaws, velocities=velocities, centers=centers))
 
 
-def test_of_two_objects_in_one_place_the_less_sure_one_is_flagged(a_track):
+def test_of_two_objects_in_one_location_the_less_sure_one_is_flagged(a_track):
     sure, unsure = a_track(1), a_track(2, scores=np.full(21, 0.6))
     apart = a_track(3, centers=a_track().centers + np.array([0.0, 4.0, 0.0]))
     above = a_track(4, centers=a_track().centers + np.array([0.0, 0.0, 5.0]), scores=np.full(21, 0.5))

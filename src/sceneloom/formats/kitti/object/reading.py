@@ -1,8 +1,8 @@
 """Frames of KITTI's object benchmark as a scene.
 
-The frames come from many drives: each has a calibration of its own, and nothing tells when it was or where. One scene
-holds them so: the ego is the lidar and stands still, so that every frame's world is its own lidar's frame; the frames
-are a second apart, in the order of their numbers; each picture has the lens and the mounting of its frame.
+The frames come from many drives: each has a calibration of its own, and nothing reports when it was or where. One scene
+holds them so: the ego is the lidar and is stationary, so that every frame's world is its own lidar's frame; the frames
+are a second apart, in the order of their numbers; each image has the camera model and the mounting of its frame.
 """
 
 from collections.abc import Sequence
@@ -17,26 +17,26 @@ from sceneloom.errors import DataError
 from sceneloom.formats.files import read_bytes
 from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration
 from sceneloom.formats.kitti.labels import KittiLabels, joined_labels, read_labels
-from sceneloom.formats.kitti.scenes.boxes import LabelPlaces, label_annotations
+from sceneloom.formats.kitti.scenes.boxes import LabelLocations, label_annotations
+from sceneloom.formats.kitti.scenes.images import FramedImages
 from sceneloom.formats.kitti.scenes.numbered import NumberedFiles, note_unread, numbered_files
-from sceneloom.formats.kitti.scenes.pictures import FramedPictures
 from sceneloom.formats.kitti.scenes.sensors import camera_id, kitti_metadata, lidar_sensor
-from sceneloom.formats.kitti.spec import OBJECT_CAMERAS, PARTS, PICTURES, SWEEPS, TEXTS, object_folders
+from sceneloom.formats.kitti.spec import IMAGES, OBJECT_CAMERAS, PARTS, SWEEPS, TEXTS, object_folders
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.rig.pictures import picture_size
+from sceneloom.formats.rig.images import image_size
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations.annotation import Annotation
-from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.notices import NoticeKind
-from sceneloom.scene.poses import PosePath, PoseSamples, Trajectory
+from sceneloom.scene.poses import Poses, PoseSamples, Trajectory
 from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.warnings import WarningKind
 
 FRAME_NS = 1_000_000_000
 """From frame to frame: so far that none is taken for its neighbour's moment."""
 
-WAY = "frames"
-"""The name of the way of an ego that stands still in each frame's own world."""
+TRAJECTORY = "frames"
+"""The name of the trajectory of an ego that is stationary in each frame's own world."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,9 +87,9 @@ class FrameCalibrations:
         if not missing:
             return files
         name = files.paths[missing[0]].name
-        place = files.folder.parent / "calib" / f"{files.paths[missing[0]].stem}.txt"
+        location = files.folder.parent / "calib" / f"{files.paths[missing[0]].stem}.txt"
         problem = f"is missing; {files.folder.name}/{name} needs the calibration of its frame"
-        ledger.fault("frames-without-calibration", DataError(place, "", problem), count=len(missing))
+        ledger.fault("frames-without-calibration", DataError(location, "", problem), count=len(missing))
         return files.only([number in self.chosen for number in files.numbers.tolist()])
 
 
@@ -112,37 +112,37 @@ def _open(folder: Path, ledger: Ledger) -> Scene:
     note_unread(folder, ("calib", "velodyne", "label_2", *OBJECT_CAMERAS.values(), *PARTS), ledger)
     calibrations = FrameCalibrations.read(numbered_files(folder / "calib", TEXTS, ledger), ledger)
     sweeps = calibrations.kept(numbered_files(folder / "velodyne", SWEEPS, ledger), ledger)
-    pictures = {
-        number: calibrations.kept(numbered_files(folder / name, PICTURES, ledger), ledger)
+    images = {
+        number: calibrations.kept(numbered_files(folder / name, IMAGES, ledger), ledger)
         for number, name in OBJECT_CAMERAS.items()
     }
     labels = calibrations.kept(numbered_files(folder / "label_2", TEXTS, ledger), ledger)
-    every = np.unique(np.concatenate([files.numbers for files in (sweeps, labels, *pictures.values())]))
+    every = np.unique(np.concatenate([files.numbers for files in (sweeps, labels, *images.values())]))
     if not len(every):
         raise DataError(
             folder, "", "holds no frame with a calibration; expected calib/000000.txt for each frame"
         )
     times = FrameTimes(every)
-    path = PosePath(*_still(len(every)))
+    path = Poses(*_still(len(every)))
     sensors: list[Sensor] = []
-    told = _labels(labels, ledger)
+    reported = _labels(labels, ledger)
     if len(sweeps):
         sensors.append(
             lidar_sensor(sweeps, times.of(sweeps.numbers), RigidTransform.identity(), path, ledger)
         )
-    for number, files in pictures.items():
-        if len(files) or (number == 2 and told.have_outline.any()):
+    for number, files in images.items():
+        if len(files) or (number == 2 and reported.have_outline.any()):
             sensors.append(_camera(number, files, calibrations, times, ledger))
     message = "frames have no times and no common world: they are a second apart, each in the frame of its own lidar"
-    ledger.note(NoticeKind.ASSUMED, "frames-apart", str(folder), message)
+    ledger.note(WarningKind.ASSUMED, "frames-apart", str(folder), message)
     return Scene(
         tuple(sensors),
-        annotations=_annotations(told, labels.folder, calibrations, times),
-        trajectories=MappingProxyType({WAY: Trajectory(WAY, *_still(len(every)))}),
+        annotations=_annotations(reported, labels.folder, calibrations, times),
+        trajectories=MappingProxyType({TRAJECTORY: Trajectory(TRAJECTORY, *_still(len(every)))}),
         metadata=kitti_metadata("object", numbers=every.tolist(), calibration=_plain(calibrations)),
         source=str(folder),
         format="kitti-object",
-        notices=ledger.notices,
+        warnings=ledger.warnings,
     )
 
 
@@ -168,54 +168,54 @@ class FrameTimes:
 
 
 def _still(count: int) -> tuple[Int64Array, Float64Array, Float64Array]:
-    """Times, places and turns of an ego that stands at the origin."""
-    turns = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+    """Times, locations and rotates of an ego that stands at the origin."""
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
     return (
         read_only(np.arange(count, dtype=np.int64) * FRAME_NS),
         read_only(np.zeros((count, 3))),
-        read_only(turns),
+        read_only(rotations),
     )
 
 
 def _camera(
     number: int, files: NumberedFiles, calibrations: FrameCalibrations, times: FrameTimes, ledger: Ledger
 ) -> CameraSensor:
-    """A camera whose pictures have lenses and mountings of their own; its own are those of its first picture."""
+    """A camera whose images have camera models and mountings of their own; its own are those of its first image."""
     folder = files.folder.parent
     frames = files.numbers.tolist() or sorted(calibrations.chosen)[:1]
     for frame in frames:
         if number not in calibrations.of(frame).projections:
-            place = folder / "calib" / f"{frame:06d}.txt"
-            raise DataError(place, "", f"no P{number}; expected that of {OBJECT_CAMERAS[number]}")
+            location = folder / "calib" / f"{frame:06d}.txt"
+            raise DataError(location, "", f"no P{number}; expected that of {OBJECT_CAMERAS[number]}")
     first = calibrations.of(frames[0])
     if len(files):
-        size = picture_size(files.paths[0])
+        size = image_size(files.paths[0])
     else:
         size = first.usual_size(number) or (1242, 375)
-        message = f"without pictures, they are taken as {size[0]}x{size[1]}"
-        ledger.note(NoticeKind.ASSUMED, "picture-size", str(folder), message)
-    stamps = read_only(times.of(files.numbers))
+        message = f"without images, they are taken as {size[0]}x{size[1]}"
+        ledger.note(WarningKind.ASSUMED, "image-size", str(folder), message)
+    timestamps = read_only(times.of(files.numbers))
     chosen = tuple(calibrations.chosen[frame] for frame in files.numbers.tolist())
-    reader = FramedPictures(files.paths, files.names, stamps, number, calibrations.different, chosen)
-    pictures: LazyFrames[Picture] = LazyFrames(stamps, reader)
+    reader = FramedImages(files.paths, files.names, timestamps, number, calibrations.different, chosen)
+    images: LazyFrames[CameraImage] = LazyFrames(timestamps, reader)
     return CameraSensor(
         camera_id(number),
         first.camera(number, size),
-        pictures,
-        poses=_poses(stamps, number, chosen, calibrations.different),
+        images,
+        poses=_poses(timestamps, number, chosen, calibrations.different),
         mount=first.camera_from_lidar(number).inverse(),
     )
 
 
 def _poses(
-    stamps_ns: Int64Array, number: int, chosen: Sequence[int], different: Sequence[KittiCalibration]
-) -> PosePath | None:
+    timestamps_ns: Int64Array, number: int, chosen: Sequence[int], different: Sequence[KittiCalibration]
+) -> Poses | None:
     """Where the camera is in each frame's world."""
-    if not len(stamps_ns):
+    if not len(timestamps_ns):
         return None
     mounts = {row: different[row].camera_from_lidar(number).inverse() for row in set(chosen)}
     positions = np.stack([mounts[row].translation for row in chosen])
-    return PosePath(stamps_ns, positions, np.stack([mounts[row].quaternion_xyzw for row in chosen]))
+    return Poses(timestamps_ns, positions, np.stack([mounts[row].quaternion_xyzw for row in chosen]))
 
 
 def _labels(files: NumberedFiles, ledger: Ledger) -> KittiLabels:
@@ -235,16 +235,16 @@ def _annotations(
         return ()
     rectified = {row: one.rectified_from_lidar.inverse() for row, one in enumerate(calibrations.different)}
     rows = [calibrations.chosen[frame] for frame in labels.frames.tolist()]
-    places = PoseSamples(
+    locations = PoseSamples(
         np.stack([rectified[row].translation for row in rows]),
         np.stack([rectified[row].quaternion_xyzw for row in rows]),
         np.zeros(len(rows), np.uint8),
     )
-    return label_annotations(labels, LabelPlaces(times.of(labels.frames), places, camera_id(2), folder))
+    return label_annotations(labels, LabelLocations(times.of(labels.frames), locations, camera_id(2), folder))
 
 
 def _find_frames(path: Path, ledger: Ledger) -> Path:
-    """Find the folder of the frames; of both parts it is `training`, with a notice."""
+    """Find the folder of the frames; of both parts it is `training`, with a warning."""
     found = object_folders(path)
     if not found:
         raise DataError(
@@ -254,5 +254,5 @@ def _find_frames(path: Path, ledger: Ledger) -> Path:
         )
     if len(found) > 1 and found[0] != path:
         message = f"{found[0].name} is read, {found[1].name} is left aside; name its folder to read it"
-        ledger.note(NoticeKind.SKIPPED, "other-part", str(path), message)
+        ledger.note(WarningKind.SKIPPED, "other-part", str(path), message)
     return found[0]

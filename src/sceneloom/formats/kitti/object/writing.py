@@ -10,20 +10,20 @@ from sceneloom.formats.kitti.written.calibration_text import Mounted, write_cali
 from sceneloom.formats.kitti.written.choice import Choice, choose, dropped_parts
 from sceneloom.formats.kitti.written.frames import point_time_loss, write_frames
 from sceneloom.formats.kitti.written.label_rows import LabelRows
-from sceneloom.formats.kitti.written.places import egos_at, is_lidar
+from sceneloom.formats.kitti.written.locations import egos_at, is_lidar
 from sceneloom.formats.kitti.written.target import kept_of
 from sceneloom.formats.kitti.written.timeline import NONE, Timeline, check_files, timeline_of
-from sceneloom.formats.loss import Fate, Loss, LossReport
+from sceneloom.formats.loss import Loss, LossReport, Support
 from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
 from sceneloom.scene.annotations.cuboids import CuboidAnnotation
-from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.scene import Scene
 
 HELD = frozenset({LidarSensor, CameraSensor, CuboidAnnotation, Box2DAnnotation})
-"""Kinds of sensors and annotations that frames have a place for."""
+"""Kinds of sensors and annotations that frames have a location for."""
 
 _KIND = FolderKind(
     "folder of KITTI's object benchmark",
@@ -60,27 +60,27 @@ def write_object(scene: Scene, path: Path, *, overwrite: bool = False) -> LossRe
     with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
         folder = draft / "training"
         (folder / "calib").mkdir(parents=True)
-        pictures = {number: folder / kind for number, kind in OBJECT_CAMERAS.items()}
+        images = {number: folder / kind for number, kind in OBJECT_CAMERAS.items()}
         losses += write_frames(
             choice,
             timeline,
             lambda k: f"{numbers[k]:06d}",
             folder / "velodyne",
-            pictures,
+            images,
             lambda _, frame: losses.extend(point_time_loss(frame)),
-            own_lenses=True,
+            own_camera_models=True,
         )
-        places = _FramePlaces(choice, timeline)
+        locations = _FrameLocations(choice, timeline)
         rectified = [
             write_calibration(
                 folder / "calib" / f"{numbers[k]:06d}.txt",
                 "object",
-                places.mounted(k),
+                locations.mounted(k),
                 _kept(scene, numbers[k]),
             )
             for k in range(len(timeline))
         ]
-        losses += _write_labels(choice, timeline, numbers, places, rectified, folder / "label_2")
+        losses += _write_labels(choice, timeline, numbers, locations, rectified, folder / "label_2")
     return LossReport.of(losses)
 
 
@@ -94,7 +94,7 @@ def _numbers(scene: Scene, timeline: Timeline) -> list[int]:
 
 
 def _time_losses(scene: Scene, choice: Choice, timeline: Timeline) -> list[Loss]:
-    """Frames have neither times nor a way: what of both a scene has is lost."""
+    """Frames have neither times nor a trajectory: what of both a scene has is lost."""
     if kept_of(scene).get("benchmark") == "object":
         return []
     losses = [
@@ -102,8 +102,8 @@ def _time_losses(scene: Scene, choice: Choice, timeline: Timeline) -> list[Loss]
         for name, count in (
             ("sensors.lidar.frames.timestamp_ns", int((timeline.sweeps != NONE).sum())),
             (
-                "sensors.camera.pictures.timestamp_ns",
-                sum(int((p != NONE).sum()) for p in timeline.pictures.values()),
+                "sensors.camera.images.timestamp_ns",
+                sum(int((p != NONE).sum()) for p in timeline.images.values()),
             ),
         )
         if count
@@ -117,48 +117,48 @@ def _time_losses(scene: Scene, choice: Choice, timeline: Timeline) -> list[Loss]
 def _kept(scene: Scene, number: int) -> dict[str, list[float]] | None:
     """The entries of the calibration that a frame was read with."""
     kept = kept_of(scene)
-    told = kept.get("calibration")
-    if kept.get("benchmark") != "object" or not isinstance(told, dict):
+    reported = kept.get("calibration")
+    if kept.get("benchmark") != "object" or not isinstance(reported, dict):
         return None
-    row = told.get("frames", {}).get(str(number))
-    different = told.get("different", [])
+    row = reported.get("frames", {}).get(str(number))
+    different = reported.get("different", [])
     return different[row] if isinstance(row, int) and 0 <= row < len(different) else None
 
 
-class _FramePlaces:
-    """Where the cameras are in each frame, and with which lenses: pictures may have their own."""
+class _FrameLocations:
+    """Where the cameras are in each frame, and with which camera models: images may have their own."""
 
     def __init__(self, choice: Choice, timeline: Timeline) -> None:
         self._choice, self._timeline = choice, timeline
 
-    def picture(self, number: int, k: int) -> Picture | None:
-        """The picture of a camera in a frame."""
-        row = int(self._timeline.pictures[number][k])
-        return None if row == NONE else self._choice.cameras[number].pictures[row]
+    def image(self, number: int, k: int) -> CameraImage | None:
+        """The image of a camera in a frame."""
+        row = int(self._timeline.images[number][k])
+        return None if row == NONE else self._choice.cameras[number].images[row]
 
-    def lens(self, number: int, k: int) -> Camera:
-        """The lens of a frame's picture; the camera's own, where it has none or another kind."""
-        own, picture = self._choice.cameras[number].camera, self.picture(number, k)
-        return picture.camera if picture is not None and picture.camera.model == "pinhole" else own
+    def camera_model(self, number: int, k: int) -> Camera:
+        """The camera model of a frame's image; the camera's own, where it has none or another kind."""
+        own, image = self._choice.cameras[number].camera, self.image(number, k)
+        return image.camera if image is not None and image.camera.model == "pinhole" else own
 
     def mounted(self, k: int) -> Mounted:
         """How the sensors lie in a frame."""
         choice = self._choice
-        lenses, mounts = {}, {}
+        camera_models, mounts = {}, {}
         for number, mount in choice.ego_from_camera.items():
-            picture = self.picture(number, k)
-            ego_from_camera = mount if picture is None or picture.mount is None else picture.mount
-            lenses[number] = self.lens(number, k)
+            image = self.image(number, k)
+            ego_from_camera = mount if image is None or image.mount is None else image.mount
+            camera_models[number] = self.camera_model(number, k)
             mounts[number] = ego_from_camera.inverse() @ choice.ego_from_lidar
         lidar_from_imu = None if is_lidar(choice) else choice.ego_from_lidar.inverse()
-        return Mounted(lenses, mounts, lidar_from_imu, choice.reference, choice.lidar is not None)
+        return Mounted(camera_models, mounts, lidar_from_imu, choice.reference, choice.lidar is not None)
 
 
 def _write_labels(
     choice: Choice,
     timeline: Timeline,
     numbers: list[int],
-    places: _FramePlaces,
+    locations: _FrameLocations,
     rectified_from_lidar: list[RigidTransform],
     folder: Path,
 ) -> list[Loss]:
@@ -171,7 +171,7 @@ def _write_labels(
         choice,
         timeline,
         world_from_rectified.__getitem__,
-        lambda k, _: places.lens(choice.reference or 0, k),
+        lambda k, _: locations.camera_model(choice.reference or 0, k),
         with_tracks=False,
     )
     labels = rows.labels()
@@ -181,6 +181,8 @@ def _write_labels(
     )
     what = "frames know nothing of each other: an object is another one in each"
     lost = (
-        [Loss(field="annotations.cuboid.id", what=what, count=tracked, fate=Fate.DROPPED)] if tracked else []
+        [Loss(field="annotations.cuboid.id", what=what, count=tracked, support=Support.DROPPED)]
+        if tracked
+        else []
     )
     return [*rows.losses, *lost]

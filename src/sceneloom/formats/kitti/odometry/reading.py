@@ -1,7 +1,7 @@
 """A sequence of KITTI's odometry benchmark as a scene, with SemanticKITTI's labels where it has them.
 
-Poses are those of camera 0. The ego is the lidar, or, where the calibration does not place it, camera 0 turned to look
-forward, left and up; the world is where the ego was first.
+Poses are those of camera 0. The ego is the lidar, or, where the calibration does not position it, camera 0 rotated to
+look forward, left and up; the world is where the ego was first.
 """
 
 from pathlib import Path
@@ -24,21 +24,21 @@ from sceneloom.formats.kitti.scenes.numbered import (
 )
 from sceneloom.formats.kitti.scenes.sensors import camera_sensor, kitti_metadata, lidar_sensor
 from sceneloom.formats.kitti.spec import (
+    IMAGES,
     LABELS,
     ODOMETRY_CAMERAS,
-    PICTURES,
     SWEEPS,
     OdometrySequence,
     odometry_sequences,
 )
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.rig.pictures import picture_size
-from sceneloom.formats.rig.times import line_stamps
+from sceneloom.formats.rig.images import image_size
+from sceneloom.formats.rig.times import line_timestamps
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import quaternion_from_matrix
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.warnings import WarningKind
 
 TRUTH, ESTIMATE = "groundTruth", "pose"
 """The ways of `poses/NN.txt`, and of a `poses.txt` in the sequence's folder, which SemanticKITTI has."""
@@ -68,51 +68,51 @@ def open_odometry(
         return _open(_find_sequence(path, sequence), ledger, with_labels=labels == "read")
 
 
-def _open(place: OdometrySequence, ledger: Ledger, *, with_labels: bool) -> Scene:
-    folder = place.folder
+def _open(location: OdometrySequence, ledger: Ledger, *, with_labels: bool) -> Scene:
+    folder = location.folder
     note_unread(
         folder,
         ("calib.txt", "times.txt", "poses.txt", "velodyne", "labels", *ODOMETRY_CAMERAS.values()),
         ledger,
     )
     sweeps = numbered_files(folder / "velodyne", SWEEPS, ledger)
-    pictures = {
-        number: numbered_files(folder / name, PICTURES, ledger) for number, name in ODOMETRY_CAMERAS.items()
+    images = {
+        number: numbered_files(folder / name, IMAGES, ledger) for number, name in ODOMETRY_CAMERAS.items()
     }
     labels = numbered_files(folder / "labels", LABELS, ledger)
     if len(labels) and not with_labels:
         message = "labels of points are left aside, as was asked for"
-        ledger.note(NoticeKind.SKIPPED, "labels-aside", str(labels.folder), message, count=len(labels))
+        ledger.note(WarningKind.SKIPPED, "labels-aside", str(labels.folder), message, count=len(labels))
         labels = labels.only([False] * len(labels))
     calibration = _calibration(folder / "calib.txt", sweeps)
-    times = _times(place, [files for files in (sweeps, *pictures.values()) if len(files)], ledger)
-    told_by = folder / "times.txt"
-    sweeps = frames_within(sweeps, len(times), told_by, ledger)
-    pictures = {k: frames_within(files, len(times), told_by, ledger) for k, files in pictures.items()}
-    ways = _ways(place, times, calibration.rectified_from_lidar.inverse(), ledger)
-    path = next((way.poses for way in ways.values()), None)
+    times = _times(location, [files for files in (sweeps, *images.values()) if len(files)], ledger)
+    reported_by = folder / "times.txt"
+    sweeps = frames_within(sweeps, len(times), reported_by, ledger)
+    images = {k: frames_within(files, len(times), reported_by, ledger) for k, files in images.items()}
+    trajectories = _trajectories(location, times, calibration.rectified_from_lidar.inverse(), ledger)
+    path = next((trajectory.poses for trajectory in trajectories.values()), None)
     sensors: list[Sensor] = []
     if len(sweeps):
-        stamps = times[sweeps.numbers]
-        sensors.append(lidar_sensor(sweeps, stamps, RigidTransform.identity(), path, ledger))
-    for number, files in pictures.items():
+        timestamps = times[sweeps.numbers]
+        sensors.append(lidar_sensor(sweeps, timestamps, RigidTransform.identity(), path, ledger))
+    for number, files in images.items():
         if len(files):
             if number not in calibration.projections:
                 raise DataError(
                     folder / "calib.txt", "", f"no P{number}; expected that of {ODOMETRY_CAMERAS[number]}"
                 )
-            lens = calibration.camera(number, picture_size(files.paths[0]))
+            camera_model = calibration.camera(number, image_size(files.paths[0]))
             mount = calibration.camera_from_lidar(number).inverse()
-            sensors.append(camera_sensor(number, files, times[files.numbers], lens, mount, path))
+            sensors.append(camera_sensor(number, files, times[files.numbers], camera_model, mount, path))
     entries = {key: list(row) for key, row in calibration.entries.items()}
     return Scene(
         tuple(sensors),
         annotations=point_annotations(labels, sweeps, ledger),
-        trajectories=MappingProxyType(ways),
-        metadata=kitti_metadata("odometry", sequence=place.name, calibration=entries),
+        trajectories=MappingProxyType(trajectories),
+        metadata=kitti_metadata("odometry", sequence=location.name, calibration=entries),
         source=str(folder),
         format="kitti-odometry",
-        notices=ledger.notices,
+        warnings=ledger.warnings,
     )
 
 
@@ -122,14 +122,14 @@ def _calibration(path: Path, sweeps: NumberedFiles) -> KittiCalibration:
     return read_calibration(path, needs_lidar=len(sweeps) > 0)
 
 
-def _times(place: OdometrySequence, found: list[NumberedFiles], ledger: Ledger) -> Int64Array:
-    path = place.folder / "times.txt"
+def _times(location: OdometrySequence, found: list[NumberedFiles], ledger: Ledger) -> Int64Array:
+    path = location.folder / "times.txt"
     count = max((int(files.numbers[-1]) + 1 for files in found), default=0)
     if not path.is_file():
         message = "no times.txt: frame k is at k / 10 s"
-        ledger.note(NoticeKind.ASSUMED, "frame-times", str(place.folder), message)
+        ledger.note(WarningKind.ASSUMED, "frame-times", str(location.folder), message)
         return np.arange(count, dtype=np.int64) * PERIOD_NS
-    times = line_stamps(path, "seconds")
+    times = line_timestamps(path, "seconds")
     back = np.flatnonzero(np.diff(times) <= 0)
     if len(back):
         raise DataError(
@@ -142,24 +142,24 @@ def _times(place: OdometrySequence, found: list[NumberedFiles], ledger: Ledger) 
         missing = int(files.numbers[-1]) + 1 - len(files)
         if missing:
             message = "frames without a file between others"
-            ledger.note(NoticeKind.SKIPPED, "frames-missing", str(files.folder), message, count=missing)
+            ledger.note(WarningKind.SKIPPED, "frames-missing", str(files.folder), message, count=missing)
     return times
 
 
-def _ways(
-    place: OdometrySequence, times: Int64Array, ego_from_first: RigidTransform, ledger: Ledger
+def _trajectories(
+    location: OdometrySequence, times: Int64Array, ego_from_first: RigidTransform, ledger: Ledger
 ) -> dict[str, Trajectory]:
     found = {}
-    for name, path in ((TRUTH, place.poses), (ESTIMATE, place.folder / "poses.txt")):
+    for name, path in ((TRUTH, location.poses), (ESTIMATE, location.folder / "poses.txt")):
         if path.is_file():
-            found[name] = _way(name, path, times, ego_from_first, ledger)
+            found[name] = _trajectory(name, path, times, ego_from_first, ledger)
     if not found:
-        message = f"no {place.poses.parent.name}/{place.poses.name}: the way is not known"
-        ledger.note(NoticeKind.SKIPPED, "no-poses", str(place.folder), message)
+        message = f"no {location.poses.parent.name}/{location.poses.name}: the trajectory is not known"
+        ledger.note(WarningKind.SKIPPED, "no-poses", str(location.folder), message)
     return found
 
 
-def _way(
+def _trajectory(
     name: str, path: Path, times: Int64Array, ego_from_camera: RigidTransform, ledger: Ledger
 ) -> Trajectory:
     """Poses of camera 0 as those of the ego: both its frames, the moving and the first one, are exchanged."""
@@ -168,9 +168,9 @@ def _way(
         problem = f"{len(matrices)} poses for {len(times)} times; expected as many"
         ledger.fault("counts-disagree", DataError(path, "", problem), count=abs(len(matrices) - len(times)))
     count = min(len(matrices), len(times))
-    turns, shifts = matrices[:count, :, :3], matrices[:count, :, 3]
+    delta_rotations, shifts = matrices[:count, :, :3], matrices[:count, :, 3]
     a, a_shift = ego_from_camera.rotation, ego_from_camera.translation
-    rotations = a @ turns @ a.T
+    rotations = a @ delta_rotations @ a.T
     positions = shifts @ a.T + a_shift - rotations @ a_shift
     quaternions = quaternion_from_matrix(rotations)
     return Trajectory(name, read_only(times[:count].copy()), read_only(positions), read_only(quaternions))

@@ -16,7 +16,7 @@ from sceneloom.formats.kitti.scenes.sweeps import POINT_BYTES
 from sceneloom.formats.ledger import Ledger
 from sceneloom.scene.annotations.annotation import Annotation
 from sceneloom.scene.annotations.labelled_points import LabeledPoints, LabeledPointsAnnotation
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.warnings import WarningKind
 
 CLASS_NAMES: Mapping[int, str] = MappingProxyType(
     {
@@ -83,7 +83,7 @@ def point_annotations(labels: NumberedFiles, sweeps: NumberedFiles, ledger: Ledg
     Args:
         labels: files of labels.
         sweeps: files of the sweeps, in the order of the sensor's frames.
-        ledger: told of labels without a sweep, and of numbers without a name.
+        ledger: reported labels without a sweep, and of numbers without a name.
 
     Raises:
         DataError: a file has not one label for each point.
@@ -110,7 +110,7 @@ def point_annotations(labels: NumberedFiles, sweeps: NumberedFiles, ledger: Ledg
     unknown = sorted({value % (1 << CLASS_BITS) for value in parts} - set(CLASS_NAMES))
     if unknown:
         message = f"classes without a name: {', '.join(map(str, unknown))}; their numbers are their names"
-        ledger.note(NoticeKind.ASSUMED, "unknown-classes", str(labels.folder), message)
+        ledger.note(WarningKind.ASSUMED, "unknown-classes", str(labels.folder), message)
     return tuple(_annotation(value, tuple(found)) for value, found in sorted(parts.items()))
 
 
@@ -118,10 +118,10 @@ def _by_value(values: UInt32Array) -> list[tuple[int, UInt32Array]]:
     """The rows of each value but 0, ascending."""
     order = np.argsort(values, kind="stable").astype(np.uint32)
     different, starts = np.unique(values[order], return_index=True)
-    pieces = np.split(order, starts[1:])
+    chunks = np.split(order, starts[1:])
     return [
         (value, read_only(rows.copy()))
-        for value, rows in zip(different.tolist(), pieces, strict=True)
+        for value, rows in zip(different.tolist(), chunks, strict=True)
         if value != UNLABELED
     ]
 

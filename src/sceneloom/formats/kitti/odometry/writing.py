@@ -12,10 +12,10 @@ from sceneloom.formats.kitti.written.calibration_text import write_calibration
 from sceneloom.formats.kitti.written.choice import Choice, choose, dropped_parts
 from sceneloom.formats.kitti.written.files import write_point_labels
 from sceneloom.formats.kitti.written.frames import point_time_loss, write_frames
-from sceneloom.formats.kitti.written.places import egos_at, mounted_of
+from sceneloom.formats.kitti.written.locations import egos_at, mounted_of
 from sceneloom.formats.kitti.written.target import kept_calibration, kept_of
 from sceneloom.formats.kitti.written.timeline import Timeline, check_files, timeline_of
-from sceneloom.formats.loss import Fate, Loss, LossReport
+from sceneloom.formats.loss import Loss, LossReport, Support
 from sceneloom.formats.output import FolderKind, replacing
 from sceneloom.formats.recording.written_times import seconds_text
 from sceneloom.geometry.rigid import RigidTransform
@@ -29,7 +29,7 @@ SLOTS = (2, 3, 0, 1)
 """Numbers of cameras, those of the coloured ones first."""
 
 HELD = frozenset({LidarSensor, CameraSensor, OdometrySensor, LabeledPointsAnnotation})
-"""Kinds of sensors and annotations that a sequence has a place for."""
+"""Kinds of sensors and annotations that a sequence has a location for."""
 
 _SEQUENCE = r"sequences/(?P<one>.+)"
 _KIND = FolderKind(
@@ -62,7 +62,7 @@ def write_odometry(
         OutputError: the path exists, or cannot be written.
         DataError: what the scene is read from is damaged.
     """
-    place = _place(path, sequence or _kept_name(scene))
+    location = _location(path, sequence or _kept_name(scene))
     choice = choose(scene, SLOTS, rectified=True, models=frozenset({"pinhole"}))
     losses = [*dropped_parts(scene, HELD), *choice.losses]
     check_files(choice, labels=False)
@@ -71,10 +71,10 @@ def write_odometry(
     labels = PointLabels.of(scene, choice.lidar)
     losses += labels.losses
     with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
-        folder = draft / "sequences" / place.name
+        folder = draft / "sequences" / location.name
         folder.mkdir(parents=True)
 
-        def told(k: int, frame: LidarFrame) -> None:
+        def reported(k: int, frame: LidarFrame) -> None:
             losses.extend(point_time_loss(frame))
             if labels:
                 values = labels.values(int(timeline.sweeps[k]), len(frame.points))
@@ -83,8 +83,8 @@ def write_odometry(
 
         if labels:
             (folder / "labels").mkdir()
-        pictures = {number: folder / kind for number, kind in ODOMETRY_CAMERAS.items()}
-        losses += write_frames(choice, timeline, "{:06d}".format, folder / "velodyne", pictures, told)
+        images = {number: folder / kind for number, kind in ODOMETRY_CAMERAS.items()}
+        losses += write_frames(choice, timeline, "{:06d}".format, folder / "velodyne", images, reported)
         mounted = mounted_of(choice, with_imu=False)
         rectified_from_lidar = write_calibration(
             folder / "calib.txt", "odometry", mounted, kept_calibration(scene)
@@ -94,7 +94,7 @@ def write_odometry(
         if choice.ego_path is not None:
             (draft / "poses").mkdir()
             text, lost = _poses(choice, timeline, rectified_from_lidar)
-            (draft / "poses" / f"{place.name}.txt").write_text(text, "utf-8", newline="\n")
+            (draft / "poses" / f"{location.name}.txt").write_text(text, "utf-8", newline="\n")
             losses += lost
     return LossReport.of([*losses, *labels.lost_later])
 
@@ -104,7 +104,7 @@ def _kept_name(scene: Scene) -> str:
     return str(kept["sequence"]) if kept.get("benchmark") == "odometry" and "sequence" in kept else "00"
 
 
-def _place(path: Path, name: str) -> OdometrySequence:
+def _location(path: Path, name: str) -> OdometrySequence:
     if not (name.isascii() and name.isdigit() and int(name) < 100):
         raise OptionError(f"sequence {name!r}; expected two digits, as 00")
     name = f"{int(name):02d}"
@@ -125,21 +125,25 @@ def _poses(
         for ego in egos
     ]
     path, losses = choice.ego_path, list[Loss]()
-    if path is not None and not path.endless:
-        stamps = timeline.timestamps_ns
-        beyond = int(((stamps < path.start_ns) | (stamps > path.stop_ns)).sum())
+    if path is not None and not path.static:
+        timestamps = timeline.timestamps_ns
+        beyond = int(((timestamps < path.start_ns) | (timestamps > path.stop_ns)).sum())
         if beyond:
-            what = "beyond the way: its end poses written"
+            what = "beyond the trajectory: its end poses written"
             losses.append(
-                Loss(field="trajectories.positions", what=what, count=beyond, fate=Fate.APPROXIMATED)
+                Loss(field="trajectories.positions", what=what, count=beyond, support=Support.APPROXIMATED)
             )
-        further = len(np.setdiff1d(path.timestamps_ns, stamps))
+        further = len(np.setdiff1d(path.timestamps_ns, timestamps))
         if further:
             what = "a pose for each frame; those between are left out"
             losses.append(
-                Loss(field="trajectories.timestamps_ns", what=what, count=further, fate=Fate.APPROXIMATED)
+                Loss(
+                    field="trajectories.timestamps_ns", what=what, count=further, support=Support.APPROXIMATED
+                )
             )
     if np.abs(egos[0].matrix - np.eye(4)).max() > 1e-9:
         what = "seen from the first pose, which becomes the world's origin; read back, its axes are the lidar's there"
-        losses.append(Loss(field="trajectories.positions", what=what, count=len(egos), fate=Fate.CONVERTED))
+        losses.append(
+            Loss(field="trajectories.positions", what=what, count=len(egos), support=Support.CONVERTED)
+        )
     return "".join(f"{line}\n" for line in lines), losses

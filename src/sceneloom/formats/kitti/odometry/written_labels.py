@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import UInt32Array
 from sceneloom.formats.kitti.odometry.semantic_labels import CLASS_BITS, CLASS_NAMES, UNLABELED
-from sceneloom.formats.loss import Fate, Loss
+from sceneloom.formats.loss import Loss, Support
 from sceneloom.scene.annotations.labelled_points import LabeledPointsAnnotation
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.scene import Scene
@@ -80,7 +80,7 @@ class PointLabels:
         if instances[number] > _LARGEST:
             return number
         what = "objects are called by numbers there"
-        self.losses.append(Loss(field="annotations.labeled_points.id", what=what, fate=Fate.CONVERTED))
+        self.losses.append(Loss(field="annotations.labeled_points.id", what=what, support=Support.CONVERTED))
         return number | instances[number] << CLASS_BITS
 
     def _add(self, annotation: LabeledPointsAnnotation, value: int, lidar: LidarSensor | None) -> None:

@@ -1,1 +1,1 @@
-"""KITTI's raw data: drives with pictures, sweeps, OXTS lines and tracklets."""
+"""KITTI's raw data: drives with images, sweeps, OXTS lines and tracklets."""

@@ -1,4 +1,4 @@
-"""The calibration of a day of KITTI's raw data: three files, for pictures as recorded and as rectified."""
+"""The calibration of a day of KITTI's raw data: three files, for images as recorded and as rectified."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -87,15 +87,15 @@ class RawCalibration:
     """How the sensors of a drive lie.
 
     Attributes:
-        rectified: whether the lenses are those of rectified pictures.
-        lenses: by number of the camera.
+        rectified: whether the camera models are those of rectified images.
+        camera_models: by number of the camera.
         camera_from_lidar: by number of the camera.
         lidar_from_imu: None where the day has no such file.
         texts: what stands in the files, by file and name.
     """
 
     rectified: bool
-    lenses: Mapping[int, Camera]
+    camera_models: Mapping[int, Camera]
     camera_from_lidar: Mapping[int, RigidTransform]
     lidar_from_imu: RigidTransform | None
     texts: Mapping[str, Mapping[str, str]]
@@ -107,13 +107,13 @@ def read_raw_calibration(folder: Path, cameras: tuple[int, ...], *, rectified: b
     Args:
         folder: of the files.
         cameras: numbers of those that are needed; without any, the cameras' files may be missing.
-        rectified: whether pictures are rectified, or as the cameras took them.
+        rectified: whether images are rectified, or as the cameras took them.
 
     Raises:
         DataError: a file or an entry is missing or wrong.
     """
     texts: dict[str, Mapping[str, str]] = {}
-    lenses: dict[int, Camera] = {}
+    camera_models: dict[int, Camera] = {}
     mounts: dict[int, RigidTransform] = {}
     if cameras:
         between, lidar = RawFile.read(folder / CAM_TO_CAM), RawFile.read(folder / VELO_TO_CAM)
@@ -121,18 +121,18 @@ def read_raw_calibration(folder: Path, cameras: tuple[int, ...], *, rectified: b
         first_from_lidar = lidar.rigid("R", "T")
         read = _rectified_camera if rectified else _recorded_camera
         for number in cameras:
-            lenses[number], camera_from_first = read(between, number)
+            camera_models[number], camera_from_first = read(between, number)
             mounts[number] = camera_from_first @ first_from_lidar
     lidar_from_imu = None
     if (folder / IMU_TO_VELO).is_file():
         unit = RawFile.read(folder / IMU_TO_VELO)
         texts[IMU_TO_VELO] = unit.texts
         lidar_from_imu = unit.rigid("R", "T")
-    return RawCalibration(rectified, lenses, mounts, lidar_from_imu, MappingProxyType(texts))
+    return RawCalibration(rectified, camera_models, mounts, lidar_from_imu, MappingProxyType(texts))
 
 
-def picture_sizes(folder: Path, number: int) -> dict[bool, tuple[int, int]]:
-    """Width and height of a camera's pictures [px], by whether they are rectified."""
+def image_sizes(folder: Path, number: int) -> dict[bool, tuple[int, int]]:
+    """Width and height of a camera's images [px], by whether they are rectified."""
     file = RawFile.read(folder / CAM_TO_CAM)
     return {
         rectified: _size(file, f"{name}_{number:02d}") for rectified, name in ((True, "S_rect"), (False, "S"))
@@ -147,7 +147,7 @@ def _size(file: RawFile, name: str) -> tuple[int, int]:
 
 
 def _rectified_camera(file: RawFile, number: int) -> tuple[Camera, RigidTransform]:
-    """The lens of a rectified camera, and what takes the frame of camera 0, as recorded, into its own.
+    """The camera model of a rectified camera, and what takes the frame of camera 0, as recorded, into its own.
 
     A projection K [I t] sees the rectified frame from t = K⁻¹ p₄, its fourth column being p₄.
     """
@@ -155,15 +155,18 @@ def _rectified_camera(file: RawFile, number: int) -> tuple[Camera, RigidTransfor
     file.numbers(name, _COUNTS["P_rect"])
     p = projection_of(file.lines[name])
     rotation = file.numbers("R_rect_00", _COUNTS["R_rect"]).reshape(3, 3)
-    turn = RigidTransform(rotation_of(file.lines["R_rect_00"], rotation), np.zeros(3))
+    delta_rotation = RigidTransform(rotation_of(file.lines["R_rect_00"], rotation), np.zeros(3))
     shift = np.linalg.solve(p[:, :3], p[:, 3]).astype(np.float64)
     size = _size(file, f"S_rect_{number:02d}")
-    lens = Camera("pinhole", *size, float(p[0, 0]), float(p[1, 1]), float(p[0, 2]), float(p[1, 2]))
-    return lens, RigidTransform(np.eye(3), shift) @ turn
+    camera_model = Camera("pinhole", *size, float(p[0, 0]), float(p[1, 1]), float(p[0, 2]), float(p[1, 2]))
+    return camera_model, RigidTransform(np.eye(3), shift) @ delta_rotation
 
 
 def _recorded_camera(file: RawFile, number: int) -> tuple[Camera, RigidTransform]:
-    """The lens of a camera as it recorded (OpenCV's k1 k2 p1 p2 k3), and what takes camera 0's frame into its own."""
+    """The camera model of a camera as it recorded (OpenCV's k1 k2 p1 p2 k3).
+
+    And what takes camera 0's frame into its own.
+    """
     name = f"K_{number:02d}"
     k = file.numbers(name, _COUNTS["K"]).reshape(3, 3)
     line = file.lines[name]
@@ -175,8 +178,8 @@ def _recorded_camera(file: RawFile, number: int) -> tuple[Camera, RigidTransform
     numbers = (float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
     size = _size(file, f"S_{number:02d}")
     model = ("brown_conrady", distortion) if any(distortion) else ("pinhole", ())
-    lens = Camera(model[0], *size, *numbers, _full(model[1]))
-    return lens, file.rigid(f"R_{number:02d}", f"T_{number:02d}")
+    camera_model = Camera(model[0], *size, *numbers, _full(model[1]))
+    return camera_model, file.rigid(f"R_{number:02d}", f"T_{number:02d}")
 
 
 def _full(distortion: tuple[float, ...]) -> tuple[float, ...]:

@@ -11,19 +11,19 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.kitti.number_lines import as_table
 from sceneloom.formats.kitti.oxts import read_fields
-from sceneloom.formats.kitti.raw.calibration import RawCalibration, picture_sizes, read_raw_calibration
-from sceneloom.formats.kitti.raw.stamps import StampFile, in_order, stamped
+from sceneloom.formats.kitti.raw.calibration import RawCalibration, image_sizes, read_raw_calibration
+from sceneloom.formats.kitti.raw.timestamps import TimestampFile, in_order, timestamped
 from sceneloom.formats.kitti.raw.tracked_boxes import tracklet_annotations
 from sceneloom.formats.kitti.raw.tracklets import FILE as TRACKLETS
 from sceneloom.formats.kitti.raw.tracklets import read_tracklets
 from sceneloom.formats.kitti.scenes.inertial import oxts_sensors, rising
 from sceneloom.formats.kitti.scenes.numbered import NumberedFiles, note_unread, numbered_files
-from sceneloom.formats.kitti.scenes.sensors import camera_sensor, kitti_metadata, lidar_sensor, standing
-from sceneloom.formats.kitti.scenes.sweeps import TurnTimes
+from sceneloom.formats.kitti.scenes.sensors import camera_sensor, kitti_metadata, lidar_sensor, stationary
+from sceneloom.formats.kitti.scenes.sweeps import RotationTimes
 from sceneloom.formats.kitti.spec import (
     CALIBRATION_FILES,
     DRIVE_NAME,
-    PICTURES,
+    IMAGES,
     RAW_CAMERAS,
     SWEEPS,
     TEXTS,
@@ -31,14 +31,14 @@ from sceneloom.formats.kitti.spec import (
     raw_drives_below,
 )
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.rig.pictures import picture_size
+from sceneloom.formats.rig.images import image_size
 from sceneloom.formats.spec import named_folder
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations.annotation import Annotation
 from sceneloom.scene.motion import ImuSensor
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.warnings import WarningKind
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +48,8 @@ class RawDrive:
     Attributes:
         folder: of its sensors.
         calibration: the folder of its calibration files.
-        kind: "sync" (rectified pictures, one of each sensor in each frame), "extract" (as recorded), or None where the
-            folder's name does not say it.
+        kind: "sync" (rectified images, one of each sensor in each frame), "extract" (as recorded), or None where the
+            folder's name does not state it.
     """
 
     folder: Path
@@ -89,9 +89,14 @@ def _names(drive: Path) -> set[str]:
 
 def _drive(folder: Path) -> RawDrive:
     match = DRIVE_NAME.fullmatch(folder.resolve().name)
-    places = (folder, folder / "calib", folder.resolve().parent)
+    locations = (folder, folder / "calib", folder.resolve().parent)
     calibration = next(
-        (place for place in places if any((place / name).is_file() for name in CALIBRATION_FILES)), places[-1]
+        (
+            location
+            for location in locations
+            if any((location / name).is_file() for name in CALIBRATION_FILES)
+        ),
+        locations[-1],
     )
     return RawDrive(folder, calibration, None if match is None else match["kind"])
 
@@ -101,8 +106,8 @@ class _Stream:
     """Files of one sensor in the order of their times."""
 
     files: NumberedFiles
-    stamps_ns: Int64Array
-    stamps: StampFile
+    timestamps_ns: Int64Array
+    timestamps: TimestampFile
 
 
 def open_raw(path: Path, *, sequence: str | None = None, lenient: bool = False) -> Scene:
@@ -130,7 +135,7 @@ def _open(drive: RawDrive, ledger: Ledger) -> Scene:
     cameras = {
         number: stream
         for number, name in enumerate(RAW_CAMERAS)
-        if (stream := _stream(drive.folder / name, PICTURES, ledger)) is not None
+        if (stream := _stream(drive.folder / name, IMAGES, ledger)) is not None
     }
     sweeps = _stream(drive.folder / "velodyne_points", (*SWEEPS, *TEXTS), ledger)
     lines = _stream(drive.folder / "oxts", TEXTS, ledger)
@@ -141,37 +146,45 @@ def _open(drive: RawDrive, ledger: Ledger) -> Scene:
     rectified = _is_rectified(drive, cameras, ledger)
     needed = tuple(cameras) if cameras or sweeps is None or lines is None else ()
     calibration = read_raw_calibration(drive.calibration, needed, rectified=rectified)
-    own, way = _oxts(drive, lines, calibration, ledger, others=bool(cameras) or sweeps is not None)
+    own, trajectory = _oxts(drive, lines, calibration, ledger, others=bool(cameras) or sweeps is not None)
     tracklets = drive.folder / TRACKLETS
     reference = sweeps or cameras.get(2) or next(iter(cameras.values()), None)
-    if way is None and tracklets.is_file() and reference is not None:
-        way = standing(reference.stamps_ns, tracklets, "the way of the OXTS unit is not known", ledger)
-    poses = None if way is None else way.poses
+    if trajectory is None and tracklets.is_file() and reference is not None:
+        trajectory = stationary(
+            reference.timestamps_ns, tracklets, "the trajectory of the OXTS unit is not known", ledger
+        )
+    poses = None if trajectory is None else trajectory.poses
     ego_from_lidar = RigidTransform.identity()
     if calibration.lidar_from_imu is not None:
         ego_from_lidar = calibration.lidar_from_imu.inverse()
     sensors: list[Sensor] = []
     if sweeps is not None:
-        stamps, turns = _turns(drive.folder / "velodyne_points", sweeps, ledger)
-        sensors.append(lidar_sensor(sweeps.files, stamps, ego_from_lidar, poses, ledger, turns=turns))
+        timestamps, rotations = _rotations(drive.folder / "velodyne_points", sweeps, ledger)
+        sensors.append(
+            lidar_sensor(sweeps.files, timestamps, ego_from_lidar, poses, ledger, rotations=rotations)
+        )
     for number, stream in cameras.items():
         mount = ego_from_lidar @ calibration.camera_from_lidar[number].inverse()
-        lens = calibration.lenses[number]
-        sensors.append(camera_sensor(number, stream.files, stream.stamps_ns, lens, mount, poses))
+        camera_model = calibration.camera_models[number]
+        sensors.append(camera_sensor(number, stream.files, stream.timestamps_ns, camera_model, mount, poses))
     annotations: tuple[Annotation, ...] = ()
     if tracklets.is_file() and reference is not None:
-        frames = dict(zip(reference.files.numbers.tolist(), reference.stamps_ns.tolist(), strict=True))
+        frames = dict(zip(reference.files.numbers.tolist(), reference.timestamps_ns.tolist(), strict=True))
         found = read_tracklets(tracklets)
         annotations = tracklet_annotations(found, tracklets, frames, poses, ego_from_lidar, ledger)
-    told = {"drive": drive.folder.resolve().name, "rectified": rectified, "calibration": _plain(calibration)}
+    reported = {
+        "drive": drive.folder.resolve().name,
+        "rectified": rectified,
+        "calibration": _plain(calibration),
+    }
     return Scene(
         (*sensors, *own),
         annotations=annotations,
-        trajectories=MappingProxyType({} if way is None else {way.name: way}),
-        metadata=kitti_metadata("raw", **told),
+        trajectories=MappingProxyType({} if trajectory is None else {trajectory.name: trajectory}),
+        metadata=kitti_metadata("raw", **reported),
         source=str(drive.folder),
         format="kitti-raw",
-        notices=ledger.notices,
+        warnings=ledger.warnings,
     )
 
 
@@ -189,83 +202,86 @@ def _stream(folder: Path, suffixes: tuple[str, ...], ledger: Ledger) -> _Stream 
             problem = f"holds no {' or '.join(suffixes)}; expected a file for each line of timestamps.txt"
             ledger.fault("counts-disagree", DataError(folder / "data", "", problem))
         return None
-    stamps = StampFile.read(folder / "timestamps.txt")
-    files = stamped(files, stamps, ledger)
+    timestamps = TimestampFile.read(folder / "timestamps.txt")
+    files = timestamped(files, timestamps, ledger)
     if not len(files):
         return None
-    rows = in_order(files.numbers, stamps, ledger)
+    rows = in_order(files.numbers, timestamps, ledger)
     files = NumberedFiles(files.folder, files.numbers[rows], tuple(files.paths[k] for k in rows.tolist()))
-    return _Stream(files, stamps.values_ns[files.numbers], stamps)
+    return _Stream(files, timestamps.values_ns[files.numbers], timestamps)
 
 
 def _is_rectified(drive: RawDrive, cameras: Mapping[int, _Stream], ledger: Ledger) -> bool:
-    """Whether pictures are rectified: the folder's name says it, else the pictures' size."""
+    """Whether images are rectified: the folder's name says it, else the images' size."""
     if drive.kind is not None or not cameras:
         return drive.kind != "extract"
     number, stream = next(iter(cameras.items()))
-    sizes = picture_sizes(drive.calibration, number)
-    size = picture_size(stream.files.paths[0])
+    sizes = image_sizes(drive.calibration, number)
+    size = image_size(stream.files.paths[0])
     found = sizes[True] == size or sizes[False] != size
     kind = "rectified" if found else "as recorded"
-    message = f"the folder's name says neither sync nor extract: by their size, pictures are taken as {kind}"
-    ledger.note(NoticeKind.ASSUMED, "rectified", str(drive.folder), message)
+    message = f"the folder's name says neither sync nor extract: by their size, images are taken as {kind}"
+    ledger.note(WarningKind.ASSUMED, "rectified", str(drive.folder), message)
     return found
 
 
-def _turns(folder: Path, sweeps: _Stream, ledger: Ledger) -> tuple[Int64Array, TurnTimes | None]:
-    """When sweeps began, and their turns: by the files of starts and ends, where there are both."""
-    places = [folder / f"timestamps_{name}.txt" for name in ("start", "end")]
-    if not all(place.is_file() for place in places):
+def _rotations(folder: Path, sweeps: _Stream, ledger: Ledger) -> tuple[Int64Array, RotationTimes | None]:
+    """When sweeps began, and their rotations: by the files of starts and ends, where there are both."""
+    locations = [folder / f"timestamps_{name}.txt" for name in ("start", "end")]
+    if not all(location.is_file() for location in locations):
         message = (
             "no timestamps_start.txt and timestamps_end.txt: the time at which the lidar looks ahead is taken as the "
             "sweep's start"
         )
-        ledger.note(NoticeKind.ASSUMED, "sweep-start", str(folder), message)
-        return sweeps.stamps_ns, None
+        ledger.note(WarningKind.ASSUMED, "sweep-start", str(folder), message)
+        return sweeps.timestamps_ns, None
     found = []
-    for place in places:
-        stamps = StampFile.read(place)
-        if len(stamps.values_ns) < len(sweeps.stamps.values_ns):
-            counts = f"{len(stamps.values_ns)} times for {len(sweeps.stamps.values_ns)} of timestamps.txt"
-            raise DataError(place, "", f"{counts}; expected as many")
-        found.append(stamps.values_ns[sweeps.files.numbers])
+    for location in locations:
+        timestamps = TimestampFile.read(location)
+        if len(timestamps.values_ns) < len(sweeps.timestamps.values_ns):
+            counts = (
+                f"{len(timestamps.values_ns)} times for {len(sweeps.timestamps.values_ns)} of timestamps.txt"
+            )
+            raise DataError(location, "", f"{counts}; expected as many")
+        found.append(timestamps.values_ns[sweeps.files.numbers])
     starts, ends = found
-    wrong = np.flatnonzero((starts > sweeps.stamps_ns) | (ends < sweeps.stamps_ns) | (starts >= ends))
+    wrong = np.flatnonzero((starts > sweeps.timestamps_ns) | (ends < sweeps.timestamps_ns) | (starts >= ends))
     if len(wrong):
         number = int(sweeps.files.numbers[wrong[0]])
         problem = "start, forward and end of the sweep are not in this order; expected rising times"
         ledger.fault(
-            "turns-out-of-order", DataError(places[0], f"line {number + 1}", problem), count=len(wrong)
+            "rotations-out-of-order", DataError(locations[0], f"line {number + 1}", problem), count=len(wrong)
         )
-        return sweeps.stamps_ns, None
+        return sweeps.timestamps_ns, None
     message = (
-        "times of points are derived from their directions: the scanner turns counter-clockwise from timestamps_start, "
+        "times of points are derived from their directions: the scanner rotates counter-clockwise from "
+        "timestamps_start, "
         "looks ahead at timestamps, and ends at timestamps_end"
     )
-    ledger.note(NoticeKind.ASSUMED, "point-times", str(folder), message)
+    ledger.note(WarningKind.ASSUMED, "point-times", str(folder), message)
     order = np.diff(starts) <= 0
     if order.any():
         number = int(sweeps.files.numbers[int(np.argmax(order)) + 1])
         raise DataError(
-            places[0], f"line {number + 1}", "is not later than the frame's before; expected rising times"
+            locations[0], f"line {number + 1}", "is not later than the frame's before; expected rising times"
         )
-    return starts, TurnTimes(starts, sweeps.stamps_ns, ends)
+    return starts, RotationTimes(starts, sweeps.timestamps_ns, ends)
 
 
 def _oxts(
     drive: RawDrive, lines: _Stream | None, calibration: RawCalibration, ledger: Ledger, *, others: bool
 ) -> tuple[tuple[Sensor, ...], Trajectory | None]:
-    """The sensors and the way of the OXTS unit; without its mounting, only the receiver."""
+    """The sensors and the trajectory of the OXTS unit; without its mounting, only the receiver."""
     if lines is None:
         return (), None
     values = as_table([_one_line(path) for path in lines.files.paths], 30)
-    place = str(drive.folder / "oxts")
-    values, stamps = rising(values, lines.stamps_ns, place, ledger)
-    sensors, way = oxts_sensors(values, stamps, place, ledger)
+    location = str(drive.folder / "oxts")
+    values, timestamps = rising(values, lines.timestamps_ns, location, ledger)
+    sensors, trajectory = oxts_sensors(values, timestamps, location, ledger)
     if calibration.lidar_from_imu is not None or not others:
-        return sensors, way
-    message = "no calib_imu_to_velo.txt: the way and the IMU of the OXTS unit cannot be used"
-    ledger.note(NoticeKind.SKIPPED, "no-imu-mounting", str(drive.calibration), message)
+        return sensors, trajectory
+    message = "no calib_imu_to_velo.txt: the trajectory and the IMU of the OXTS unit cannot be used"
+    ledger.note(WarningKind.SKIPPED, "no-imu-mounting", str(drive.calibration), message)
     return tuple(sensor for sensor in sensors if not isinstance(sensor, ImuSensor)), None
 
 

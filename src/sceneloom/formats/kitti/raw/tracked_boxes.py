@@ -1,4 +1,4 @@
-"""Tracklets as annotations, placed in the world along the way of the ego."""
+"""Tracklets as annotations, placed in the world along the ego trajectory."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -17,39 +17,39 @@ from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.scene.annotations.annotation import Annotation
 from sceneloom.scene.annotations.attributes import AttributePath
 from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
+from sceneloom.scene.warnings import WarningKind
 
 ORDER = "zyx"
 """Of a pose's three angles, Rz(rz) Ry(ry) Rx(rx); KITTI's own files have none but rz."""
 
 STATES = (*POSE_FIELDS[6:], *FURTHER_FIELDS)
-"""What poses say beside places: attributes of the boxes."""
+"""What poses state beside locations: attributes of the boxes."""
 
 
 def tracklet_annotations(
     tracklets: Sequence[Tracklet],
     path: Path,
     times_ns: Mapping[int, int],
-    way: PosePath | None,
+    trajectory: Poses | None,
     ego_from_lidar: RigidTransform,
     ledger: Ledger,
 ) -> tuple[Annotation, ...]:
-    """Give a cuboid for each tracklet, its place in the file as id.
+    """Give a cuboid for each tracklet, its location in the file as id.
 
     Args:
         tracklets: those of the file.
         path: the file, for messages.
         times_ns: of the frames, by number [ns].
-        way: `world_from_ego`.
+        trajectory: `world_from_ego`.
         ego_from_lidar: the mounting.
-        ledger: told of frames that are not there, and of such beyond the way.
+        ledger: reported frames that are not there, and of such beyond the trajectory.
 
     Raises:
         DataError: a tracklet has a frame beyond the last one.
     """
-    source = None if way is None else PoseSource(way, ego_from_lidar)
+    source = None if trajectory is None else PoseSource(trajectory, ego_from_lidar)
     last = max(times_ns, default=-1)
     found: list[Annotation] = []
     for k, tracklet in enumerate(tracklets):
@@ -60,30 +60,32 @@ def tracklet_annotations(
             )
             ledger.fault("frames-beyond", fault)
         rows = [row for row, number in enumerate(numbers) if number in times_ns]
-        stamps = np.array([times_ns[numbers[row]] for row in rows], np.int64)
+        timestamps = np.array([times_ns[numbers[row]] for row in rows], np.int64)
         if source is None or not rows:
             continue
-        lidar = source.at(stamps)
+        lidar = source.at(timestamps)
         values = _rows(
             tracklet, tracklet.poses[rows], matrix_from_known(lidar.quaternions_xyzw), lidar.positions
         )
         known = np.isfinite(values).all(axis=1)
         if not known.all():
-            message = "boxes in frames beyond the way of the ego"
-            ledger.note(NoticeKind.SKIPPED, "boxes-beyond-way", str(path), message, count=int((~known).sum()))
+            message = "boxes in frames beyond the ego trajectory"
+            ledger.note(
+                WarningKind.SKIPPED, "boxes-beyond-trajectory", str(path), message, count=int((~known).sum())
+            )
         if known.any():
             poses = tracklet.poses[rows][known]
-            box = CuboidAnnotation(k, CuboidPath(stamps[known], values[known]), label=tracklet.label)
-            told = _told(poses, stamps[known])
-            found.append(replace(box, attributes=told))
+            box = CuboidAnnotation(k, CuboidPath(timestamps[known], values[known]), label=tracklet.label)
+            reported = _reported(poses, timestamps[known])
+            found.append(replace(box, attributes=reported))
     return tuple(found)
 
 
-def _told(poses: Float64Array, stamps_ns: Int64Array) -> tuple[AttributePath, ...]:
-    """What poses say beside places; -1 says nothing."""
+def _reported(poses: Float64Array, timestamps_ns: Int64Array) -> tuple[AttributePath, ...]:
+    """What poses state beside locations; -1 says nothing."""
     columns = {name: poses[:, 6 + column] for column, name in enumerate(STATES)}
     return tuple(
-        AttributePath(name, tuple(_plain(values)), stamps_ns, LIDAR_ID)
+        AttributePath(name, tuple(_plain(values)), timestamps_ns, LIDAR_ID)
         for name, values in columns.items()
         if (values != -1).any()
     )
@@ -105,7 +107,7 @@ def _plain(values: Float64Array) -> list[int | float]:
 def _rows(
     tracklet: Tracklet, poses: Float64Array, world_from_lidar: Float64Array, origins_world: Float64Array
 ) -> Float64Array:
-    """Rows of a cuboid, (N, 9) float64; NaN where the lidar's place is not known."""
+    """Rows of a cuboid, (N, 9) float64; NaN where the lidar's location is not known."""
     height, width, length = tracklet.size_hwl
     lidar_from_box = rotation_from_cuboid_angles(poses[:, 3:6], unit=AngleUnit.RADIANS, order=ORDER)
     centers_lidar = poses[:, :3] + lidar_from_box @ np.array([0.0, 0.0, height / 2])

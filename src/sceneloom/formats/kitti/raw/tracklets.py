@@ -17,8 +17,9 @@ FILE = "tracklet_labels.xml"
 
 POSE_FIELDS = ("tx", "ty", "tz", "rx", "ry", "rz", "state", "occlusion", "occlusion_kf", "truncation")
 FURTHER_FIELDS = ("amt_occlusion", "amt_occlusion_kf", "amt_border_l", "amt_border_r", "amt_border_kf")
-"""What stands in each pose: place of the bottom's middle and angles in the lidar's frame, and how it is seen; in
-further fields, what several annotators said of it, which old files lack. Source: the development kit's tracklets.h."""
+"""What stands in each pose: location of the bottom's middle and angles in the lidar's frame, and how it is seen; in
+further fields, what several annotators stated of it, which old files lack. Source: the development kit's
+tracklets.h."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +30,7 @@ class Tracklet:
         label: its class.
         size_hwl: height, width, length [m].
         first_frame: number of its first frame.
-        poses: (N, 15) float64, `POSE_FIELDS` and `FURTHER_FIELDS`, one row a frame; -1 where nothing is told.
+        poses: (N, 15) float64, `POSE_FIELDS` and `FURTHER_FIELDS`, one row a frame; -1 where nothing is reported.
     """
 
     label: str
@@ -57,35 +58,35 @@ def read_tracklets(path: Path) -> list[Tracklet]:
     return [_tracklet(path, f"tracklets/item[{k}]", item) for k, item in enumerate(listed.findall("item"))]
 
 
-def _tracklet(path: Path, place: str, item: ET.Element) -> Tracklet:
+def _tracklet(path: Path, location: str, item: ET.Element) -> Tracklet:
     label = (item.findtext("objectType") or "").strip()
     if not label:
-        raise DataError(path, place, "no objectType; expected a class, as Car")
-    height, width, length = (_number(path, place, item, name) for name in "hwl")
+        raise DataError(path, location, "no objectType; expected a class, as Car")
+    height, width, length = (_number(path, location, item, name) for name in "hwl")
     if min(height, width, length) <= 0:
-        raise DataError(path, place, f"h {height:g}, w {width:g}, l {length:g}; expected sizes above 0")
-    first = _number(path, place, item, "first_frame")
+        raise DataError(path, location, f"h {height:g}, w {width:g}, l {length:g}; expected sizes above 0")
+    first = _number(path, location, item, "first_frame")
     if first != int(first) or first < 0:
-        raise DataError(path, f"{place}/first_frame", f"{first:g}; expected a whole number of 0 or more")
+        raise DataError(path, f"{location}/first_frame", f"{first:g}; expected a whole number of 0 or more")
     poses = item.find("poses")
     rows = [] if poses is None else poses.findall("item")
     if not rows:
-        raise DataError(path, f"{place}/poses", "holds none; expected one for each frame")
-    return Tracklet(label, (height, width, length), int(first), _poses(path, f"{place}/poses", rows))
+        raise DataError(path, f"{location}/poses", "holds none; expected one for each frame")
+    return Tracklet(label, (height, width, length), int(first), _poses(path, f"{location}/poses", rows))
 
 
-def _poses(path: Path, place: str, rows: Sequence[ET.Element]) -> Float64Array:
+def _poses(path: Path, location: str, rows: Sequence[ET.Element]) -> Float64Array:
     values = np.full((len(rows), len(POSE_FIELDS) + len(FURTHER_FIELDS)), -1.0)
     for k, row in enumerate(rows):
         for column, name in enumerate(POSE_FIELDS):
-            values[k, column] = _number(path, f"{place}/item[{k}]", row, name)
+            values[k, column] = _number(path, f"{location}/item[{k}]", row, name)
         for column, name in enumerate(FURTHER_FIELDS, len(POSE_FIELDS)):
             if row.find(name) is not None:
-                values[k, column] = _number(path, f"{place}/item[{k}]", row, name)
+                values[k, column] = _number(path, f"{location}/item[{k}]", row, name)
     return values
 
 
-def _number(path: Path, place: str, item: ET.Element, name: str) -> float:
+def _number(path: Path, location: str, item: ET.Element, name: str) -> float:
     text = item.findtext(name)
     try:
         value = float(text or "")
@@ -93,7 +94,7 @@ def _number(path: Path, place: str, item: ET.Element, name: str) -> float:
         value = float("nan")
     if not abs(value) <= LARGEST:
         shown = "nothing" if text is None else repr(text[:40])
-        raise DataError(path, f"{place}/{name}", f"{shown}; expected a number within ±{LARGEST:g}")
+        raise DataError(path, f"{location}/{name}", f"{shown}; expected a number within ±{LARGEST:g}")
     return value
 
 

@@ -19,13 +19,13 @@ _SPARE = Camera("pinhole", 1242, 375, 721.5377, 721.5377, 609.5593, 172.854)
 def write_raw_calibration(
     folder: Path, mounted: Mounted, kept: Mapping[str, Any] | None, *, rectified: bool
 ) -> None:
-    """Write the files: as the scene was read with them where they still hold, else such that say the same.
+    """Write the files: as the scene was read with them where they still hold, else such that state the same.
 
     Args:
         folder: of the day.
         mounted: how the sensors lie.
         kept: what stood in the files that the scene was read with.
-        rectified: whether pictures are rectified.
+        rectified: whether images are rectified.
     """
     if kept and all(isinstance(texts, Mapping) for texts in kept.values()):
         for name, texts in kept.items():
@@ -42,12 +42,14 @@ def write_raw_calibration(
 
 
 def _says(folder: Path, mounted: Mounted, *, rectified: bool) -> bool:
-    """Whether the files of a folder say what the scene says."""
+    """Whether the files of a folder state what the scene says."""
     try:
-        read = read_raw_calibration(folder, tuple(mounted.lenses), rectified=rectified)
+        read = read_raw_calibration(folder, tuple(mounted.camera_models), rectified=rectified)
     except SceneloomError:
         return False
-    if any(read.lenses[number] != lens for number, lens in mounted.lenses.items()):
+    if any(
+        read.camera_models[number] != camera_model for number, camera_model in mounted.camera_models.items()
+    ):
         return False
     return files_lidar_from_lidar(read.camera_from_lidar, read.lidar_from_imu, mounted) is not None
 
@@ -55,14 +57,14 @@ def _says(folder: Path, mounted: Mounted, *, rectified: bool) -> bool:
 def _built(mounted: Mounted, *, rectified: bool) -> dict[str, dict[str, str]]:
     """Entries of the files: the reference camera stands for camera 0, unless there is one."""
     base = mounted.camera_from_lidar.get(0, mounted.rectified_from_lidar)
-    reference = mounted.lenses.get(mounted.reference or 0, _SPARE)
+    reference = mounted.camera_models.get(mounted.reference or 0, _SPARE)
     between: dict[str, str] = {"calib_time": "01-Jan-1970 00:00:00", "corner_dist": "0.0"}
     for number in range(CAMERAS):
-        lens = mounted.lenses.get(number, reference)
+        camera_model = mounted.camera_models.get(number, reference)
         placed = RigidTransform.identity()
         if number in mounted.camera_from_lidar and mounted.camera_from_lidar[number] is not base:
             placed = mounted.camera_from_lidar[number] @ base.inverse()
-        between |= _camera_entries(number, lens, placed, rectified=rectified)
+        between |= _camera_entries(number, camera_model, placed, rectified=rectified)
     files = {CAM_TO_CAM: between, VELO_TO_CAM: {**_rigid(base), "delta_f": "0 0", "delta_c": "0 0"}}
     if mounted.lidar_from_imu is not None:
         files[IMU_TO_VELO] = _rigid(mounted.lidar_from_imu)
@@ -70,25 +72,25 @@ def _built(mounted: Mounted, *, rectified: bool) -> dict[str, dict[str, str]]:
 
 
 def _camera_entries(
-    number: int, lens: Camera, camera_from_first: RigidTransform, *, rectified: bool
+    number: int, camera_model: Camera, camera_from_first: RigidTransform, *, rectified: bool
 ) -> dict[str, str]:
     """The entries of a camera, before and after rectification.
 
-    Of rectified pictures both are the same. Of others, rectification is the turn back to the first camera's axes, with
-    the lens's own matrix.
+    Of rectified images both are the same. Of others, rectification is the rotation back to the first camera's axes,
+    with the camera model's own matrix.
     """
-    turn = np.eye(3) if rectified else camera_from_first.rotation.T
-    shift = turn @ camera_from_first.translation
-    projection = np.column_stack([lens.matrix, lens.matrix @ shift])
-    distortion = [*lens.coefficients[:5], *(0.0,) * (5 - len(lens.coefficients[:5]))]
+    rotation = np.eye(3) if rectified else camera_from_first.rotation.T
+    shift = rotation @ camera_from_first.translation
+    projection = np.column_stack([camera_model.matrix, camera_model.matrix @ shift])
+    distortion = [*camera_model.coefficients[:5], *(0.0,) * (5 - len(camera_model.coefficients[:5]))]
     entries: dict[str, Any] = {
-        "S": (float(lens.width), float(lens.height)),
-        "K": lens.matrix,
+        "S": (float(camera_model.width), float(camera_model.height)),
+        "K": camera_model.matrix,
         "D": distortion,
         "R": camera_from_first.rotation,
         "T": camera_from_first.translation,
-        "S_rect": (float(lens.width), float(lens.height)),
-        "R_rect": turn,
+        "S_rect": (float(camera_model.width), float(camera_model.height)),
+        "R_rect": rotation,
         "P_rect": projection,
     }
     return {f"{name}_{number:02d}": _numbers(values) for name, values in entries.items()}

@@ -8,7 +8,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.formats.kitti.raw.tracked_boxes import ORDER, STATES
 from sceneloom.formats.kitti.raw.tracklets import FURTHER_FIELDS, POSE_FIELDS, Tracklet
 from sceneloom.formats.kitti.written.timeline import NONE, nearest_frames
-from sceneloom.formats.loss import Fate, Loss
+from sceneloom.formats.loss import Loss, Support
 from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import matrix_from_quaternion
@@ -60,10 +60,10 @@ def tracklets_of(
             losses.append(Loss(field="annotations.cuboid", what="left out: in no frame"))
         if len(runs) > 1:
             what = "cut where it is in no frame: a tracklet is in all frames between its first and last"
-            losses.append(Loss(field="annotations.cuboid.id", what=what, fate=Fate.APPROXIMATED))
+            losses.append(Loss(field="annotations.cuboid.id", what=what, support=Support.APPROXIMATED))
         if str(annotation.id) != str(len(found)) and runs:
             what = "tracklets have no ids; read back, they are counted"
-            losses.append(Loss(field="annotations.cuboid.id", what=what, fate=Fate.DROPPED))
+            losses.append(Loss(field="annotations.cuboid.id", what=what, support=Support.DROPPED))
         losses += _losses_of(annotation)
         for run, run_times in runs:
             tracklet, error = _tracklet(
@@ -76,7 +76,7 @@ def tracklets_of(
                     Loss(
                         field="annotations.cuboid.path.values",
                         what=what,
-                        fate=Fate.APPROXIMATED,
+                        support=Support.APPROXIMATED,
                         largest_error=error,
                     )
                 )
@@ -84,22 +84,22 @@ def tracklets_of(
 
 
 def _frames(annotation: CuboidAnnotation, timestamps_ns: Int64Array) -> tuple[Int64Array, Int64Array]:
-    """The frames that a box is in, and the times at which it is told in them.
+    """The frames that a box is in, and the times at which it is reported in them.
 
-    Where its stamps are one for each of its frames they count, and frames between them are gaps, if not too many;
-    else it is in all frames from its first stamp to its last, a stationary one in all there are.
+    Where its timestamps are one for each of its frames they count, and frames between them are gaps, if not too many;
+    else it is in all frames from its first timestamp to its last, a stationary one in all there are.
     """
-    stamps = annotation.path.timestamps_ns
-    if annotation.stationary and len(stamps):
+    timestamps = annotation.path.timestamps_ns
+    if annotation.stationary and len(timestamps):
         return np.arange(len(timestamps_ns)), timestamps_ns
-    own = nearest_frames(timestamps_ns, stamps)
-    if not len(stamps):
-        return own, stamps
-    inside = np.flatnonzero((timestamps_ns >= stamps[0]) & (timestamps_ns <= stamps[-1]))
-    told = {projection.timestamps_ns.tobytes() for projection in annotation.projections}
+    own = nearest_frames(timestamps_ns, timestamps)
+    if not len(timestamps):
+        return own, timestamps
+    inside = np.flatnonzero((timestamps_ns >= timestamps[0]) & (timestamps_ns <= timestamps[-1]))
+    reported = {projection.timestamps_ns.tobytes() for projection in annotation.projections}
     is_own = bool((own != NONE).all()) and len(np.unique(own)) == len(own)
-    if is_own and (2 * len(own) > len(inside) or stamps.tobytes() in told):
-        return own, stamps
+    if is_own and (2 * len(own) > len(inside) or timestamps.tobytes() in reported):
+        return own, timestamps
     return inside, timestamps_ns[inside]
 
 
@@ -120,10 +120,10 @@ def _tracklet(
     rows = np.full((len(frames), len(POSE_FIELDS) + len(FURTHER_FIELDS)), -1.0)
     for k, placed in enumerate(world_from_lidar):
         lidar_from_world = placed.inverse()
-        turn = lidar_from_world.rotation @ matrix_from_quaternion(poses.quaternions_xyzw[k])
+        rotation = lidar_from_world.rotation @ matrix_from_quaternion(poses.quaternions_xyzw[k])
         center = lidar_from_world.apply(poses.centers_world[k])
-        rows[k, :3] = center - turn @ np.array([0.0, 0.0, height / 2])
-        rows[k, 3:6] = cuboid_angles_from_rotation(turn, unit=AngleUnit.RADIANS, order=ORDER)
+        rows[k, :3] = center - rotation @ np.array([0.0, 0.0, height / 2])
+        rows[k, 3:6] = cuboid_angles_from_rotation(rotation, unit=AngleUnit.RADIANS, order=ORDER)
     rows[:, 6:] = _states(annotation, times)
     return Tracklet(annotation.label or "Misc", (height, width, length), int(frames[0]), rows), error
 
@@ -132,10 +132,10 @@ def _states(annotation: CuboidAnnotation, times_ns: Int64Array) -> Float64Array:
     """What a box says in the words of tracklets; -1 where it does not."""
     states = np.full((len(times_ns), len(STATES)), -1.0)
     states[:, 0] = _LABELLED
-    told = {attribute.name: attribute for attribute in annotation.attributes}
+    reported = {attribute.name: attribute for attribute in annotation.attributes}
     for column, name in enumerate(STATES):
-        if name in told:
-            values = attribute_at(told[name], times_ns)
+        if name in reported:
+            values = attribute_at(reported[name], times_ns)
             numbers = [value if isinstance(value, int | float) else -1.0 for value in values]
             states[:, column] = np.nan_to_num(np.array(numbers, np.float64), nan=-1.0)
     return states
@@ -152,7 +152,7 @@ def _losses_of(annotation: CuboidAnnotation) -> list[Loss]:
         "extras": len(annotation.extras),
     }
     return [
-        Loss(field=f"annotations.cuboid.{name}", what="left out: a tracklet has no place for it", count=count)
+        Loss(field=f"annotations.cuboid.{name}", what="left out: a tracklet has no field for it", count=count)
         for name, count in counts.items()
         if count
     ]

@@ -1,1 +1,1 @@
-"""What KITTI's folders of sweeps, pictures, labels and OXTS lines are as parts of a scene, whichever benchmark's."""
+"""What KITTI's folders of sweeps, images, labels and OXTS lines are as parts of a scene, whichever benchmark's."""

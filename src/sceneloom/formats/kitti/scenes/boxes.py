@@ -1,4 +1,4 @@
-"""Labels of KITTI's benchmarks as annotations: boxes in space with where the camera sees them, and boxes in pictures.
+"""Labels of KITTI's benchmarks as annotations: boxes in space with where the camera sees them, and boxes in images.
 
 A box of KITTI's stands on its bottom in the rectified camera's frame, upright about that frame's y axis. Here it gets
 its full orientation in the world, so that nothing of it is lost.
@@ -28,13 +28,13 @@ ANGLES = {"euler_unit": "degrees", "euler_order": "xyz"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LabelPlaces:
+class LabelLocations:
     """When and where the frames of labels are.
 
     Attributes:
         timestamps_ns: by row of the labels, (N,) int64 [ns].
         world_from_rectified: by row of the labels.
-        camera_id: in whose pictures the boxes are.
+        camera_id: in whose images the boxes are.
         file: the labels' file or folder, for messages.
     """
 
@@ -44,26 +44,26 @@ class LabelPlaces:
     file: object
 
 
-def label_annotations(labels: KittiLabels, places: LabelPlaces) -> tuple[Annotation, ...]:
+def label_annotations(labels: KittiLabels, locations: LabelLocations) -> tuple[Annotation, ...]:
     """Give one annotation for each track, and for each object that has none.
 
     Tracks have their numbers as ids, other objects `frame.count`. Regions in which nothing counts, and objects without
-    a box in space, are boxes in pictures.
+    a box in space, are boxes in images.
 
     Raises:
         DataError: a track stands twice in a frame.
     """
-    values = cuboid_rows(labels, places.world_from_rectified)
-    have_place = labels.have_place
+    values = cuboid_rows(labels, locations.world_from_rectified)
+    have_position = labels.have_position
     found: list[Annotation] = []
-    for identifier, rows in _objects(labels, places.file):
-        solid = rows[have_place[rows]]
-        flat = rows[~have_place[rows]]
+    for identifier, rows in _objects(labels, locations.file):
+        solid = rows[have_position[rows]]
+        flat = rows[~have_position[rows]]
         if len(solid):
-            found.append(_cuboid(identifier, labels, solid, values, places))
+            found.append(_cuboid(identifier, labels, solid, values, locations))
         if len(flat):
-            flat_id: Identifier = f"{identifier} (picture)" if len(solid) else identifier
-            found.append(_box_2d(flat_id, labels, flat, places))
+            flat_id: Identifier = f"{identifier} (image)" if len(solid) else identifier
+            found.append(_box_2d(flat_id, labels, flat, locations))
     return tuple(found)
 
 
@@ -82,11 +82,11 @@ def cuboid_rows(labels: KittiLabels, world_from_rectified: PoseSamples) -> Float
         ],
         axis=1,
     )
-    turns = (
+    rotations = (
         matrix_from_quaternion(world_from_rectified.quaternions_xyzw) if len(labels) else np.zeros((0, 3, 3))
     )
-    centers_world = np.einsum("nij,nj->ni", turns, centers) + world_from_rectified.positions
-    angles = cuboid_angles_from_rotation(turns @ rectified_from_box)
+    centers_world = np.einsum("nij,nj->ni", rotations, centers) + world_from_rectified.positions
+    angles = cuboid_angles_from_rotation(rotations @ rectified_from_box)
     return np.concatenate([labels.sizes_hwl[:, ::-1], centers_world, angles], axis=1)
 
 
@@ -111,58 +111,64 @@ def _objects(labels: KittiLabels, file: object) -> list[tuple[Identifier, Int64A
 
 
 def _cuboid(
-    identifier: Identifier, labels: KittiLabels, rows: Int64Array, values: Float64Array, places: LabelPlaces
+    identifier: Identifier,
+    labels: KittiLabels,
+    rows: Int64Array,
+    values: Float64Array,
+    locations: LabelLocations,
 ) -> CuboidAnnotation:
-    stamps = places.timestamps_ns[rows]
+    timestamps = locations.timestamps_ns[rows]
     shown = rows[labels.have_outline[rows]]
-    seen = Projection(places.camera_id, places.timestamps_ns[shown], _boxes(labels, shown))
+    seen = Projection(locations.camera_id, locations.timestamps_ns[shown], _boxes(labels, shown))
     return CuboidAnnotation(
         identifier,
-        CuboidPath(stamps, values[rows]),
+        CuboidPath(timestamps, values[rows]),
         label=labels.types[int(rows[0])],
-        attributes=_attributes(labels, rows, places),
+        attributes=_attributes(labels, rows, locations),
         projections=(seen,) if len(shown) else (),
     )
 
 
 def _box_2d(
-    identifier: Identifier, labels: KittiLabels, rows: Int64Array, places: LabelPlaces
+    identifier: Identifier, labels: KittiLabels, rows: Int64Array, locations: LabelLocations
 ) -> Box2DAnnotation:
     return Box2DAnnotation(
         identifier,
-        places.camera_id,
-        BoxPath(places.timestamps_ns[rows], _boxes(labels, rows)),
+        locations.camera_id,
+        BoxPath(locations.timestamps_ns[rows], _boxes(labels, rows)),
         label=labels.types[int(rows[0])],
-        attributes=_attributes(labels, rows, places),
+        attributes=_attributes(labels, rows, locations),
     )
 
 
 def _boxes(labels: KittiLabels, rows: Int64Array) -> Float64Array:
-    """Boxes in pictures as `left top width height` [px], corner convention."""
+    """Boxes in images as `left top width height` [px], corner convention."""
     corners = labels.corners_xyxy[rows]
     return np.concatenate([corners[:, :2] + CENTRE_TO_CORNER, corners[:, 2:] - corners[:, :2]], axis=1)
 
 
-def _attributes(labels: KittiLabels, rows: Int64Array, places: LabelPlaces) -> tuple[AttributePath, ...]:
-    """What is told beside the boxes, as the text has it; what it does not tell is left out."""
-    stamps = places.timestamps_ns[rows]
-    told: dict[str, Sequence[float | str]] = {
+def _attributes(
+    labels: KittiLabels, rows: Int64Array, locations: LabelLocations
+) -> tuple[AttributePath, ...]:
+    """What is reported beside the boxes, as the text has it; what it does not report is left out."""
+    timestamps = locations.timestamps_ns[rows]
+    reported: dict[str, Sequence[float | str]] = {
         "truncated": labels.truncations[rows].tolist(),
         "occluded": labels.occlusions[rows].tolist(),
         "alpha": labels.alphas[rows].tolist(),
     }
     if labels.scores is not None:
-        told["score"] = labels.scores[rows].tolist()
+        reported["score"] = labels.scores[rows].tolist()
     types = [labels.types[k] for k in rows.tolist()]
     if len(set(types)) > 1:
-        told["type"] = types
-    camera_id = places.camera_id if labels.have_outline[rows].any() else None
+        reported["type"] = types
+    camera_id = locations.camera_id if labels.have_outline[rows].any() else None
     return tuple(
-        AttributePath(name, tuple(values), stamps, camera_id)
-        for name, values in told.items()
+        AttributePath(name, tuple(values), timestamps, camera_id)
+        for name, values in reported.items()
         if name not in UNTOLD or any(value != UNTOLD[name] for value in values)
     )
 
 
 UNTOLD = {"truncated": -1.0, "occluded": -1, "alpha": -10.0}
-"""What the text has where it tells nothing."""
+"""What the text has where it states nothing."""

@@ -12,7 +12,7 @@ from sceneloom.formats.files import file_faults
 from sceneloom.formats.kitti.number_lines import LATEST
 from sceneloom.formats.kitti.spec import is_number
 from sceneloom.formats.ledger import Ledger
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.warnings import WarningKind
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +57,7 @@ def numbered_files(folder: Path, suffixes: tuple[str, ...], ledger: Ledger) -> N
     for path in candidates:
         if not is_number(path.stem):
             message = "files that are not named by a number"
-            ledger.note(NoticeKind.SKIPPED, "names-without-number", str(path), message)
+            ledger.note(WarningKind.SKIPPED, "names-without-number", str(path), message)
             continue
         number = int(path.stem)
         if number > LATEST:
@@ -69,7 +69,7 @@ def numbered_files(folder: Path, suffixes: tuple[str, ...], ledger: Ledger) -> N
     return NumberedFiles(folder, np.array(numbers, np.int64), tuple(found[k] for k in numbers))
 
 
-def frames_within(files: NumberedFiles, count: int, told_by: Path, ledger: Ledger) -> NumberedFiles:
+def frames_within(files: NumberedFiles, count: int, reported_by: Path, ledger: Ledger) -> NumberedFiles:
     """The files whose numbers are below the count of times; others are faults, and left out in a lenient reading.
 
     Raises:
@@ -79,7 +79,7 @@ def frames_within(files: NumberedFiles, count: int, told_by: Path, ledger: Ledge
     if not beyond:
         return files
     problem = (
-        f"{len(files)} files up to number {int(files.numbers[-1])} for {count} times of {told_by.name}; "
+        f"{len(files)} files up to number {int(files.numbers[-1])} for {count} times of {reported_by.name}; "
         "expected a time for each"
     )
     ledger.fault("files-without-time", DataError(files.folder, "", problem), count=beyond)
@@ -87,7 +87,7 @@ def frames_within(files: NumberedFiles, count: int, told_by: Path, ledger: Ledge
 
 
 def note_unread(folder: Path, known: Iterable[str], ledger: Ledger) -> None:
-    """Tell of what lies in a folder beside what is read of it; hidden and explaining files are no matter."""
+    """Report of what lies in a folder beside what is read of it; hidden and explaining files are no matter."""
     names = set(known)
     with file_faults(folder):
         others = sorted(path.name for path in folder.iterdir() if path.name not in names)
@@ -95,7 +95,7 @@ def note_unread(folder: Path, known: Iterable[str], ledger: Ledger) -> None:
     if others:
         shown = ", ".join(others[:_SHOWN]) + (", …" if len(others) > _SHOWN else "")
         message = f"nothing is read of {shown}"
-        ledger.note(NoticeKind.SKIPPED, "not-read", str(folder), message, count=len(others))
+        ledger.note(WarningKind.SKIPPED, "not-read", str(folder), message, count=len(others))
 
 
 _SHOWN = 5

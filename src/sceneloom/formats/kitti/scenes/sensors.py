@@ -1,4 +1,4 @@
-"""Lidars and cameras of KITTI's folders, placed along the way of the ego."""
+"""Lidars and cameras of KITTI's folders, placed along the ego trajectory."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,20 +10,20 @@ import numpy as np
 from sceneloom.arrays import Int64Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.formats.kitti.scenes.numbered import NumberedFiles
-from sceneloom.formats.kitti.scenes.sweeps import SweepFiles, TurnTimes, scale_of
+from sceneloom.formats.kitti.scenes.sweeps import RotationTimes, SweepFiles, scale_of
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.rig.pictures import PictureReader
+from sceneloom.formats.rig.images import ImageReader
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.cameras import CameraSensor, Picture
+from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.pose_source import poses_along
-from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.poses import Poses, Trajectory
+from sceneloom.scene.warnings import WarningKind
 
 LIDAR_ID = "velodyne"
-STANDING = "standing"
-"""The name of a way that is none: the ego stands still, since nothing tells how it moved."""
+STATIONARY = "stationary"
+"""The name of a trajectory that is none: the ego is stationary, since nothing reports how it moved."""
 
 
 def camera_id(number: int) -> str:
@@ -33,32 +33,32 @@ def camera_id(number: int) -> str:
 
 def lidar_sensor(
     files: NumberedFiles,
-    stamps_ns: Int64Array,
+    timestamps_ns: Int64Array,
     mount: RigidTransform,
-    path: PosePath | None,
+    path: Poses | None,
     ledger: Ledger,
     *,
-    turns: TurnTimes | None = None,
+    rotations: RotationTimes | None = None,
 ) -> LidarSensor:
     """The lidar.
 
     Args:
         files: its sweeps.
-        stamps_ns: of each, (N,) int64 [ns].
+        timestamps_ns: of each, (N,) int64 [ns].
         mount: `ego_from_lidar`.
         path: `world_from_ego`, or None.
-        ledger: told if the reflectance has another scale.
-        turns: when sweeps began and ended.
+        ledger: reported if the reflectance has another scale.
+        rotations: when sweeps began and ended.
 
     Raises:
         DataError: the first sweep is wrong.
     """
-    stamps = read_only(stamps_ns)
-    reader = SweepFiles(files.paths, files.names, stamps, scale_of(files.paths[0], ledger), turns)
+    timestamps = read_only(timestamps_ns)
+    reader = SweepFiles(files.paths, files.names, timestamps, scale_of(files.paths[0], ledger), rotations)
     return LidarSensor(
         LIDAR_ID,
-        LazyFrames(stamps, reader),
-        poses=poses_along(path, {0: mount}, np.zeros(len(stamps), np.int64), stamps),
+        LazyFrames(timestamps, reader),
+        poses=poses_along(path, {0: mount}, np.zeros(len(timestamps), np.int64), timestamps),
         mount=mount,
     )
 
@@ -66,57 +66,66 @@ def lidar_sensor(
 def camera_sensor(
     number: int,
     files: NumberedFiles,
-    stamps_ns: Int64Array,
-    lens: Camera,
+    timestamps_ns: Int64Array,
+    camera_model: Camera,
     mount: RigidTransform,
-    path: PosePath | None,
+    path: Poses | None,
 ) -> CameraSensor:
-    """A camera whose pictures have one lens and one mounting; it may have no pictures.
+    """A camera whose images have one camera model and one mounting; it may have no images.
 
     Args:
         number: KITTI's.
-        files: its pictures.
-        stamps_ns: of each, (N,) int64 [ns].
-        lens: of all pictures.
+        files: its images.
+        timestamps_ns: of each, (N,) int64 [ns].
+        camera_model: of all images.
         mount: `ego_from_camera`.
         path: `world_from_ego`, or None.
     """
-    stamps = read_only(stamps_ns)
-    pictures: LazyFrames[Picture] = LazyFrames(stamps, PictureReader(files.paths, files.names, stamps, lens))
+    timestamps = read_only(timestamps_ns)
+    images: LazyFrames[CameraImage] = LazyFrames(
+        timestamps, ImageReader(files.paths, files.names, timestamps, camera_model)
+    )
     return CameraSensor(
         camera_id(number),
-        lens,
-        pictures,
-        poses=poses_along(path, {0: mount}, np.zeros(len(stamps), np.int64), stamps),
+        camera_model,
+        images,
+        poses=poses_along(path, {0: mount}, np.zeros(len(timestamps), np.int64), timestamps),
         mount=mount,
     )
 
 
-def standing(stamps_ns: Int64Array, place: Path | str, reason: str, ledger: Ledger) -> Trajectory:
-    """The way of an ego that stands still, with a notice: boxes need a world, and nothing tells the ego's way in it.
+def stationary(timestamps_ns: Int64Array, location: Path | str, reason: str, ledger: Ledger) -> Trajectory:
+    """The trajectory of an ego that is stationary, with a warning: boxes need a world.
+
+    And nothing reports the ego trajectory in it.
 
     Args:
-        stamps_ns: (N,) int64 [ns], N >= 1, of all that is placed.
-        place: for the notice.
-        reason: why the way is not known.
-        ledger: told of it.
+        timestamps_ns: (N,) int64 [ns], N >= 1, of all that is placed.
+        location: for the warning.
+        reason: why the trajectory is not known.
+        ledger: reported it.
     """
     ledger.note(
-        NoticeKind.ASSUMED, "ego-stands", str(place), f"{reason}: boxes are placed as if the ego stood still"
+        WarningKind.ASSUMED,
+        "ego-stands",
+        str(location),
+        f"{reason}: boxes are placed as if the ego was stationary",
     )
-    times = np.unique(np.array([stamps_ns.min(), stamps_ns.max()], np.int64))
-    turns = np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1))
-    return Trajectory(STANDING, read_only(times), read_only(np.zeros((len(times), 3))), read_only(turns))
+    times = np.unique(np.array([timestamps_ns.min(), timestamps_ns.max()], np.int64))
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1))
+    return Trajectory(
+        STATIONARY, read_only(times), read_only(np.zeros((len(times), 3))), read_only(rotations)
+    )
 
 
-def kitti_metadata(benchmark: str, **told: Any) -> Mapping[str, Any]:
+def kitti_metadata(benchmark: str, **reported: Any) -> Mapping[str, Any]:
     """What a scene keeps of where it was read: `metadata["kitti"]`, and how the angles of its boxes are meant.
 
     Args:
         benchmark: "raw", "object", "tracking" or "odometry".
-        told: further fields; those that are None are left out.
+        reported: further fields; those that are None are left out.
     """
     from sceneloom.formats.kitti.scenes.boxes import ANGLES
 
-    about = {"benchmark": benchmark, **{name: value for name, value in told.items() if value is not None}}
+    about = {"benchmark": benchmark, **{name: value for name, value in reported.items() if value is not None}}
     return MappingProxyType({"sceneloom": dict(ANGLES), "kitti": about})

@@ -1,4 +1,4 @@
-"""Sweeps of KITTI's lidar: files of four float32 a point, and when each point was measured in one turn."""
+"""Sweeps of KITTI's lidar: files of four float32 a point, and when each point was measured in one rotation."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from sceneloom.formats.clouds.text_rows import parse_rows
 from sceneloom.formats.files import read_bytes
 from sceneloom.formats.ledger import Ledger
 from sceneloom.scene.clouds import LidarFrame, LidarPoints
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.warnings import WarningKind
 
 REFLECTANCE = IntensityScale(1.0)
 """KITTI's reflectance goes from 0 to 1. Source: the readme of the raw data's development kit."""
@@ -27,8 +27,8 @@ POINT_BYTES = KITTI.dtype.itemsize
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TurnTimes:
-    """When the scanner began each turn, looked ahead and ended it, (N,) int64 [ns] each."""
+class RotationTimes:
+    """When the scanner began each rotation, looked ahead and ended it, (N,) int64 [ns] each."""
 
     starts_ns: Int64Array
     middles_ns: Int64Array
@@ -44,14 +44,14 @@ class SweepFiles:
         names: of the files, seen from the folder above theirs.
         timestamps_ns: (N,) int64 [ns].
         scale: of the reflectance.
-        turns: by which points get times; None where the source does not tell when sweeps began and ended.
+        rotations: by which points get times; None where the source does not report when sweeps began and ended.
     """
 
     files: tuple[Path, ...]
     names: tuple[str, ...]
     timestamps_ns: Int64Array
     scale: IntensityScale = REFLECTANCE
-    turns: TurnTimes | None = None
+    rotations: RotationTimes | None = None
 
     def __call__(self, k: int) -> LidarFrame:
         """Read sweep `k`.
@@ -66,11 +66,16 @@ class SweepFiles:
         if clipped:
             extras["clipped_intensities"] = clipped
         times = None
-        if self.turns is not None:
+        if self.rotations is not None:
             start_ns, middle_ns, end_ns = (
-                int(stamps[k]) for stamps in (self.turns.starts_ns, self.turns.middles_ns, self.turns.ends_ns)
+                int(timestamps[k])
+                for timestamps in (
+                    self.rotations.starts_ns,
+                    self.rotations.middles_ns,
+                    self.rotations.ends_ns,
+                )
             )
-            times = read_only(times_in_turn(positions, start_ns, middle_ns, end_ns))
+            times = read_only(times_in_rotation(positions, start_ns, middle_ns, end_ns))
             extras |= {"forward_ns": middle_ns, "end_ns": end_ns}
         points = LidarPoints(read_only(positions), read_only(intensities), timestamps_ns=times)
         return LidarFrame(int(self.timestamps_ns[k]), points, MappingProxyType(extras))
@@ -99,24 +104,24 @@ def _positions(path: Path, columns: Mapping[str, AnyArray]) -> Float32Array:
     return positions
 
 
-def times_in_turn(positions: Float32Array, start_ns: int, middle_ns: int, end_ns: int) -> Int64Array:
+def times_in_rotation(positions: Float32Array, start_ns: int, middle_ns: int, end_ns: int) -> Int64Array:
     """When points were measured, by the direction in which they lie, (N,) int64 [ns].
 
-    The scanner turns counter-clockwise seen from above; it begins behind, looks ahead in the middle and ends behind.
+    The scanner rotates counter-clockwise seen from above; it begins behind, looks ahead in the middle and ends behind.
 
     Args:
         positions: (N, 3) float32 [m], lidar frame: x forward, y left.
-        start_ns, middle_ns, end_ns: of the turn [ns].
+        start_ns, middle_ns, end_ns: of the rotation [ns].
 
     Source: the development kit of KITTI's raw data: cameras are triggered when the lasers look forward.
     """
-    turns = np.arctan2(positions[:, 1].astype(np.float64), positions[:, 0].astype(np.float64)) / np.pi
-    spans = np.where(turns < 0, middle_ns - start_ns, end_ns - middle_ns)
-    return middle_ns + np.rint(turns * spans).astype(np.int64)
+    rotations = np.arctan2(positions[:, 1].astype(np.float64), positions[:, 0].astype(np.float64)) / np.pi
+    spans = np.where(rotations < 0, middle_ns - start_ns, end_ns - middle_ns)
+    return middle_ns + np.rint(rotations * spans).astype(np.int64)
 
 
 def scale_of(path: Path, ledger: Ledger) -> IntensityScale:
-    """The scale of the reflectance, by a sensor's first sweep: 0 to 1, else that of other programs, with a notice.
+    """The scale of the reflectance, by a sensor's first sweep: 0 to 1, else that of other programs, with a warning.
 
     Raises:
         DataError: the sweep is missing or wrong.
@@ -125,5 +130,5 @@ def scale_of(path: Path, ledger: Ledger) -> IntensityScale:
     found = detect_scale(values) or IntensityScale(255.0)
     if found.maximum != REFLECTANCE.maximum:
         message = f"reflectance beyond 1, where KITTI's ends: taken as 0 to {found.maximum:g}"
-        ledger.note(NoticeKind.ASSUMED, "reflectance-scale", str(path), message)
+        ledger.note(WarningKind.ASSUMED, "reflectance-scale", str(path), message)
     return found

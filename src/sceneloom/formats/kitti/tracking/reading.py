@@ -12,7 +12,7 @@ from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibrati
 from sceneloom.formats.kitti.chosen_sequence import choose_sequence
 from sceneloom.formats.kitti.labels import KittiLabels, read_labels
 from sceneloom.formats.kitti.oxts import read_fields
-from sceneloom.formats.kitti.scenes.boxes import LabelPlaces, label_annotations
+from sceneloom.formats.kitti.scenes.boxes import LabelLocations, label_annotations
 from sceneloom.formats.kitti.scenes.inertial import oxts_sensors
 from sceneloom.formats.kitti.scenes.numbered import (
     NumberedFiles,
@@ -25,26 +25,26 @@ from sceneloom.formats.kitti.scenes.sensors import (
     camera_sensor,
     kitti_metadata,
     lidar_sensor,
-    standing,
+    stationary,
 )
 from sceneloom.formats.kitti.spec import (
+    IMAGES,
     PARTS,
-    PICTURES,
     SWEEPS,
     TRACKING_CAMERAS,
     tracking_folders,
     tracking_sequences,
 )
-from sceneloom.formats.kitti.tracking_folder import CAMERA, frame_times, picture_size
+from sceneloom.formats.kitti.tracking_folder import CAMERA, frame_times, image_size
 from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.rig.pictures import picture_size as size_of_picture
+from sceneloom.formats.rig.images import image_size as size_of_image
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations.annotation import Annotation
 from sceneloom.scene.motion import ImuSensor
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath, Trajectory
+from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.warnings import WarningKind
 
 
 def open_tracking(path: Path, *, sequence: str | None = None, lenient: bool = False) -> Scene:
@@ -65,34 +65,34 @@ def open_tracking(path: Path, *, sequence: str | None = None, lenient: bool = Fa
 
 
 def _open(folder: Path, name: str, ledger: Ledger) -> Scene:
-    place = folder / "calib" / f"{name}.txt"
-    if not place.is_file():
-        raise DataError(place, "", f"is missing; sequence {name} needs its calibration")
-    calibration = read_calibration(place)
+    location = folder / "calib" / f"{name}.txt"
+    if not location.is_file():
+        raise DataError(location, "", f"is missing; sequence {name} needs its calibration")
+    calibration = read_calibration(location)
     sweeps = numbered_files(folder / "velodyne" / name, SWEEPS, ledger)
-    pictures = {
-        number: numbered_files(folder / kind / name, PICTURES, ledger)
+    images = {
+        number: numbered_files(folder / kind / name, IMAGES, ledger)
         for number, kind in TRACKING_CAMERAS.items()
     }
     labels = _labels(folder / "label_02" / f"{name}.txt", ledger)
     fields = _fields(folder / "oxts" / f"{name}.txt")
-    counts = [int(files.numbers[-1]) + 1 for files in (sweeps, *pictures.values()) if len(files)]
+    counts = [int(files.numbers[-1]) + 1 for files in (sweeps, *images.values()) if len(files)]
     counts += [int(labels.frames.max()) + 1] if labels is not None and len(labels) else []
     times = _times(folder, name, max([*counts, 0 if fields is None else len(fields)]), ledger)
     sweeps = frames_within(sweeps, len(times), folder / "times" / f"{name}.txt", ledger)
-    own, way = _oxts(folder, name, fields, times, calibration, ledger)
-    if way is None and labels is not None and len(labels):
-        way = standing(
-            times, folder / "oxts" / f"{name}.txt", "the way of the OXTS unit is not known", ledger
+    own, trajectory = _oxts(folder, name, fields, times, calibration, ledger)
+    if trajectory is None and labels is not None and len(labels):
+        trajectory = stationary(
+            times, folder / "oxts" / f"{name}.txt", "the trajectory of the OXTS unit is not known", ledger
         )
-    path = None if way is None else way.poses
+    path = None if trajectory is None else trajectory.poses
     ego_from_lidar = RigidTransform.identity()
     if calibration.lidar_from_imu is not None:
         ego_from_lidar = calibration.lidar_from_imu.inverse()
     sensors: list[Sensor] = []
     if len(sweeps):
         sensors.append(lidar_sensor(sweeps, times[sweeps.numbers], ego_from_lidar, path, ledger))
-    for number, found in pictures.items():
+    for number, found in images.items():
         files = frames_within(found, len(times), folder / "times" / f"{name}.txt", ledger)
         if len(files) or (number == CAMERA and labels is not None and labels.have_outline.any()):
             sensors.append(
@@ -108,11 +108,11 @@ def _open(folder: Path, name: str, ledger: Ledger) -> Scene:
     return Scene(
         (*sensors, *own),
         annotations=annotations,
-        trajectories=MappingProxyType({} if way is None else {way.name: way}),
+        trajectories=MappingProxyType({} if trajectory is None else {trajectory.name: trajectory}),
         metadata=kitti_metadata("tracking", sequence=name, calibration=entries),
         source=f"{folder}/{name}",
         format="kitti-tracking",
-        notices=ledger.notices,
+        warnings=ledger.warnings,
     )
 
 
@@ -133,11 +133,11 @@ def _fields(path: Path) -> np.ndarray | None:
 def _times(folder: Path, name: str, count: int, ledger: Ledger) -> Int64Array:
     if count == 0:
         raise DataError(
-            folder, f"sequence {name}", "holds no frames; expected sweeps, pictures, labels or OXTS lines"
+            folder, f"sequence {name}", "holds no frames; expected sweeps, images, labels or OXTS lines"
         )
     if not (folder / "times" / f"{name}.txt").is_file():
         message = "frames have no times: frame k is at k / 10 s"
-        ledger.note(NoticeKind.ASSUMED, "frame-times", f"{folder}/{name}", message)
+        ledger.note(WarningKind.ASSUMED, "frame-times", f"{folder}/{name}", message)
     return frame_times(folder, name, count)
 
 
@@ -149,17 +149,17 @@ def _oxts(
     calibration: KittiCalibration,
     ledger: Ledger,
 ) -> tuple[tuple[Sensor, ...], Trajectory | None]:
-    place = folder / "oxts" / f"{name}.txt"
+    location = folder / "oxts" / f"{name}.txt"
     if fields is None:
         return (), None
     if len(fields) < len(times):
-        message = f"{len(fields)} lines for {len(times)} frames; the way ends before the frames do"
-        ledger.note(NoticeKind.ASSUMED, "oxts-short", str(place), message)
-    sensors, way = oxts_sensors(fields, times[: len(fields)].copy(), str(place), ledger)
+        message = f"{len(fields)} lines for {len(times)} frames; the trajectory ends before the frames do"
+        ledger.note(WarningKind.ASSUMED, "oxts-short", str(location), message)
+    sensors, trajectory = oxts_sensors(fields, times[: len(fields)].copy(), str(location), ledger)
     if calibration.lidar_from_imu is not None:
-        return sensors, way
-    message = "no Tr_imu_velo: the way and the IMU of the OXTS unit cannot be used"
-    ledger.note(NoticeKind.SKIPPED, "no-imu-mounting", str(folder / "calib" / f"{name}.txt"), message)
+        return sensors, trajectory
+    message = "no Tr_imu_velo: the trajectory and the IMU of the OXTS unit cannot be used"
+    ledger.note(WarningKind.SKIPPED, "no-imu-mounting", str(folder / "calib" / f"{name}.txt"), message)
     return tuple(sensor for sensor in sensors if not isinstance(sensor, ImuSensor)), None
 
 
@@ -170,24 +170,24 @@ def _camera(
     sequence: tuple[Path, str],
     calibration: KittiCalibration,
     ego_from_lidar: RigidTransform,
-    path: PosePath | None,
+    path: Poses | None,
     ledger: Ledger,
 ) -> Sensor:
     folder, name = sequence
     if number not in calibration.projections:
         problem = f"no P{number}; expected that of {TRACKING_CAMERAS[number]}"
         raise DataError(folder / "calib" / f"{name}.txt", "", problem)
-    size = size_of_picture(files.paths[0]) if len(files) else picture_size(folder, name, calibration, ledger)
+    size = size_of_image(files.paths[0]) if len(files) else image_size(folder, name, calibration, ledger)
     mount = ego_from_lidar @ calibration.camera_from_lidar(number).inverse()
     return camera_sensor(number, files, times[files.numbers], calibration.camera(number, size), mount, path)
 
 
 def _note_others(folder: Path, ledger: Ledger) -> None:
-    """Tell of what lies beside the folders that are read."""
+    """Report of what lies beside the folders that are read."""
     lists = sorted(path.name for path in folder.iterdir() if path.name.startswith(("det2d_", "det3d_")))
     if lists:
         message = f"{', '.join(lists)}: lists of detections, which `track` and `fuse --type detection` read"
-        ledger.note(NoticeKind.SKIPPED, "detections-aside", str(folder), message)
+        ledger.note(WarningKind.SKIPPED, "detections-aside", str(folder), message)
     read = ("calib", "velodyne", "label_02", "oxts", "times", *TRACKING_CAMERAS.values(), *PARTS)
     note_unread(folder, (*read, *lists), ledger)
 
@@ -195,15 +195,17 @@ def _note_others(folder: Path, ledger: Ledger) -> None:
 def _annotations(
     labels: KittiLabels, times: Int64Array, source: PoseSource, file: Path, ledger: Ledger
 ) -> tuple[Annotation, ...]:
-    """The labels of frames whose place is known; others are left out with a notice."""
-    places = source.at(times[labels.frames])
-    known = np.isfinite(places.positions[:, 0])
+    """The labels of frames whose location is known; others are left out with a warning."""
+    locations = source.at(times[labels.frames])
+    known = np.isfinite(locations.positions[:, 0])
     if not known.all():
-        message = "labels of frames beyond the way of the ego"
-        ledger.note(NoticeKind.SKIPPED, "boxes-beyond-way", str(file), message, count=int((~known).sum()))
+        message = "labels of frames beyond the ego trajectory"
+        ledger.note(
+            WarningKind.SKIPPED, "boxes-beyond-trajectory", str(file), message, count=int((~known).sum())
+        )
         labels = labels.select(known)
-        places = source.at(times[labels.frames])
-    return label_annotations(labels, LabelPlaces(times[labels.frames], places, camera_id(CAMERA), file))
+        locations = source.at(times[labels.frames])
+    return label_annotations(labels, LabelLocations(times[labels.frames], locations, camera_id(CAMERA), file))
 
 
 def _find_sequence(path: Path, wanted: str | None, ledger: Ledger) -> tuple[Path, str]:
@@ -214,5 +216,5 @@ def _find_sequence(path: Path, wanted: str | None, ledger: Ledger) -> tuple[Path
         raise DataError(path, "", f"holds no sequences; expected {expected}")
     if len(found) > 1 and found[0] != path:
         message = f"{found[0].name} is read, {found[1].name} is left aside; name its folder to read it"
-        ledger.note(NoticeKind.SKIPPED, "other-part", str(path), message)
+        ledger.note(WarningKind.SKIPPED, "other-part", str(path), message)
     return found[0], choose_sequence(path, tracking_sequences(found[0]), wanted)

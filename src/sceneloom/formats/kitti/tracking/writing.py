@@ -9,8 +9,8 @@ from sceneloom.formats.kitti.written.calibration_text import write_calibration
 from sceneloom.formats.kitti.written.choice import choose, dropped_parts
 from sceneloom.formats.kitti.written.frames import point_time_loss, write_frames
 from sceneloom.formats.kitti.written.label_rows import LabelRows
+from sceneloom.formats.kitti.written.locations import egos_at, is_lidar, mounted_of
 from sceneloom.formats.kitti.written.oxts_lines import oxts_lines
-from sceneloom.formats.kitti.written.places import egos_at, is_lidar, mounted_of
 from sceneloom.formats.kitti.written.target import kept_calibration, kept_of
 from sceneloom.formats.kitti.written.timeline import timeline_of
 from sceneloom.formats.loss import LossReport
@@ -26,7 +26,7 @@ from sceneloom.scene.scene import Scene
 HELD = frozenset(
     {LidarSensor, CameraSensor, ImuSensor, GnssSensor, OdometrySensor, CuboidAnnotation, Box2DAnnotation}
 )
-"""Kinds of sensors and annotations that a sequence has a place for."""
+"""Kinds of sensors and annotations that a sequence has a location for."""
 
 _KIND = FolderKind(
     "folder of KITTI's tracking benchmark",
@@ -69,13 +69,13 @@ def write_tracking(
         folder = draft / "training"
         for kind in ("calib", "label_02", "times"):
             (folder / kind).mkdir(parents=True)
-        pictures = {number: folder / kind / name for number, kind in TRACKING_CAMERAS.items()}
+        images = {number: folder / kind / name for number, kind in TRACKING_CAMERAS.items()}
         losses += write_frames(
             choice,
             timeline,
             "{:06d}".format,
             folder / "velodyne" / name,
-            pictures,
+            images,
             lambda _, frame: losses.extend(point_time_loss(frame)),
         )
         with_imu = choice.ego_path is not None or not is_lidar(choice)

@@ -34,14 +34,14 @@ class Mounted:
     """What a calibration says.
 
     Attributes:
-        lenses: by KITTI's number of the camera.
+        camera_models: by KITTI's number of the camera.
         camera_from_lidar: by number.
         lidar_from_imu: None where the ego is the lidar.
         reference: the camera whose frame is the rectified one; None without cameras.
-        has_lidar: whether there is one; else its frame is the ego's, and files may place it elsewhere.
+        has_lidar: whether there is one; else its frame is the ego's, and files may position it elsewhere.
     """
 
-    lenses: Mapping[int, Camera]
+    camera_models: Mapping[int, Camera]
     camera_from_lidar: Mapping[int, RigidTransform]
     lidar_from_imu: RigidTransform | None
     reference: int | None
@@ -87,13 +87,17 @@ def _rectified_if_same(path: Path, mounted: Mounted) -> RigidTransform | None:
     """What a file says of labels' frame, if it says the same as the scene of all else; None if not."""
     try:
         read = read_calibration(path)
-        mounts = {number: read.camera_from_lidar(number) for number in mounted.lenses}
-        lenses = {
-            number: read.camera(number, (lens.width, lens.height)) for number, lens in mounted.lenses.items()
+        mounts = {number: read.camera_from_lidar(number) for number in mounted.camera_models}
+        camera_models = {
+            number: read.camera(number, (camera_model.width, camera_model.height))
+            for number, camera_model in mounted.camera_models.items()
         }
     except (SceneloomError, KeyError):
         return None
-    if not all(_same_lens(lenses[number], lens) for number, lens in mounted.lenses.items()):
+    if not all(
+        _same_camera_model(camera_models[number], camera_model)
+        for number, camera_model in mounted.camera_models.items()
+    ):
         return None
     between = files_lidar_from_lidar(mounts, read.lidar_from_imu, mounted)
     return None if between is None else read.rectified_from_lidar @ between
@@ -117,7 +121,8 @@ def files_lidar_from_lidar(
     ):
         return None
     pairs = [
-        (camera_from_lidar[number] @ between, mounted.camera_from_lidar[number]) for number in mounted.lenses
+        (camera_from_lidar[number] @ between, mounted.camera_from_lidar[number])
+        for number in mounted.camera_models
     ]
     return between if all(_same(a, b) for a, b in pairs) else None
 
@@ -126,7 +131,7 @@ def _same(a: RigidTransform, b: RigidTransform) -> bool:
     return bool(np.abs(a.matrix - b.matrix).max() <= _SAME)
 
 
-def _same_lens(a: Camera, b: Camera) -> bool:
+def _same_camera_model(a: Camera, b: Camera) -> bool:
     return bool(np.abs(a.matrix - b.matrix).max() <= _SAME) and b.model == "pinhole"
 
 
@@ -142,31 +147,36 @@ def _renamed(kept: Mapping[str, Any], benchmark: str) -> dict[str, list[float]]:
         elif name[:1] == "P" and name[1:].isdigit():
             found[name] = values.tolist()
     rectification, lidar, unit = _NAMES[benchmark]
-    turn = by_meaning.get(0)
+    rotation = by_meaning.get(0)
     placed = by_meaning.get(1)
     if placed is not None and RECTIFIED_FROM_VELODYNE in kept:
-        turn = np.eye(3).reshape(-1)
-    if placed is not None and not rectification and turn is not None:
-        placed = (turn.reshape(3, 3) @ placed.reshape(3, 4)).reshape(-1)
-    for name, numbers in ((rectification, turn), (lidar, placed), (unit, by_meaning.get(2))):
+        rotation = np.eye(3).reshape(-1)
+    if placed is not None and not rectification and rotation is not None:
+        placed = (rotation.reshape(3, 3) @ placed.reshape(3, 4)).reshape(-1)
+    for name, numbers in ((rectification, rotation), (lidar, placed), (unit, by_meaning.get(2))):
         if name and numbers is not None:
             found[name] = numbers.tolist()
     return found
 
 
 def _built(benchmark: str, mounted: Mounted) -> dict[str, list[float]]:
-    """Entries that say what a scene says: the reference camera's frame is the rectified one."""
+    """Entries that state what a scene says: the reference camera's frame is the rectified one."""
     base = mounted.rectified_from_lidar
     found = {}
     spare = next(
-        iter(mounted.lenses.values()), Camera("pinhole", 1242, 375, 721.5377, 721.5377, 609.5593, 172.854)
+        iter(mounted.camera_models.values()),
+        Camera("pinhole", 1242, 375, 721.5377, 721.5377, 609.5593, 172.854),
     )
     for number in range(CAMERAS):
-        lens = mounted.lenses.get(number, mounted.lenses.get(mounted.reference or 0, spare))
+        camera_model = mounted.camera_models.get(
+            number, mounted.camera_models.get(mounted.reference or 0, spare)
+        )
         shift = np.zeros(3)
         if number in mounted.camera_from_lidar and number != mounted.reference:
             shift = (mounted.camera_from_lidar[number] @ base.inverse()).translation
-        found[f"P{number}"] = np.column_stack([lens.matrix, lens.matrix @ shift]).reshape(-1).tolist()
+        found[f"P{number}"] = (
+            np.column_stack([camera_model.matrix, camera_model.matrix @ shift]).reshape(-1).tolist()
+        )
     rectification, lidar, unit = _NAMES[benchmark]
     if rectification:
         found[rectification] = np.eye(3).reshape(-1).tolist()

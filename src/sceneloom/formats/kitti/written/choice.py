@@ -7,10 +7,10 @@ from math import degrees
 import numpy as np
 
 from sceneloom.editing.undistortion import undistort_scene
-from sceneloom.formats.default_poses import standing_ego
+from sceneloom.formats.default_poses import stationary_ego
 from sceneloom.formats.kitti.scenes.sensors import LIDAR_ID, camera_id
 from sceneloom.formats.kitti.written.target import kept_of
-from sceneloom.formats.loss import Fate, Loss
+from sceneloom.formats.loss import Loss, Support
 from sceneloom.formats.recording.written_mounts import each_mounted, mounting
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import angle_between
@@ -21,13 +21,13 @@ from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.contents import KINDS
 from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.sensor_sources import check_one_ego
 from sceneloom.scene.types import Coordinates
 
 PARALLEL_WITHIN = 1e-6
-"""How far a camera may be turned against the first one and be of the same rectified frame [rad]."""
+"""How far a camera may be rotated against the first one and be of the same rectified frame [rad]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +35,7 @@ class Choice:
     """What is written.
 
     Attributes:
-        scene: all of it; lenses that the target cannot hold are pinholes already.
+        scene: all of it; camera models that the target cannot hold are pinholes already.
         lidar: the one that is written, or None.
         cameras: by KITTI's number.
         ego_path: `world_from_ego`, or None where it is not known.
@@ -48,7 +48,7 @@ class Choice:
     scene: Scene
     lidar: LidarSensor | None
     cameras: Mapping[int, CameraSensor]
-    ego_path: PosePath | None
+    ego_path: Poses | None
     ego_from_lidar: RigidTransform
     ego_from_camera: Mapping[int, RigidTransform]
     reference: int | None
@@ -64,14 +64,14 @@ def choose(
         scene: to be written.
         slots: the numbers of cameras, the preferred one first.
         rectified: whether all cameras must look the same way.
-        rigid: whether one mounting of each sensor holds for all frames; what it does not say is then a loss.
-        models: lenses that the target holds; pictures of others are resampled to a pinhole's.
+        rigid: whether one mounting of each sensor holds for all frames; what it does not state is then a loss.
+        models: camera models that the target holds; images of others are resampled to a pinhole's.
 
     Raises:
-        CalibrationError: a lens cannot be computed with.
+        CalibrationError: a camera model cannot be computed with.
     """
     losses: list[Loss] = []
-    path = ego_way(scene)
+    path = ego_trajectory(scene)
     check_one_ego(scene, path)
     scene = scene if rigid else each_mounted(scene, path)
     lidar, ego_from_lidar = _lidar(scene, path, losses)
@@ -92,8 +92,8 @@ def choose(
     return Choice(scene, lidar, named, path, ego_from_lidar, mounts, reference, losses)
 
 
-def ego_way(scene: Scene) -> PosePath | None:
-    """The way of the ego: the first trajectory with orientations, else by odometry, else by a sensor's own poses."""
+def ego_trajectory(scene: Scene) -> Poses | None:
+    """The ego trajectory: the first trajectory with orientations, else by odometry, else by a sensor's own poses."""
     for trajectory in scene.trajectories.values():
         if trajectory.quaternions_xyzw is not None:
             return trajectory.poses
@@ -111,9 +111,7 @@ def ego_way(scene: Scene) -> PosePath | None:
     return None
 
 
-def _lidar(
-    scene: Scene, path: PosePath | None, losses: list[Loss]
-) -> tuple[LidarSensor | None, RigidTransform]:
+def _lidar(scene: Scene, path: Poses | None, losses: list[Loss]) -> tuple[LidarSensor | None, RigidTransform]:
     if not scene.lidars:
         return None, RigidTransform.identity()
     first, *others = scene.lidars
@@ -151,12 +149,12 @@ def _numbered(scene: Scene, slots: Sequence[int], losses: list[Loss]) -> dict[in
 def _keep_parallel(
     cameras: dict[int, CameraSensor], mounts: dict[int, RigidTransform], reference: int, losses: list[Loss]
 ) -> None:
-    """Leave out cameras that are turned against the reference: rectified ones look the same way."""
+    """Leave out cameras that are rotated against the reference: rectified ones look the same way."""
     for number, camera in list(cameras.items()):
-        turn = float(angle_between(mounts[number].quaternion_xyzw, mounts[reference].quaternion_xyzw))
-        if turn > PARALLEL_WITHIN:
+        rotation = float(angle_between(mounts[number].quaternion_xyzw, mounts[reference].quaternion_xyzw))
+        if rotation > PARALLEL_WITHIN:
             what = (
-                f"left out: turned by {degrees(turn):.3g}° against camera {cameras[reference].id!r}, and the "
+                f"left out: rotated by {degrees(rotation):.3g}° against camera {cameras[reference].id!r}, and the "
                 "cameras of rectified folders look the same way"
             )
             _drop(camera, what, losses)
@@ -166,28 +164,28 @@ def _keep_parallel(
 def _with_pinholes(
     scene: Scene, cameras: dict[int, CameraSensor], models: frozenset[str], losses: list[Loss]
 ) -> tuple[Scene, dict[int, CameraSensor]]:
-    """Resample the pictures of lenses that the target does not hold."""
-    bent = {number: camera for number, camera in cameras.items() if not holds_lens(camera, models)}
+    """Resample the images of camera models that the target does not hold."""
+    bent = {number: camera for number, camera in cameras.items() if not holds_camera_model(camera, models)}
     if not bent:
         return scene, cameras
     changed = undistort_scene(scene, cameras=[camera.id for camera in bent.values()])
     new = {type_and_id(sensor.id): sensor for sensor in changed.cameras}
     for camera in bent.values():
-        what = f"a {camera.camera.model} lens replaced by a pinhole, and its pictures resampled for it"
+        what = f"a {camera.camera.model} camera model replaced by a pinhole, and its images resampled for it"
         losses += [
-            Loss(field=name, what=f"{camera.id!r}: {what}", fate=Fate.APPROXIMATED)
-            for name in ("sensors.camera.camera", "sensors.camera.pictures.rgb")
+            Loss(field=name, what=f"{camera.id!r}: {what}", support=Support.APPROXIMATED)
+            for name in ("sensors.camera.camera", "sensors.camera.images.rgb")
         ]
     return changed, {number: new[type_and_id(camera.id)] for number, camera in cameras.items()}
 
 
-def holds_lens(camera: CameraSensor, models: frozenset[str]) -> bool:
-    """Whether a target that holds these models holds a camera's lens: OpenCV's five coefficients are all it has."""
-    lens = camera.camera
-    if lens.model not in models:
+def holds_camera_model(camera: CameraSensor, models: frozenset[str]) -> bool:
+    """Whether a target that holds these models holds a camera model: OpenCV's five coefficients are all it has."""
+    camera_model = camera.camera
+    if camera_model.model not in models:
         return False
-    further = np.array(lens.coefficients[5:])
-    return lens.model == "pinhole" or not further.any()
+    further = np.array(camera_model.coefficients[5:])
+    return camera_model.model == "pinhole" or not further.any()
 
 
 def type_and_id(identifier: object) -> tuple[type, object]:
@@ -196,28 +194,28 @@ def type_and_id(identifier: object) -> tuple[type, object]:
 
 
 def dropped_parts(scene: Scene, kept: frozenset[type]) -> list[Loss]:
-    """Losses of sensors and annotations of the kinds that the target has no place for.
+    """Losses of sensors and annotations of the kinds that the target has no field for.
 
     Args:
         kept: the classes that have one.
     """
     losses = [
-        Loss(field=KINDS[type(part)], what="left out: the folder has no place for it")
+        Loss(field=KINDS[type(part)], what="left out: the folder has no field for it")
         for part in (*scene.sensors, *scene.annotations)
         if type(part) not in kept
     ]
     boxes = CuboidAnnotation in kept and any(isinstance(one, CuboidAnnotation) for one in scene.annotations)
-    if boxes and annotations_frame(scene) is Coordinates.WORLD and ego_way(scene) is None:
-        losses.append(standing_ego())
+    if boxes and annotations_frame(scene) is Coordinates.WORLD and ego_trajectory(scene) is None:
+        losses.append(stationary_ego())
     if len(scene.trajectories) > 1:
         count = len(scene.trajectories) - 1
-        what = "left out: the folder holds the way that is the default one"
+        what = "left out: the folder holds the trajectory that is the default one"
         losses.append(Loss(field="trajectories", what=what, count=count))
     if scene.attributes:
         losses.append(
             Loss(
                 field="attributes",
-                what="left out: the folder has no place for it",
+                what="left out: the folder has no field for it",
                 count=len(scene.attributes),
             )
         )
@@ -225,7 +223,7 @@ def dropped_parts(scene: Scene, kept: frozenset[type]) -> list[Loss]:
 
 
 def _renamed(name: str, identifier: object, new: str) -> Loss:
-    return Loss(field=name, what=f"{identifier!r} is called {new!r} there", fate=Fate.CONVERTED)
+    return Loss(field=name, what=f"{identifier!r} is called {new!r} there", support=Support.CONVERTED)
 
 
 def _drop(sensor: CameraSensor | LidarSensor, what: str, losses: list[Loss]) -> None:

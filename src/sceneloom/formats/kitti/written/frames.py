@@ -1,10 +1,10 @@
-"""Writing the sweeps and pictures of a synchronised folder, frame by frame."""
+"""Writing the sweeps and images of a synchronised folder, frame by frame."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from sceneloom.formats.kitti.written.choice import Choice
-from sceneloom.formats.kitti.written.files import SweepFiles, check_lens, picture_losses, write_picture
+from sceneloom.formats.kitti.written.files import SweepFiles, check_camera_model, image_losses, write_image
 from sceneloom.formats.kitti.written.timeline import NONE, Timeline
 from sceneloom.formats.loss import Loss
 from sceneloom.scene.clouds import LidarFrame
@@ -17,49 +17,49 @@ def write_frames(
     timeline: Timeline,
     name: Name,
     sweeps: Path,
-    pictures: Mapping[int, Path],
-    told: Callable[[int, LidarFrame], None] | None = None,
+    images: Mapping[int, Path],
+    reported: Callable[[int, LidarFrame], None] | None = None,
     *,
-    own_lenses: bool = False,
+    own_camera_models: bool = False,
 ) -> list[Loss]:
-    """Write the files of all frames; each sweep and picture is read, written and let go.
+    """Write the files of all frames; each sweep and image is read, written and let go.
 
     Args:
         choice: what is written.
         timeline: the frames.
         name: of a frame's files, without suffix.
         sweeps: the folder of sweeps; it is made if there are any.
-        pictures: the folders of pictures, by number of the camera.
-        told: is given each sweep and its frame's number.
-        own_lenses: whether pictures may have lenses of their own.
+        images: the folders of images, by number of the camera.
+        reported: is given each sweep and its frame's number.
+        own_camera_models: whether images may have camera models of their own.
 
     Returns:
         What was lost.
 
     Raises:
-        CalibrationError: a picture has another size than its camera's others.
+        CalibrationError: an image has another size than its camera's others.
     """
     writer = SweepFiles(choice)
-    losses = [loss for camera in choice.cameras.values() for loss in picture_losses(camera)]
+    losses = [loss for camera in choice.cameras.values() for loss in image_losses(camera)]
     if choice.lidar is not None and len(choice.lidar.frames):
         sweeps.mkdir(parents=True)
     for number, camera in choice.cameras.items():
-        if len(camera.pictures):
-            pictures[number].mkdir(parents=True)
+        if len(camera.images):
+            images[number].mkdir(parents=True)
     for k in range(len(timeline)):
         sweep = int(timeline.sweeps[k])
         if choice.lidar is not None and sweep != NONE:
             frame = choice.lidar.frames[sweep]
             writer.write(writer.placed(frame), sweeps / f"{name(k)}.bin")
-            if told is not None:
-                told(k, frame)
+            if reported is not None:
+                reported(k, frame)
         for number, camera in choice.cameras.items():
-            row = int(timeline.pictures[number][k])
+            row = int(timeline.images[number][k])
             if row != NONE:
-                picture = camera.pictures[row]
-                if not own_lenses:
-                    check_lens(camera, picture)
-                write_picture(picture, pictures[number] / f"{name(k)}.png")
+                image = camera.images[row]
+                if not own_camera_models:
+                    check_camera_model(camera, image)
+                write_image(image, images[number] / f"{name(k)}.png")
     return [*losses, *writer.losses]
 
 

@@ -1,4 +1,4 @@
-"""Annotations as rows of KITTI's labels: which frames they are told in, in the reference camera's frame."""
+"""Annotations as rows of KITTI's labels: which frames they are reported in, in the reference camera's frame."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ from sceneloom.formats.kitti.number_lines import LATEST
 from sceneloom.formats.kitti.scenes.boxes import UNTOLD
 from sceneloom.formats.kitti.written.choice import Choice
 from sceneloom.formats.kitti.written.timeline import NONE, Timeline, nearest_frames
-from sceneloom.formats.loss import Fate, Loss
+from sceneloom.formats.loss import Loss, Support
 from sceneloom.geometry.boxes import box_corners
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import matrix_from_quaternion, multiply_quaternions
@@ -26,13 +26,13 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.types import Identifier, key_of
 
 _NEAR = 0.1
-"""What has no corner further in front of the camera than this has no outline in its pictures [m]."""
+"""What has no corner further in front of the camera than this has no outline in its images [m]."""
 _UPRIGHT_WITHIN = 1e-6
-_TOLD = ("truncated", "occluded", "alpha", "score", "type")
+_REPORTED = ("truncated", "occluded", "alpha", "score", "type")
 _NO_SPACE = (-1.0, -1.0, -1.0, -1000.0, -1000.0, -1000.0, -10.0)
-"""What rows of boxes in pictures have for size, place and heading."""
+"""What rows of boxes in images have for size, location and heading."""
 _NO_OUTLINE = np.full(4, NO_OUTLINE)
-_PICTURE_ONLY = " (picture)"
+_IMAGE_ONLY = " (image)"
 
 
 @dataclass(slots=True)
@@ -40,7 +40,7 @@ class _Rows:
     frames: list[int] = field(default_factory=list)
     tracks: list[int] = field(default_factory=list)
     types: list[str] = field(default_factory=list)
-    told: list[tuple[float, float, float, float]] = field(default_factory=list)
+    reported: list[tuple[float, float, float, float]] = field(default_factory=list)
     corners: list[Float64Array] = field(default_factory=list)
     space: list[Sequence[float]] = field(default_factory=list)
 
@@ -57,40 +57,40 @@ class LabelRows:
         choice: Choice,
         timeline: Timeline,
         reference_at: Callable[[int], RigidTransform],
-        lens_at: Callable[[int, CameraSensor], Camera],
+        camera_model_at: Callable[[int, CameraSensor], Camera],
         *,
         with_tracks: bool,
     ) -> None:
         """Begin.
 
         Args:
-            choice: whose annotations are written; its reference is the camera in whose pictures boxes are. Without
-                one, every box is a row in each of its frames, and where a picture shows it is not told.
+            choice: whose annotations are written; its reference is the camera in whose images boxes are. Without
+                one, every box is a row in each of its frames, and where an image shows it is not reported.
             timeline: the frames.
             reference_at: `world_from_rectified` of a frame.
-            lens_at: of a frame's picture of the camera.
+            camera_model_at: of a frame's image of the camera.
             with_tracks: whether rows have tracks.
         """
         self.losses: list[Loss] = []
         scene = choice.scene
         self._scene, self._timeline = scene, timeline
         self._camera = None if choice.reference is None else choice.cameras[choice.reference]
-        self._reference_at, self._lens_at = reference_at, lens_at
+        self._reference_at, self._camera_model_at = reference_at, camera_model_at
         self._with_tracks = with_tracks
-        self._stamps_ns = self._picture_times(choice.reference)
+        self._timestamps_ns = self._image_times(choice.reference)
         self._angles = CuboidAngles.of(scene)
         self._rows = _Rows()
         self._tilt, self._tilted = 0.0, 0
         self._tracks = self._track_ids()
 
-    def _picture_times(self, number: int | None) -> Int64Array:
-        """When each frame's picture was; the frame's own time where it has none."""
-        chosen = None if number is None else self._timeline.pictures.get(number)
-        stamps = self._timeline.timestamps_ns.copy()
-        if chosen is not None and self._camera is not None and len(self._camera.pictures):
+    def _image_times(self, number: int | None) -> Int64Array:
+        """When each frame's image was; the frame's own time where it has none."""
+        chosen = None if number is None else self._timeline.images.get(number)
+        timestamps = self._timeline.timestamps_ns.copy()
+        if chosen is not None and self._camera is not None and len(self._camera.images):
             there = chosen != NONE
-            stamps[there] = self._camera.pictures.timestamps_ns[chosen[there]]
-        return stamps
+            timestamps[there] = self._camera.images.timestamps_ns[chosen[there]]
+        return timestamps
 
     def labels(self) -> KittiLabels:
         """Give all rows, by frame; within a frame in the order of the annotations."""
@@ -99,7 +99,7 @@ class LabelRows:
                 self._add_cuboid(annotation)
             elif isinstance(annotation, Box2DAnnotation):
                 self._add_box(annotation)
-        self._tell_tilt()
+        self._report_tilt()
         return self._collected()
 
     def _track_ids(self) -> dict[tuple[type, Identifier], int]:
@@ -122,28 +122,28 @@ class LabelRows:
         if self._with_tracks and renamed:
             what = "tracks are called by numbers there"
             self.losses.append(
-                Loss(field="annotations.cuboid.id", what=what, count=renamed, fate=Fate.CONVERTED)
+                Loss(field="annotations.cuboid.id", what=what, count=renamed, support=Support.CONVERTED)
             )
         return ids
 
     def _add_cuboid(self, annotation: CuboidAnnotation) -> None:
         seen = self._projection(annotation)
-        frames, told_boxes = self._frames_of(annotation, seen)
+        frames, reported_boxes = self._frames_of(annotation, seen)
         if not len(frames):
-            what = "left out: in no frame's picture"
+            what = "left out: in no frame's image"
             self.losses.append(Loss(field="annotations.cuboid", what=what))
             return
         seeing = self._seeing
-        stamps, starts = self._stamps_ns, self._stamps_ns
+        timestamps, starts = self._timestamps_ns, self._timestamps_ns
         if self._camera is None:
-            stamps = self._timeline.timestamps_ns
+            timestamps = self._timeline.timestamps_ns
             starts = self._timeline.starts_ns(next(iter(self._scene.lidars), None))
-        active = active_at(annotation, seeing, stamps[frames], since_ns=starts[frames])
+        active = active_at(annotation, seeing, timestamps[frames], since_ns=starts[frames])
         if not active.all():
             what = "left out in frames in which it is not active for the sensor of the labels"
             lost = int((~active).sum())
             self.losses.append(Loss(field="annotations.cuboid.path.values", what=what, count=lost))
-            frames, told_boxes = frames[active], told_boxes[active]
+            frames, reported_boxes = frames[active], reported_boxes[active]
         times = self._times_within(annotation, frames)
         by_path = cuboid_poses(annotation, times, angles=self._angles)
         poses = activated(annotation, seeing, times, by_path, angles=self._angles)
@@ -155,16 +155,16 @@ class LabelRows:
                 continue
             rectified_from_world = self._reference_at(frame).inverse()
             center = rectified_from_world.apply(poses.centers_world[k])
-            turn = multiply_quaternions(rectified_from_world.quaternion_xyzw, poses.quaternions_xyzw[k])
-            corners = told_boxes[k]
+            rotation = multiply_quaternions(rectified_from_world.quaternion_xyzw, poses.quaternions_xyzw[k])
+            corners = reported_boxes[k]
             if not np.isfinite(corners).all():
-                found = self._outline(frame, center, poses.sizes_lwh[k], turn)
+                found = self._outline(frame, center, poses.sizes_lwh[k], rotation)
                 if found is None:
                     continue
                 corners = found
-            space = self._space(center, poses.sizes_lwh[k], turn)
+            space = self._space(center, poses.sizes_lwh[k], rotation)
             self._add_row(annotation, frame, corners, attributes, space)
-        self._tell_unseen(len(frames), len(self._rows.frames) - before)
+        self._report_unseen(len(frames), len(self._rows.frames) - before)
 
     @property
     def _seeing(self) -> Identifier | None:
@@ -173,12 +173,12 @@ class LabelRows:
             return self._camera.id
         return self._scene.lidars[0].id if self._scene.lidars else None
 
-    def _tell_unseen(self, frames: int, rows: int) -> None:
-        """Tell of frames that a box is in, but whose pictures do not show it: labels are of what is seen."""
+    def _report_unseen(self, frames: int, rows: int) -> None:
+        """Report of frames that a box is in, but whose images do not show it: labels are of what is seen."""
         if not rows:
-            self.losses.append(Loss(field="annotations.cuboid", what="left out: in no frame's picture"))
+            self.losses.append(Loss(field="annotations.cuboid", what="left out: in no frame's image"))
         elif rows < frames:
-            what = "left out in frames whose pictures do not show the box"
+            what = "left out in frames whose images do not show the box"
             self.losses.append(Loss(field="annotations.cuboid.path.values", what=what, count=frames - rows))
 
     def _projection(self, annotation: CuboidAnnotation) -> Projection | None:
@@ -190,11 +190,11 @@ class LabelRows:
     def _frames_of(
         self, annotation: CuboidAnnotation, seen: Projection | None
     ) -> tuple[Int64Array, Float64Array]:
-        """The frames in which a box is told, and where its picture shows it (NaN where that is not told).
+        """The frames in which a box is reported, and where its image shows it (NaN where that is not reported).
 
-        These are the frames of its boxes in pictures, where it has some, else all in which it is there.
+        These are the frames of its boxes in images, where it has some, else all in which it is there.
         """
-        stamps = annotation.path.timestamps_ns
+        timestamps = annotation.path.timestamps_ns
         if seen is not None and seen.boxes is not None:
             there = np.isfinite(seen.boxes).all(axis=1)
             rows = self._frame_numbers(seen.timestamps_ns[there])
@@ -203,15 +203,15 @@ class LabelRows:
             corners = np.column_stack([left, top, left + width, top + height])
             numbers, first = np.unique(rows[known], return_index=True)
             return numbers, corners[first]
-        if not len(stamps):
+        if not len(timestamps):
             return np.zeros(0, np.int64), np.zeros((0, 4))
         times = self._timeline.timestamps_ns
-        inside = (times >= stamps[0]) & (times <= stamps[-1]) | bool(annotation.stationary)
-        frames = np.union1d(np.flatnonzero(inside), self._known(self._frame_numbers(stamps)))
+        inside = (times >= timestamps[0]) & (times <= timestamps[-1]) | bool(annotation.stationary)
+        frames = np.union1d(np.flatnonzero(inside), self._known(self._frame_numbers(timestamps)))
         return frames, np.full((len(frames), 4), np.nan)
 
-    def _frame_numbers(self, stamps_ns: Int64Array) -> Int64Array:
-        return nearest_frames(self._stamps_ns, stamps_ns)
+    def _frame_numbers(self, timestamps_ns: Int64Array) -> Int64Array:
+        return nearest_frames(self._timestamps_ns, timestamps_ns)
 
     @staticmethod
     def _known(frames: Int64Array) -> Int64Array:
@@ -220,28 +220,32 @@ class LabelRows:
 
     def _times_within(self, annotation: CuboidAnnotation, frames: Int64Array) -> Int64Array:
         """The frames' times, brought within the box's own."""
-        stamps = annotation.path.timestamps_ns
+        timestamps = annotation.path.timestamps_ns
         times = self._timeline.timestamps_ns[frames]
-        return times if annotation.stationary or not len(stamps) else np.clip(times, stamps[0], stamps[-1])
+        return (
+            times
+            if annotation.stationary or not len(timestamps)
+            else np.clip(times, timestamps[0], timestamps[-1])
+        )
 
     def _outline(
-        self, frame: int, center: Float64Array, size_lwh: Float64Array, turn: Float64Array
+        self, frame: int, center: Float64Array, size_lwh: Float64Array, rotation: Float64Array
     ) -> Float64Array | None:
-        """The box around what a picture shows of a box in space, corner convention; None where it shows nothing."""
+        """The box around what an image shows of a box in space, corner convention; None where it shows nothing."""
         from sceneloom.visibility.outlines import box_extents
 
         if self._camera is None:
             return _NO_OUTLINE
-        corners = box_corners(center, size_lwh, turn)
+        corners = box_corners(center, size_lwh, rotation)
         if corners[:, 2].max() <= _NEAR:
             return None
-        extents, _ = box_extents(self._lens_at(frame, self._camera), corners[None])
+        extents, _ = box_extents(self._camera_model_at(frame, self._camera), corners[None])
         left, top, right, bottom = extents[0].tolist()
         return extents[0] if np.isfinite(extents).all() and right > left and bottom > top else None
 
-    def _space(self, center: Float64Array, size_lwh: Float64Array, turn: Float64Array) -> list[float]:
-        """Size, place and heading of an upright box: how it is tilted is dropped."""
-        matrix = matrix_from_quaternion(turn)
+    def _space(self, center: Float64Array, size_lwh: Float64Array, rotation: Float64Array) -> list[float]:
+        """Size, location and heading of an upright box: how it is tilted is dropped."""
+        matrix = matrix_from_quaternion(rotation)
         tilt = float(np.arccos(np.clip(-matrix[1, 2], -1.0, 1.0)))
         if tilt > _UPRIGHT_WITHIN and np.hypot(matrix[0, 2], matrix[2, 2]) > _UPRIGHT_WITHIN:
             self._tilt, self._tilted = max(self._tilt, tilt), self._tilted + 1
@@ -249,7 +253,7 @@ class LabelRows:
         bottom = (center + np.array([0.0, height / 2, 0.0])).tolist()
         return [height, width, length, *bottom, float(np.arctan2(-matrix[2, 0], matrix[0, 0]))]
 
-    def _tell_tilt(self) -> None:
+    def _report_tilt(self) -> None:
         if self._tilted:
             what = "stood upright about the camera's y axis: their tilt against it is dropped [deg]"
             self.losses.append(
@@ -257,25 +261,25 @@ class LabelRows:
                     field="annotations.cuboid.path.values",
                     what=what,
                     count=self._tilted,
-                    fate=Fate.APPROXIMATED,
+                    support=Support.APPROXIMATED,
                     largest_error=float(np.degrees(self._tilt)),
                 )
             )
 
     def _add_box(self, annotation: Box2DAnnotation) -> None:
         if self._camera is None or key_of(annotation.sensor_id) != key_of(self._camera.id):
-            what = "left out: drawn into pictures of another camera"
+            what = "left out: drawn into images of another camera"
             self.losses.append(Loss(field="annotations.box_2d", what=what))
             return
         frames = np.unique(self._known(self._frame_numbers(annotation.path.timestamps_ns)))
-        stamps = annotation.path.timestamps_ns
-        if len(stamps) > 1:
-            inside = (self._stamps_ns >= stamps[0]) & (self._stamps_ns <= stamps[-1])
-            if len(stamps) < int(inside.sum()) and not self._is_by_frame(annotation):
+        timestamps = annotation.path.timestamps_ns
+        if len(timestamps) > 1:
+            inside = (self._timestamps_ns >= timestamps[0]) & (self._timestamps_ns <= timestamps[-1])
+            if len(timestamps) < int(inside.sum()) and not self._is_by_frame(annotation):
                 frames = np.flatnonzero(inside)
-        times = self._stamps_ns[frames]
-        if len(stamps):
-            times = np.clip(times, stamps[0], stamps[-1])
+        times = self._timestamps_ns[frames]
+        if len(timestamps):
+            times = np.clip(times, timestamps[0], timestamps[-1])
         values, there = box_2d_at(annotation, times)
         attributes = {attribute.name: attribute for attribute in annotation.attributes}
         for k, frame in enumerate(frames.tolist()):
@@ -285,7 +289,7 @@ class LabelRows:
                 self._add_row(annotation, frame, corners, attributes, _NO_SPACE)
 
     def _is_by_frame(self, annotation: Box2DAnnotation) -> bool:
-        """Whether a box has a stamp for each frame that it is in, gaps between them being meant."""
+        """Whether a box has a timestamp for each frame that it is in, gaps between them being meant."""
         return bool((self._frame_numbers(annotation.path.timestamps_ns) != NONE).all())
 
     def _add_row(
@@ -296,8 +300,8 @@ class LabelRows:
         attributes: dict[str, AttributePath],
         space: Sequence[float],
     ) -> None:
-        time = [int(self._stamps_ns[frame])]
-        told = {name: _number(attributes.get(name), time) for name in _TOLD[:4]}
+        time = [int(self._timestamps_ns[frame])]
+        reported = {name: _number(attributes.get(name), time) for name in _REPORTED[:4]}
         kinds = attribute_at(attributes["type"], time) if "type" in attributes else [None]
         rows = self._rows
         rows.frames.append(frame)
@@ -305,13 +309,13 @@ class LabelRows:
         rows.types.append(self._word(kinds[0] if isinstance(kinds[0], str) else annotation.label))
         rows.corners.append(corners if corners is _NO_OUTLINE else corners - CENTRE_TO_CORNER)
         rows.space.append(space)
-        alpha = told["alpha"]
+        alpha = reported["alpha"]
         if alpha is None:
             alpha = UNTOLD["alpha"]
             if space[0] > 0 and corners is not _NO_OUTLINE:
                 alpha = float(observation_angles(np.array([space[3:6]]), np.array([space[6]]))[0])
-        truncated, occluded, score = told["truncated"], told["occluded"], told["score"]
-        rows.told.append(
+        truncated, occluded, score = reported["truncated"], reported["occluded"], reported["score"]
+        rows.reported.append(
             (
                 UNTOLD["truncated"] if truncated is None else truncated,
                 UNTOLD["occluded"] if occluded is None else float(int(occluded)),
@@ -326,12 +330,12 @@ class LabelRows:
         word = word if word[:1].isalpha() else f"Misc_{word}"
         if word != label:
             what = f"{label!r} written as {word!r}: a class is a word there"
-            self.losses.append(Loss(field="annotations.cuboid.label", what=what, fate=Fate.CONVERTED))
+            self.losses.append(Loss(field="annotations.cuboid.label", what=what, support=Support.CONVERTED))
         return word
 
     def _lose_rest(self, annotation: CuboidAnnotation, seen: Projection | None) -> None:
-        """Tell of what a box has beside what rows hold."""
-        others = [a for a in annotation.attributes if a.name not in _TOLD]
+        """Report of what a box has beside what rows hold."""
+        others = [a for a in annotation.attributes if a.name not in _REPORTED]
         further = len(annotation.projections) - (seen is not None)
         for name, count in (
             ("attributes", len(others)),
@@ -342,39 +346,39 @@ class LabelRows:
             ("extras", len(annotation.extras)),
         ):
             if count:
-                what = "left out: a row has no place for it"
+                what = "left out: a row has no field for it"
                 self.losses.append(Loss(field=f"annotations.cuboid.{name}", what=what, count=count))
 
     def _collected(self) -> KittiLabels:
         rows = self._rows
         count = len(rows.frames)
         order = np.argsort(np.array(rows.frames, np.int64), kind="stable")
-        told = np.array(rows.told, np.float64).reshape(count, 4)[order]
+        reported = np.array(rows.reported, np.float64).reshape(count, 4)[order]
         space = np.array(rows.space, np.float64).reshape(count, 7)[order]
-        scored = count > 0 and bool(np.isfinite(told[:, 3]).all())
-        if count and not scored and np.isfinite(told[:, 3]).any():
+        scored = count > 0 and bool(np.isfinite(reported[:, 3]).all())
+        if count and not scored and np.isfinite(reported[:, 3]).any():
             what = "left out: rows have scores only where all of them have one"
-            lost = int(np.isfinite(told[:, 3]).sum())
+            lost = int(np.isfinite(reported[:, 3]).sum())
             self.losses.append(Loss(field="annotations.cuboid.attributes", what=what, count=lost))
         return KittiLabels(
             frames=np.array(rows.frames, np.int64)[order],
             track_ids=np.array(rows.tracks, np.int64)[order],
             types=tuple(rows.types[k] for k in order.tolist()),
-            truncations=told[:, 0].copy(),
-            occlusions=told[:, 1].astype(np.int64),
-            alphas=told[:, 2].copy(),
+            truncations=reported[:, 0].copy(),
+            occlusions=reported[:, 1].astype(np.int64),
+            alphas=reported[:, 2].copy(),
             corners_xyxy=np.array(rows.corners, np.float64).reshape(count, 4)[order],
             sizes_hwl=space[:, :3].copy(),
             bottoms=space[:, 3:6].copy(),
             rotations_y=space[:, 6].copy(),
-            scores=told[:, 3].copy() if scored else None,
+            scores=reported[:, 3].copy() if scored else None,
         )
 
 
 def _own_track(annotation: CuboidAnnotation | Box2DAnnotation) -> int | None:
     """The number that a box's id says, if it says one."""
     identifier = annotation.id
-    text = str(identifier).removesuffix(_PICTURE_ONLY)
+    text = str(identifier).removesuffix(_IMAGE_ONLY)
     if isinstance(identifier, int) or (text != identifier and text.isascii() and text.isdigit()):
         number = int(text)
         return number if 0 <= number <= LATEST else None

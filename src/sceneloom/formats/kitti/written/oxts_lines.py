@@ -1,4 +1,4 @@
-"""OXTS lines of a scene: from the way of the ego, the IMU and the satellite receiver."""
+"""OXTS lines of a scene: from the ego trajectory, the IMU and the satellite receiver."""
 
 from dataclasses import dataclass
 
@@ -7,19 +7,19 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.formats.kitti.oxts import FIELDS
 from sceneloom.formats.kitti.scenes.inertial import STREAMS
-from sceneloom.formats.loss import Fate, Loss
+from sceneloom.formats.loss import Loss, Support
 from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.scene.ego import stated_origin
 from sceneloom.scene.motion import GnssSensor, ImuSensor
-from sceneloom.scene.poses import PosePath
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
 
 UNTOLD = {"navstat": -1.0, "numsats": -1.0, "posmode": -1.0, "velmode": -1.0, "orimode": -1.0}
-"""What stands for states that nothing tells; of all other columns it is 0."""
+"""What stands for states that nothing reports; of all other columns it is 0."""
 
-_SAME_PLACE = 1e-6
+_SAME_LOCATION = 1e-6
 _STEP_NS = 50_000_000
 
 
@@ -44,7 +44,7 @@ class OxtsLines:
         ]
 
 
-def oxts_lines(scene: Scene, path: PosePath, timestamps_ns: Int64Array) -> OxtsLines:
+def oxts_lines(scene: Scene, path: Poses, timestamps_ns: Int64Array) -> OxtsLines:
     """Give a line for each time.
 
     Args:
@@ -57,15 +57,15 @@ def oxts_lines(scene: Scene, path: PosePath, timestamps_ns: Int64Array) -> OxtsL
     gnss = next((sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)), None)
     held = path.held(timestamps_ns)
     beyond = (
-        0 if path.endless else int(((timestamps_ns < path.start_ns) | (timestamps_ns > path.stop_ns)).sum())
+        0 if path.static else int(((timestamps_ns < path.start_ns) | (timestamps_ns > path.stop_ns)).sum())
     )
     if beyond:
-        what = "beyond the way: its end poses written"
-        table.lose("trajectories.positions", what, beyond, Fate.APPROXIMATED)
-    turns = matrix_from_quaternion(held.quaternions_xyzw)
-    angles = cuboid_angles_from_rotation(turns, unit=AngleUnit.RADIANS, order="zyx")
+        what = "beyond the trajectory: its end poses written"
+        table.lose("trajectories.positions", what, beyond, Support.APPROXIMATED)
+    rotations = matrix_from_quaternion(held.quaternions_xyzw)
+    angles = cuboid_angles_from_rotation(rotations, unit=AngleUnit.RADIANS, order="zyx")
     table.put(("roll", "pitch", "yaw"), angles)
-    _put_places(table, scene, path, held.positions, gnss)
+    _put_locations(table, scene, path, held.positions, gnss)
     _put_motion(table, path, angles[:, 2])
     _put_inertial(table, imu, angles)
     _put_accuracies(table, gnss)
@@ -86,18 +86,18 @@ class _Table:
     def of(self, names: tuple[str, ...]) -> Float64Array:
         return self.values[:, [FIELDS.index(name) for name in names]]
 
-    def lose(self, name: str, what: str, count: int, fate: Fate, error: float | None = None) -> None:
-        self.losses.append(Loss(field=name, what=what, count=count, fate=fate, largest_error=error))
+    def lose(self, name: str, what: str, count: int, support: Support, error: float | None = None) -> None:
+        self.losses.append(Loss(field=name, what=what, count=count, support=support, largest_error=error))
 
 
-def _put_places(
-    table: _Table, scene: Scene, path: PosePath, positions: Float64Array, gnss: GnssSensor | None
+def _put_locations(
+    table: _Table, scene: Scene, path: Poses, positions: Float64Array, gnss: GnssSensor | None
 ) -> None:
-    """Latitude, longitude and altitude of the way: by the world's origin where it is known."""
+    """Latitude, longitude and altitude of the trajectory: by the world's origin where it is known."""
     names = ("lat", "lon", "alt")
     if gnss is not None and np.array_equal(gnss.timestamps_ns, table.timestamps_ns):
-        way = enu_from_geodetic(gnss.positions_lla, gnss.positions_lla[0])
-        if np.abs(way - positions).max(initial=0.0) <= _SAME_PLACE:
+        trajectory = enu_from_geodetic(gnss.positions_lla, gnss.positions_lla[0])
+        if np.abs(trajectory - positions).max(initial=0.0) <= _SAME_LOCATION:
             table.put(names, gnss.positions_lla)
             return
     origin, error = _origin(scene, path, gnss)
@@ -105,20 +105,21 @@ def _put_places(
     if origin is None:
         origin = np.zeros(3)
         what = "where on earth the world is, is not known: written as if its origin were at latitude and longitude 0"
-        table.lose("trajectories.positions", what, count, Fate.APPROXIMATED)
+        table.lose("trajectories.positions", what, count, Support.APPROXIMATED)
     elif error is not None:
         what = "placed on earth by the satellite receiver's fixes, taking the world's axes as east, north and up [m]"
-        table.lose("sensors.gnss.positions_lla", what, count, Fate.APPROXIMATED, error)
-    if count and np.linalg.norm(positions[0]) > _SAME_PLACE:
-        what = "read back, the world's origin is the first line's place"
-        table.lose("trajectories.positions", what, count, Fate.CONVERTED)
+        table.lose("sensors.gnss.positions_lla", what, count, Support.APPROXIMATED, error)
+    if count and np.linalg.norm(positions[0]) > _SAME_LOCATION:
+        what = "read back, the world's origin is the first line's location"
+        table.lose("trajectories.positions", what, count, Support.CONVERTED)
     table.put(names, geodetic_from_enu(positions, origin))
 
 
-def _origin(
-    scene: Scene, path: PosePath, gnss: GnssSensor | None
-) -> tuple[Float64Array | None, float | None]:
-    """The world's origin on earth, (3,) latitude, longitude, altitude, and how far fixes are from the way it gives."""
+def _origin(scene: Scene, path: Poses, gnss: GnssSensor | None) -> tuple[Float64Array | None, float | None]:
+    """The world's origin on earth, (3,) latitude, longitude, altitude.
+
+    And how far fixes are from the trajectory it gives.
+    """
     stated = stated_origin(scene)
     if stated is not None:
         return np.array(stated), None
@@ -135,12 +136,12 @@ def _origin(
     return origin, error
 
 
-def _put_motion(table: _Table, path: PosePath, yaws: Float64Array) -> None:
-    """Velocities of the way, over a tenth of a second."""
+def _put_motion(table: _Table, path: Poses, yaws: Float64Array) -> None:
+    """Velocities of the trajectory, over a tenth of a second."""
     ahead = path.held(table.timestamps_ns + _STEP_NS).positions
     behind = path.held(table.timestamps_ns - _STEP_NS).positions
     span_ns = np.full(len(yaws), 2 * _STEP_NS)
-    if not path.endless:
+    if not path.static:
         late = np.minimum(table.timestamps_ns + _STEP_NS, path.stop_ns)
         span_ns = late - np.maximum(table.timestamps_ns - _STEP_NS, path.start_ns)
     velocity = (ahead - behind) / (np.maximum(span_ns, 1)[:, None] / 1e9)
@@ -154,7 +155,7 @@ def _put_inertial(table: _Table, imu: ImuSensor | None, angles: Float64Array) ->
     """Accelerations and rates at the lines' times, in the unit's axes and in level ones."""
     if imu is None:
         return
-    level = _level_turns(angles)
+    level = _level_rotations(angles)
     for stream, levelled in (("accelerometer", "levelAcceleration"), ("gyroscope", "levelGyroscope")):
         values = _at(table, imu, stream)
         if values is not None:
@@ -167,13 +168,13 @@ def _put_inertial(table: _Table, imu: ImuSensor | None, angles: Float64Array) ->
     for stream, samples in imu.streams.items():
         kind = stream if stream in ("accelerometer", "gyroscope", "magnetometer") else "other"
         if stream not in STREAMS:
-            table.lose(f"sensors.imu.streams.{kind}", f"{stream!r} left out", len(samples), Fate.DROPPED)
+            table.lose(f"sensors.imu.streams.{kind}", f"{stream!r} left out", len(samples), Support.DROPPED)
         elif not _same_times(table, imu, stream):
             what = "a value at the time of each line, between the nearest two; the others are left out"
-            table.lose(f"sensors.imu.streams.{kind}", what, len(samples), Fate.APPROXIMATED)
+            table.lose(f"sensors.imu.streams.{kind}", what, len(samples), Support.APPROXIMATED)
 
 
-def _level_turns(angles: Float64Array) -> Float64Array:
+def _level_rotations(angles: Float64Array) -> Float64Array:
     """What takes the unit's axes into level ones of the same heading, (N, 3, 3)."""
     from sceneloom.geometry.euler import rotation_from_cuboid_angles
 
@@ -207,7 +208,7 @@ def _put_accuracies(table: _Table, gnss: GnssSensor | None) -> None:
     )
     table.put(("pos_accuracy",), np.nan_to_num(gnss.accuracies[nearest], nan=0.0)[:, None])
     if np.isfinite(gnss.vertical_accuracies).any():
-        table.lose("sensors.gnss.vertical_accuracies", "left out", len(gnss.timestamps_ns), Fate.DROPPED)
+        table.lose("sensors.gnss.vertical_accuracies", "left out", len(gnss.timestamps_ns), Support.DROPPED)
     if not np.array_equal(gnss.timestamps_ns, table.timestamps_ns):
-        what = "fixes are left out: lines have the places of the ego's way"
-        table.lose("sensors.gnss.positions_lla", what, len(gnss.timestamps_ns), Fate.APPROXIMATED)
+        what = "fixes are left out: lines have the locations of the ego trajectory"
+        table.lose("sensors.gnss.positions_lla", what, len(gnss.timestamps_ns), Support.APPROXIMATED)

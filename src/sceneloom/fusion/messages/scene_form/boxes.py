@@ -42,8 +42,8 @@ def boxes_3d_of(record: Boxes3d, *, sensor_id: Identifier | None = None) -> Boxe
 def boxes_3d_record(boxes: Boxes3D, *, sensor_id: int, seq: int) -> Boxes3d:
     """Give the list of table 7 of boxes in a lidar's frame.
 
-    Boxes without ids are numbered, those without velocities stand still, and covariances have no place. Scores of the
-    form `logit` become probabilities.
+    Boxes without ids are numbered, those without velocities are stationary, and covariances have no location. Scores of
+    the form `logit` become probabilities.
 
     Raises:
         DataError: a number cannot stand in the record.
@@ -68,7 +68,7 @@ def boxes_3d_record(boxes: Boxes3D, *, sensor_id: int, seq: int) -> Boxes3d:
 
 
 def boxes_2d_of(record: Boxes2d, *, sensor_id: Identifier | None = None) -> Boxes2D:
-    """Give the boxes of a list of table 8; both count pixels from the picture's own corner.
+    """Give the boxes of a list of table 8; both count pixels from the image's own corner.
 
     Args:
         sensor_id: the camera in the scene; None for the record's own number.
@@ -86,12 +86,12 @@ def boxes_2d_of(record: Boxes2d, *, sensor_id: Identifier | None = None) -> Boxe
 def boxes_2d_record(
     boxes: Boxes2D, *, sensor_id: int, seq: int, size_wh: tuple[int, int] | None = None
 ) -> Boxes2d:
-    """Give the list of table 8 of boxes in a picture, with the whole pixels that each touches.
+    """Give the list of table 8 of boxes in an image, with the whole pixels that each touches.
 
-    Boxes that have no area within the picture, or are not finite, are left out: the record has fewer then.
+    Boxes that have no area within the image, or are not finite, are left out: the record has fewer then.
 
     Args:
-        size_wh: of the picture [px], to which boxes are cut; None to cut at 0 alone.
+        size_wh: of the image [px], to which boxes are cut; None to cut at 0 alone.
 
     Raises:
         DataError: a number cannot stand in the record.
@@ -115,7 +115,7 @@ def _whole_corners(corners_xyxy: Float64Array, size_wh: tuple[int, int] | None) 
 
     Args:
         corners_xyxy: (N, 4) [px], left, upper, right and lower edge; of a box that is not finite all become 0.
-        size_wh: of the picture [px], to which boxes are cut.
+        size_wh: of the image [px], to which boxes are cut.
 
     Returns:
         (N, 4) uint32: lower edges rounded down, upper ones up.

@@ -16,13 +16,13 @@ from sceneloom.fusion.messages.timestamps import NANOSECONDS, Timestamp
 from sceneloom.scene.clouds import LidarFrame, LidarPoints
 
 REFLECTIVITY_NAMES = ("reflectivity", "intensity")
-"""Fields that say how bright a return is; the first one is written."""
+"""Fields that state how bright a return is; the first one is written."""
 
 COLOR_NAMES = ("r", "g", "b")
 """Fields of a coloured point, 0 to 255."""
 
 _RAW_FIELDS = ("reflectivity", "ring", "time")
-"""What the 23-byte records of the recording format tell of a point beside its position."""
+"""What the 23-byte records of the recording format report a point beside its position."""
 
 _LONGEST_OFFSET = 3600.0
 """Times of points that are farther than so many seconds from their cloud's are none."""
@@ -34,7 +34,7 @@ def lidar_frame_of(record: PointCloudData) -> LidarFrame:
     """Give the sweep of a point cloud record.
 
     `reflectivity` or `intensity` becomes intensities: whole numbers to 255 as they are, fractions to 1 times 255,
-    larger ones scaled from 65535; `ring` rings; `time` [s, from the cloud's time stamp] times; `r`, `g`, `b` colours. A
+    larger ones scaled from 65535; `ring` rings; `time` [s, from the cloud's timestamp] times; `r`, `g`, `b` colours. A
     field that these do not hold exactly, and any other, stays as it is in `points.extras`. The frame's extras hold
     sensor_id, seq, fields, sensor_type, beam and ring of the record. Points with a number that is not finite are left
     out: the sweep has fewer then.

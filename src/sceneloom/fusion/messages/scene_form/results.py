@@ -35,19 +35,19 @@ def sensor_fusion_of(
     fields: Sequence[str] | None = None,
     image: ImageData | None = None,
 ) -> SensorFusionData:
-    """Give the record of a sweep and one of the pictures that it was paired with.
+    """Give the record of a sweep and one of the images that it was paired with.
 
     Args:
         frame: the sweep.
-        view: the picture.
+        view: the image.
         points: the points to give, in the frame that `point_frame` names.
         camera_id, lidar_id: numbers of the sensors in the record.
-        image_seq, points_seq: numbers of the picture and of the sweep.
+        image_seq, points_seq: numbers of the image and of the sweep.
         depth_kind: "z" along the optical axis, or "range" along the ray, from the camera's centre.
         point_frame: "lidar" or "camera".
-        motion_compensated: whether the way of the vehicle was taken into account.
+        motion_compensated: whether the ego trajectory was taken into account.
         fields: what to give of each point; None for all that there is.
-        image: the picture as it was sent, whose encoding and data the record gets; None for its pixels as rgb8.
+        image: the image as it was sent, whose encoding and data the record gets; None for its pixels as rgb8.
 
     Raises:
         DataError: a number cannot stand in the record.
@@ -96,7 +96,7 @@ def range_image(frame: FusedFrame, view: FusedView) -> Float32Array:
 def depth_frame_of(record: SensorFusionData, camera: Camera) -> DepthFrame:
     """Give the depth image of a result; distances along the rays become depths along the axis at the pixels' centres.
 
-    A record that does not say which kind it holds is taken to hold depths along the axis.
+    A record that does not state which kind it holds is taken to hold depths along the axis.
 
     Raises:
         DataError: the result's size is not that of the camera.
@@ -105,11 +105,11 @@ def depth_frame_of(record: SensorFusionData, camera: Camera) -> DepthFrame:
         if getattr(record, name) != getattr(camera, name):
             problem = f"{getattr(record, name)}; expected {getattr(camera, name)} as in the calibration"
             raise SENSOR_FUSION.fault(name, problem)
-    stamp = record.timestamp if record.image_timestamp is None else record.image_timestamp
+    timestamp = record.timestamp if record.image_timestamp is None else record.image_timestamp
     depth = record.depths
     if record.depth_kind == "range":
         depth = _along_axis(depth, camera)
-    frame = DepthFrame.of(stamp.nanoseconds, camera, depth)
+    frame = DepthFrame.of(timestamp.nanoseconds, camera, depth)
     extras = MappingProxyType({"sensor_id": record.camera_id, "seq": record.image_seq})
     return DepthFrame(frame.timestamp_ns, camera, frame.decode, extras=extras)
 

@@ -1,1 +1,1 @@
-"""What detectors wrote into files, whatever the form: lists of boxes in space and in pictures, by frame."""
+"""What detectors wrote into files, whatever the form: lists of boxes in space and in images, by frame."""

@@ -1,4 +1,4 @@
-"""What a list of boxes does not say itself: whose they are, when its frames were, and how frames lie."""
+"""What a list of boxes does not state itself: whose they are, when its frames were, and how frames lie."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ class ListContext:
 
     Attributes:
         sensor_id: the lidar, or the camera.
-        timestamps_ns: of its sweeps or pictures, (N,) int64 [ns], rising: by them, frames are numbered.
+        timestamps_ns: of its sweeps or images, (N,) int64 [ns], rising: by them, frames are numbered.
         number: `sensor_id` of the records that are its own; None for all.
         others: those of other sensors that are known, whose records are no matter.
         source: `world_from_sensor`, for boxes in the world; None where it is not known.
@@ -38,7 +38,7 @@ class ListContext:
     sensor_from_camera: RigidTransform | None = None
     label: str | None = None
 
-    def time_of(self, frame: int, path: Path, place: str) -> int:
+    def time_of(self, frame: int, path: Path, location: str) -> int:
         """When a frame was [ns].
 
         Raises:
@@ -47,7 +47,7 @@ class ListContext:
         if not 0 <= frame < len(self.timestamps_ns):
             raise DataError(
                 path,
-                place,
+                location,
                 f"frame {frame}; expected 0 to {len(self.timestamps_ns) - 1}, as sensor {self.sensor_id!r} has them",
             )
         return int(self.timestamps_ns[frame])
@@ -66,7 +66,7 @@ class ListForm:
         looks_like: what a person knows it by.
         recognises: whether the beginning of a file, its blanks taken off, is of this form.
         read_3d: reads boxes in space; None where the form has none.
-        read_2d: reads boxes in pictures; None where the form has none.
+        read_2d: reads boxes in images; None where the form has none.
     """
 
     name: str

@@ -18,7 +18,7 @@ from sceneloom.fusion.messages.records import RECORD_KINDS
 from sceneloom.fusion.messages.scene_form.boxes import boxes_2d_of, boxes_3d_of
 from sceneloom.pipeline.detections.lists.context import ListContext, ListForm, sorted_by_time
 from sceneloom.scene.detections import Boxes2D, Boxes3D
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.warnings import WarningKind
 
 
 def _recognises(head: str) -> bool:
@@ -44,7 +44,7 @@ def _read_2d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes
 def _complete(lists: list[Any], context: ListContext, empty: Any) -> list[Any]:
     """In the order of time, with lists of nothing for frames of the sensor between the first and last that have none.
 
-    A detector that writes bare boxes cannot say that it found nothing.
+    A detector that writes bare boxes cannot state that it found nothing.
     """
     if lists:
         known = {boxes.timestamp_ns for boxes in lists}
@@ -80,8 +80,8 @@ def _records(
         try:
             record = _record(line, wanted)
         except DataError as error:
-            place = ": ".join(filter(None, (f"line {number}", error.place)))
-            ledger.fault("faulty-detections", DataError(path, place, error.problem))
+            location = ": ".join(filter(None, (f"line {number}", error.location)))
+            ledger.fault("faulty-detections", DataError(path, location, error.problem))
             continue
         if isinstance(record, single):
             lone.append(record)
@@ -91,7 +91,7 @@ def _records(
             others += 1
     if others:
         message = "lists whose sensor_id is that of no sensor here"
-        ledger.note(NoticeKind.SKIPPED, "other-sensors", str(path), message, count=others)
+        ledger.note(WarningKind.SKIPPED, "other-sensors", str(path), message, count=others)
     lone.sort(key=_frame_of)  # stable: within a frame, the order of the file
     for _, same in groupby(lone, key=_frame_of):
         yield joined([box.alone(context.number or 0) for box in same])

@@ -21,7 +21,7 @@ from sceneloom.formats.ledger import Ledger
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detections.lists.context import ListContext, ListForm
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
-from sceneloom.scene.notices import NoticeKind
+from sceneloom.scene.warnings import WarningKind
 
 
 def _has_commas(head: str) -> bool:
@@ -75,7 +75,7 @@ def _folder_label(path: Path) -> str:
 
 def _results_3d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes3D]:
     results = _results(path)
-    results = results.select(results.have_place)
+    results = results.select(results.have_position)
     placed = _in_sensor(path, context, ledger, results.sizes_hwl, results.bottoms, results.rotations_y)
     centers, sizes, yaws = placed
     scores, form = _scores(results)
@@ -141,7 +141,7 @@ def _in_sensor(
             raise DataError(path, "", problem)
         sensor_from_camera = RigidTransform.identity()
     message = "its boxes are taken to be in the frame of the camera that was chosen"
-    ledger.note(NoticeKind.ASSUMED, "boxes-in-camera-frame", str(path), message)
+    ledger.note(WarningKind.ASSUMED, "boxes-in-camera-frame", str(path), message)
     return lidar_boxes(sizes_hwl, bottoms, rotations_y, sensor_from_camera.inverse())
 
 

@@ -15,13 +15,13 @@ from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.pipeline.detections.detected import poses_at
 from sceneloom.pipeline.detections.lists.context import ListContext, ListForm, sorted_by_time
 from sceneloom.scene.detections import Boxes3D, ScoreForm
-from sceneloom.scene.notices import NoticeKind
 from sceneloom.scene.pose_source import PoseSource
 from sceneloom.scene.types import Identifier, PointsFrame
+from sceneloom.scene.warnings import WarningKind
 
 _WORD = '"results"'
 _NAMES = ("sample.json",)
-"""Where the times of samples are told, beside the file or above it."""
+"""Where the times of samples are reported, beside the file or above it."""
 
 
 def _recognises(head: str) -> bool:
@@ -37,19 +37,19 @@ def _read_3d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes
     if context.source is None:
         raise DataError(path, "", "its boxes are in the world, and it is not known where the lidar was")
     results = _results(path)
-    stamps = _sample_times(path, results, context)
+    timestamps = _sample_times(path, results, context)
     lists = []
     for token, boxes in results.items():
-        time_ns = stamps.get(token)
+        time_ns = timestamps.get(token)
         if time_ns is None:
             message = "samples that are not of this drive"
-            ledger.note(NoticeKind.SKIPPED, "other-samples", f"{path}: results.{token}", message)
+            ledger.note(WarningKind.SKIPPED, "other-samples", f"{path}: results.{token}", message)
             continue
         rows = []
         for k, box in enumerate(boxes):
-            place = f"results.{token}[{k}]"
+            location = f"results.{token}[{k}]"
             try:
-                rows.append(_row(path, place, box))
+                rows.append(_row(path, location, box))
             except DataError as error:
                 ledger.fault("faulty-detections", error)
         lists.append(_boxes(rows, time_ns, context.source, context.sensor_id))
@@ -98,44 +98,44 @@ def _in_drive(time_ns: int, context: ListContext) -> bool:
 _NUMBERS = {"translation": 3, "size": 3, "rotation": 4}
 
 
-def _row(path: Path, place: str, box: Any) -> tuple[Float64Array, str]:
+def _row(path: Path, location: str, box: Any) -> tuple[Float64Array, str]:
     """Middle, length, width, height, yaw, velocity and score of a box, (11,), and its class."""
     if not isinstance(box, Mapping):
-        raise DataError(path, place, f"{str(box)[:40]}; expected an object")
-    numbers = {name: _vector(path, place, box, name, count) for name, count in _NUMBERS.items()}
+        raise DataError(path, location, f"{str(box)[:40]}; expected an object")
+    numbers = {name: _vector(path, location, box, name, count) for name, count in _NUMBERS.items()}
     if (numbers["size"] <= 0).any():
-        raise DataError(path, f"{place}.size", f"{numbers['size'].tolist()}; expected sizes above 0")
+        raise DataError(path, f"{location}.size", f"{numbers['size'].tolist()}; expected sizes above 0")
     w, x, y, z = numbers["rotation"]
     if not 0.99 < float(np.linalg.norm(numbers["rotation"])) < 1.01:
-        raise DataError(path, f"{place}.rotation", f"{[w, x, y, z]}; expected w, x, y, z of length 1")
+        raise DataError(path, f"{location}.rotation", f"{[w, x, y, z]}; expected w, x, y, z of length 1")
     heading = matrix_from_quaternion([x, y, z, w])[:, 0]
-    velocity = np.nan_to_num(_velocity(path, place, box))
+    velocity = np.nan_to_num(_velocity(path, location, box))
     label, score = box.get("detection_name"), box.get("detection_score")
     if not isinstance(label, str) or not label:
-        raise DataError(path, f"{place}.detection_name", f"{label!r}; expected the name of a class")
+        raise DataError(path, f"{location}.detection_name", f"{label!r}; expected the name of a class")
     if isinstance(score, bool) or not isinstance(score, int | float) or not np.isfinite(score):
-        raise DataError(path, f"{place}.detection_score", f"{score!r}; expected a finite number")
+        raise DataError(path, f"{location}.detection_score", f"{score!r}; expected a finite number")
     yaw = np.arctan2(heading[1], heading[0])
     width, length, height = numbers["size"]
     return np.array([*numbers["translation"], length, width, height, yaw, *velocity, 0.0, score]), label
 
 
-def _vector(path: Path, place: str, box: Mapping[str, Any], name: str, count: int) -> Float64Array:
+def _vector(path: Path, location: str, box: Mapping[str, Any], name: str, count: int) -> Float64Array:
     value = box.get(name)
     sound = isinstance(value, list) and len(value) == count
     if not sound or not all(isinstance(one, int | float) and abs(one) < 1e9 for one in value or ()):
-        raise DataError(path, f"{place}.{name}", f"{str(value)[:60]}; expected {count} finite numbers")
+        raise DataError(path, f"{location}.{name}", f"{str(value)[:60]}; expected {count} finite numbers")
     return np.array(value, np.float64)
 
 
-def _velocity(path: Path, place: str, box: Mapping[str, Any]) -> Float64Array:
-    """Of a box [m/s], x and y; a JSON may say NaN or null where it is not known, which stands for 0."""
+def _velocity(path: Path, location: str, box: Mapping[str, Any]) -> Float64Array:
+    """Of a box [m/s], x and y; a JSON may state NaN or null where it is not known, which stands for 0."""
     value = box.get("velocity") or [0.0, 0.0]
     if not isinstance(value, list) or len(value) < 2:
-        raise DataError(path, f"{place}.velocity", f"{str(value)[:60]}; expected two numbers")
+        raise DataError(path, f"{location}.velocity", f"{str(value)[:60]}; expected two numbers")
     known = [0.0 if one is None else one for one in value[:2]]
     if not all(isinstance(one, int | float) for one in known):
-        raise DataError(path, f"{place}.velocity", f"{str(value)[:60]}; expected two numbers")
+        raise DataError(path, f"{location}.velocity", f"{str(value)[:60]}; expected two numbers")
     return np.array(known, np.float64)
 
 

@@ -44,8 +44,8 @@ def read_boxes_3d(path: Path | str, context: ListContext, ledger: Ledger) -> Seq
 
     Args:
         path: a file of any of the forms.
-        context: what it does not say itself.
-        ledger: told what was assumed, and in a lenient reading of faults.
+        context: what it does not state itself.
+        ledger: reported what was assumed, and in a lenient reading of faults.
 
     Raises:
         DataError: the file cannot be read, is of no form that has such boxes, or is faulty.
@@ -60,7 +60,7 @@ def read_boxes_3d(path: Path | str, context: ListContext, ledger: Ledger) -> Seq
 
 
 def read_boxes_2d(path: Path | str, context: ListContext, ledger: Ledger) -> Sequence[Boxes2D]:
-    """Read the boxes of a camera's detector, by picture, in the order of time.
+    """Read the boxes of a camera's detector, by image, in the order of time.
 
     Args:
         path, context, ledger: as of `read_boxes_3d`.
@@ -73,5 +73,5 @@ def read_boxes_2d(path: Path | str, context: ListContext, ledger: Ledger) -> Seq
     if form is None:
         return [Boxes2D.empty(t, sensor_id=context.sensor_id) for t in context.timestamps_ns.tolist()]
     if form.read_2d is None:
-        raise DataError(path, "", f"is of the form {form.name}, which has no boxes in pictures")
+        raise DataError(path, "", f"is of the form {form.name}, which has no boxes in images")
     return form.read_2d(path, context, ledger)

@@ -1,1 +1,1 @@
-"""The sections of a report's page, one module each: numbers in, blocks of texts, tables and drawings out."""
+"""The sections of a report's page, one module each: numbers in, blocks of texts, tables and plots out."""

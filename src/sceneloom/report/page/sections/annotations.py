@@ -1,20 +1,20 @@
-"""What is said about the drive."""
+"""What is stated about the drive."""
 
 from itertools import pairwise
 
-from sceneloom.report.album import Album
-from sceneloom.report.drawings import bars, columns, line_plot
+from sceneloom.report.figures import Figures
 from sceneloom.report.numbers.drive import DriveReport
 from sceneloom.report.numbers.labels import ClassNumbers, Labels, Spread
 from sceneloom.report.page.content import Block, Column, Drawing, Section, Table
 from sceneloom.report.page.texts import NOTHING, count, percent, several
+from sceneloom.report.plots import bars, columns, line_plot
 
 MOST_CLASSES = 40
 _MOST_BARS = 14
 _COLUMNS = (
     Column("Class", numeric=False),
     Column("Objects"),
-    Column("Boxes said"),
+    Column("Boxes stated"),
     Column("Stationary"),
     Column("Length [m]"),
     Column("Width [m]"),
@@ -23,13 +23,13 @@ _COLUMNS = (
     Column("Range [m]"),
     Column("Points inside"),
     Column("Without a point"),
-    Column("Hidden in pictures"),
-    Column("In a picture"),
+    Column("Hidden in images"),
+    Column("In an image"),
 )
 
 
-def annotations_section(report: DriveReport, album: Album) -> Section:
-    """Say how many objects of which class there are, how large, how far, how well seen."""
+def annotations_section(report: DriveReport, figures: Figures) -> Section:
+    """Report how many objects of which class there are, how large, how far, how well seen."""
     labels = report.labels
     missing = report.left_out.get("annotations")
     if labels is None:
@@ -47,7 +47,7 @@ def annotations_section(report: DriveReport, album: Album) -> Section:
     types = [[kind.replace("_", " "), count(number)] for kind, number in labels.types.items()]
     attributes = [[name, count(number)] for name, number in sorted(labels.attributes.items())[:100]]
     counted = Table("Annotations by type", (Column("Type", numeric=False), Column("Annotations")), types)
-    said = Table(
+    stated = Table(
         f"Attributes of annotations: {len(labels.attributes)}",
         (Column("Attribute", numeric=False), Column("Annotations")),
         attributes,
@@ -62,11 +62,11 @@ def annotations_section(report: DriveReport, album: Album) -> Section:
         missing=missing,
         facts=facts,
         blocks=[
-            Block(drawings=_plots(labels)),
-            Block(photos=album.of("annotations")),
-            Block(tables=[*tables, counted, said]),
+            Block(plots=_plots(labels)),
+            Block(photos=figures.of("annotations")),
+            Block(tables=[*tables, counted, stated]),
             Block(lines=_explained(labels), faint=True),
-            Block(list_title=f"Not told: {len(labels.skipped)}", listed=labels.skipped),
+            Block(list_title=f"Not reported: {len(labels.skipped)}", listed=labels.skipped),
         ],
     )
 
@@ -123,7 +123,7 @@ def _row(numbers: ClassNumbers) -> list[str]:
         _spread(numbers.points, 0),
         percent(numbers.empty_share, 0),
         NOTHING if numbers.hidden is None else percent(numbers.hidden.median, 0),
-        percent(numbers.in_pictures_share, 0),
+        percent(numbers.in_images_share, 0),
     ]
 
 
@@ -139,8 +139,8 @@ def _spread(spread: Spread | None, digits: int) -> str:
 def _explained(labels: Labels) -> list[str]:
     if not labels.moments:
         return []
-    told = (
+    reported = (
         f"Ranges, points and what hides boxes are of {several(labels.moments, 'moment')} out of {labels.of:,}, spread "
-        "over the drive. Hidden: the share of a box's area in a picture that nearer boxes cover, the middle value."
+        "over the drive. Hidden: the share of a box's area in an image that nearer boxes cover, the middle value."
     )
-    return [told]
+    return [reported]

@@ -1,6 +1,6 @@
-"""Whether points and pictures lie to one another as the calibration says."""
+"""Whether points and images lie to one another as the calibration says."""
 
-from sceneloom.report.album import Album
+from sceneloom.report.figures import Figures
 from sceneloom.report.numbers.calibration import CalibrationCheck
 from sceneloom.report.numbers.drive import DriveReport
 from sceneloom.report.page.content import Block, Column, Section, Table
@@ -12,26 +12,26 @@ _COLUMNS = (
     Column("Would have to change by"),
     Column("Why", numeric=False, wide=True),
 )
-_BADGES = {"good": "good", "wrong": "error", "drifting": "warning", "cannot tell": "hint"}
+_BADGES = {"good": "good", "wrong": "error", "drifting": "warning", "cannot determine": "hint"}
 
 
-def calibration_section(report: DriveReport, album: Album) -> Section:
+def calibration_section(report: DriveReport, figures: Figures) -> Section:
     """Show overlays, and what a quick check says."""
-    photos = album.of("calibration")
+    photos = figures.of("calibration")
     blocks = [Block(photos=photos)]
     if photos:
-        told = (
+        reported = (
             "Discs: points of the lidar, coloured by depth; grey crosses: points behind something nearer. Where the "
-            "calibration is right, jumps in depth follow the edges of things in the picture."
+            "calibration is right, jumps in depth follow the edges of things in the image."
         )
-        blocks.append(Block(lines=[told], faint=True))
+        blocks.append(Block(lines=[reported], faint=True))
     blocks += [_check(check) for check in report.calibration]
     if report.calibration:
         frames = max(check.frames for check in report.calibration)
-        told = f"A quick check by {frames} pictures of each camera; `sceneloom calibrate DRIVE --check` takes more."
-        blocks.append(Block(lines=[told], faint=True))
+        reported = f"A quick check by {frames} images of each camera; `sceneloom calibrate DRIVE --check` takes more."
+        blocks.append(Block(lines=[reported], faint=True))
     missing = report.left_out.get("calibration")
-    absent = None if photos or report.calibration else "There are no points in pictures to judge it by."
+    absent = None if photos or report.calibration else "There are no points in images to judge it by."
     return Section(key="calibration", name="Calibration", missing=missing, absent=absent, blocks=blocks)
 
 

@@ -2,12 +2,12 @@
 
 from itertools import pairwise
 
-from sceneloom.report.drawings import bars, columns, draw_around
 from sceneloom.report.numbers.clouds import CloudCoverage
 from sceneloom.report.numbers.drive import DriveReport
 from sceneloom.report.numbers.surroundings import CameraView, Coverage
 from sceneloom.report.page.content import Block, Column, Drawing, Section, Table
 from sceneloom.report.page.texts import NOTHING, count, fixed, percent
+from sceneloom.report.plots import bars, columns, draw_around
 
 _CLOUDS = (
     Column("Sensor", numeric=False),
@@ -23,12 +23,12 @@ _CLOUDS = (
 )
 _CAMERAS = (
     Column("Camera", numeric=False),
-    Column("Lens", numeric=False),
-    Column("Picture [px]"),
+    Column("CameraModel", numeric=False),
+    Column("CameraImage [px]"),
     Column("Across / upright [deg]"),
     Column("Looks to [deg]"),
     Column("Up [deg]"),
-    Column("Points in the picture"),
+    Column("Points in the image"),
     Column("Hidden of these"),
 )
 _AHEAD = {"motion": "by the motion", "camera": "by the first camera", "axes": "by the axes of the sensors"}
@@ -36,11 +36,11 @@ _MOST_CLOUDS = 6
 
 
 def coverage_section(report: DriveReport) -> Section:
-    """Say which part of the surroundings each sensor sees, and how densely."""
+    """Report which part of the surroundings each sensor sees, and how densely."""
     coverage = report.coverage
     clouds = [cloud for cloud in coverage.clouds if cloud.sweeps]
-    drawings = [*_around(coverage), *(plot for cloud in clouds[:_MOST_CLOUDS] for plot in _plots(cloud))]
-    drawings += _shares(report)
+    plots = [*_around(coverage), *(plot for cloud in clouds[:_MOST_CLOUDS] for plot in _plots(cloud))]
+    plots += _shares(report)
     tables = [
         Table("Lidars and radars", _CLOUDS, [_cloud_row(cloud) for cloud in coverage.clouds]),
         Table("Cameras", _CAMERAS, [_camera_row(camera, report) for camera in coverage.cameras]),
@@ -59,7 +59,7 @@ def coverage_section(report: DriveReport) -> Section:
         absent=absent,
         facts=facts if coverage.clouds or coverage.cameras else [],
         blocks=[
-            Block(drawings=drawings),
+            Block(plots=plots),
             Block(tables=tables),
             Block(list_title=f"Not looked at: {len(coverage.skipped)}", listed=coverage.skipped),
         ],
@@ -79,8 +79,8 @@ def _around(coverage: Coverage) -> list[Drawing]:
         f"{c.sensor} sees {percent(c.horizon_share, 0)} of the horizon" for c in coverage.clouds if c.sweeps
     ]
     caption = (
-        f"Ahead, told {_AHEAD[coverage.ahead_by]}, is up. Outlines: within them lie 95 % of the points of each "
-        "direction, from the sensor. Wedges: the middle rows of the pictures; their length means nothing."
+        f"Ahead, reported {_AHEAD[coverage.ahead_by]}, is up. Outlines: within them lie 95 % of the points of each "
+        "direction, from the sensor. Wedges: the middle rows of the images; their length means nothing."
     )
     text = "; ".join([*reaches, *looks])
     return [Drawing("Around the ego", text, svg, caption, kind="tall")]
@@ -92,14 +92,16 @@ def _plots(cloud: CloudCoverage) -> list[Drawing]:
         edges = [*(f"{edge:g}" for edge in cloud.range_edges)]
         names = [*(f"{a}–{b}" for a, b in pairwise(edges)), f"{edges[-1]}+"]
         svg = columns(names, cloud.range_counts, x_name="range [m]", y_name="points of a sweep")
-        told = f"Half of the points lie within {cloud.range_median:.0f} m, 95 % within {cloud.range_95:.0f} m"
-        found.append(Drawing(f"Points of {cloud.sensor} by range", told, svg))
+        reported = (
+            f"Half of the points lie within {cloud.range_median:.0f} m, 95 % within {cloud.range_95:.0f} m"
+        )
+        found.append(Drawing(f"Points of {cloud.sensor} by range", reported, svg))
     if len(cloud.rings) > 1:
         first = next(k for k, number in enumerate(cloud.rings) if number)
         names, rings = [str(k) for k in range(first, len(cloud.rings))], cloud.rings[first:]
         svg = columns(names, rings, x_name="number of the ring", y_name="points of a sweep")
-        told = f"{len(rings)} rings with {min(rings):,.0f} to {max(rings):,.0f} points of a sweep"
-        found.append(Drawing(f"Points of {cloud.sensor} by ring", told, svg))
+        reported = f"{len(rings)} rings with {min(rings):,.0f} to {max(rings):,.0f} points of a sweep"
+        found.append(Drawing(f"Points of {cloud.sensor} by ring", reported, svg))
     return found
 
 
@@ -108,11 +110,11 @@ def _shares(report: DriveReport) -> list[Drawing]:
     if not cameras:
         return []
     names = [str(camera.camera) for camera in cameras]
-    shares = [camera.in_picture_percent for camera in cameras]
-    told = [f"{share:.1f} %" for share in shares]
-    text = "; ".join(f"{name} {share}" for name, share in zip(names, told, strict=True))
-    svg = bars(names, shares, labels=told, most=max(100.0 if max(shares) > 50 else 50.0, *shares))
-    return [Drawing("Share of all points in each camera's pictures", text, svg)]
+    shares = [camera.in_image_percent for camera in cameras]
+    reported = [f"{share:.1f} %" for share in shares]
+    text = "; ".join(f"{name} {share}" for name, share in zip(names, reported, strict=True))
+    svg = bars(names, shares, labels=reported, most=max(100.0 if max(shares) > 50 else 50.0, *shares))
+    return [Drawing("Share of all points in each camera's images", text, svg)]
 
 
 def _cloud_row(cloud: CloudCoverage) -> list[str]:
@@ -134,7 +136,7 @@ def _cloud_row(cloud: CloudCoverage) -> list[str]:
         f"{cloud.lowest_deg:.1f} to {cloud.highest_deg:.1f}",
         percent(cloud.horizon_share, 0),
         count(sum(number > 0 for number in cloud.rings)) if cloud.rings else NOTHING,
-        percent(cloud.nowhere_share),
+        percent(cloud.non_finite_share),
         ", ".join(has) or NOTHING,
     ]
 
@@ -151,7 +153,7 @@ def _camera_row(camera: CameraView, report: DriveReport) -> list[str]:
         else f"{camera.across_deg:.0f} / {camera.upright_deg or 0.0:.0f}",
         NOTHING if camera.heading_deg is None else _direction(camera.heading_deg),
         fixed(camera.pitch_deg, 1),
-        NOTHING if fused is None else f"{fused.in_picture_percent:.1f} %",
+        NOTHING if fused is None else f"{fused.in_image_percent:.1f} %",
         NOTHING if fused is None else f"{fused.hidden_percent:.1f} %",
     ]
 

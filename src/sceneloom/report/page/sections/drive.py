@@ -17,13 +17,13 @@ _COLUMNS = (
 
 
 def drive_section(report: DriveReport) -> Section:
-    """Say what is in the drive."""
+    """Report what is in the drive."""
     summary = report.summary
-    way = report.ways.ways[0] if report.ways.ways else None
+    trajectory = report.trajectories.trajectories[0] if report.trajectories.trajectories else None
     facts = [
         ("Length", fixed(summary.duration, 1, "s")),
         ("Sensors", count(len(summary.sensors))),
-        ("Way", NOTHING if way is None else fixed(way.metres, 1, "m")),
+        ("TrajectoryMetrics", NOTHING if trajectory is None else fixed(trajectory.metres, 1, "m")),
         ("Annotations", count(sum(summary.annotations.values()))),
         ("Format", summary.format),
         ("Size", megabytes(summary.size_bytes)),
@@ -41,7 +41,7 @@ def drive_section(report: DriveReport) -> Section:
 
 def _row(sensor: SensorSummary) -> list[str]:
     details = [
-        sensor.lens,
+        sensor.camera_model,
         sensor.video,
         None
         if sensor.first_frame_points is None

@@ -9,12 +9,12 @@ from sceneloom.scene.findings import Finding
 
 
 def findings_section(report: DriveReport) -> Section:
-    """List the findings by rule, the worst first, each with its place and what to do."""
+    """List the findings by rule, the worst first, each with its location and what to do."""
     found = report.validation
     if found is None:
         return Section(key="findings", name="Findings of validate", missing=report.left_out.get("findings"))
     passed = "Passed" if found.passed else "Not passed"
-    read = "frames and pictures read" if found.frames_read else "no frames and pictures read"
+    read = "frames and images read" if found.frames_read else "no frames and images read"
     blocks = [Block(lines=[f"{passed}, by {len(found.rules)} rules of the profile {found.profile}, {read}."])]
     for (severity, rule), group in groupby(
         found.findings, key=lambda finding: (finding.severity, finding.rule)
@@ -25,7 +25,7 @@ def findings_section(report: DriveReport) -> Section:
                 heading=f"{rule}: {several(sum(finding.count for finding in listed), 'time')}",
                 badge=(str(severity), str(severity)),
                 lines=[f"What to do: {listed[0].remedy}", *_fixable(listed[0]), *_shown(listed)],
-                list_title=f"All {len(listed)} places",
+                list_title=f"All {len(listed)} locations",
                 listed=[_line(finding) for finding in listed] if len(listed) > 1 else [],
             )
         )
@@ -40,7 +40,7 @@ def findings_section(report: DriveReport) -> Section:
 
 
 def _fixable(finding: Finding) -> list[str]:
-    return ["`sceneloom validate --fix` mends it."] if finding.fixable else []
+    return ["`sceneloom validate --fix` repairs it."] if finding.fixable else []
 
 
 def _shown(listed: list[Finding]) -> list[str]:

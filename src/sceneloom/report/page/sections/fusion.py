@@ -1,7 +1,7 @@
 """What fusing some sweeps gives."""
 
 from sceneloom.pipeline.fusing.report import CameraReport
-from sceneloom.report.album import Album
+from sceneloom.report.figures import Figures
 from sceneloom.report.numbers.drive import DriveReport
 from sceneloom.report.numbers.fusing import Fusion
 from sceneloom.report.page.content import Block, Column, Section, Table
@@ -9,17 +9,17 @@ from sceneloom.report.page.texts import NOTHING, count, several
 
 _COLUMNS = (
     Column("Camera", numeric=False),
-    Column("Sweeps with a picture"),
+    Column("Sweeps with an image"),
     Column("Without one in time"),
-    Column("Beyond the way"),
+    Column("Beyond the trajectory"),
     Column("Later than its sweep [ms]"),
-    Column("Points in the picture"),
+    Column("Points in the image"),
     Column("Hidden of these"),
     Column("Points coloured"),
 )
 
 
-def fusion_section(report: DriveReport, album: Album) -> Section:
+def fusion_section(report: DriveReport, figures: Figures) -> Section:
     """Show coloured clouds and depth images, with the counts behind them."""
     fusion = report.fusion
     missing = report.left_out.get("fusion")
@@ -34,18 +34,18 @@ def fusion_section(report: DriveReport, album: Album) -> Section:
     facts = [
         ("Sweeps fused", f"{fusion.sweeps:,} of {fusion.of:,}"),
         ("Points coloured", f"{fusion.coloured_percent:.1f} %"),
-        ("Way of the ego", fusion.trajectory or "sensors' own poses"),
+        ("Trajectory of the ego", fusion.trajectory or "sensors' own poses"),
     ]
     unfused = [f"{several(number, 'sweep')}: {reason}" for reason, number in fusion.unfused.items()]
-    left = f"{several(album.left_out, 'picture')} more had no room on the page." if album.left_out else ""
+    left = f"{several(figures.left_out, 'image')} more had no room on the page." if figures.left_out else ""
     return Section(
         key="fusion",
         name="Fusion",
         missing=missing,
         facts=facts,
         blocks=[
-            Block(photos=album.of("fusion")),
-            Block(tables=[Table("Pictures and points of the fused sweeps", _COLUMNS, rows)] if rows else []),
+            Block(photos=figures.of("fusion")),
+            Block(tables=[Table("Images and points of the fused sweeps", _COLUMNS, rows)] if rows else []),
             Block(lines=[left] if left else [], faint=True),
             Block(list_title="Sweeps that could not be fused", listed=unfused),
             Block(list_title=f"Could not be read: {len(fusion.skipped)}", listed=fusion.skipped[:50]),
@@ -61,7 +61,7 @@ def _row(camera: CameraReport, fusion: Fusion) -> list[str]:
         count(camera.unpaired),
         count(camera.unposed),
         NOTHING if later is None else f"{later:+.1f}",
-        f"{camera.in_picture_percent:.1f} %",
+        f"{camera.in_image_percent:.1f} %",
         f"{camera.hidden_percent:.1f} %",
         count(camera.coloured),
     ]

@@ -13,7 +13,7 @@ _COLUMNS = (Column("What", numeric=False), Column("Value", numeric=False, wide=T
 
 
 def source_section(report: DriveReport) -> Section:
-    """Say which data, versions and settings the report stands on."""
+    """Report which data, versions and settings the report stands on."""
     made = report.provenance
     rows = [
         ["Source", report.summary.source],
@@ -31,13 +31,13 @@ def source_section(report: DriveReport) -> Section:
         rows.append(["Size", megabytes(made.size_bytes)])
     if made.sha256 is not None:
         rows.append([_HASHED.get(made.hashed or "", "SHA-256"), made.sha256])
-    told = [[name, text] for name, text in made.told.items()]
+    reported = [[name, text] for name, text in made.reported.items()]
     tables = [
         Table("Where this report comes from", _COLUMNS, rows),
         Table(
-            f"What the drive tells of itself: {len(told)} entries of its metadata",
+            f"What the drive reports itself: {len(reported)} entries of its metadata",
             _COLUMNS,
-            told,
+            reported,
             folded=True,
         ),
     ]

@@ -1,10 +1,10 @@
 """When the streams of the drive give something."""
 
-from sceneloom.report.drawings import MOST_STREAMS, draw_streams, histogram
 from sceneloom.report.numbers.drive import DriveReport
 from sceneloom.report.numbers.timing import StreamTiming, Timing
 from sceneloom.report.page.content import Block, Column, Drawing, Section, Table
 from sceneloom.report.page.texts import NOTHING, count, fixed, percent, several
+from sceneloom.report.plots import MOST_STREAMS, draw_streams, histogram
 
 MOST_PLOTS = 12
 _COLUMNS = (
@@ -21,18 +21,18 @@ _COLUMNS = (
 
 
 def timing_section(report: DriveReport) -> Section:
-    """Say how even the streams are, what is missing in them, and how they lie to one another."""
+    """Report how even the streams are, what is missing in them, and how they lie to one another."""
     timing = report.timing
     streams = [stream for stream in timing.streams if stream.count]
     blocks = [
-        Block(drawings=_overview(timing)),
+        Block(plots=_overview(timing)),
         Block(tables=[Table("Rates, jitter and gaps of the streams", _COLUMNS, [_row(s) for s in streams])]),
         Block(lines=_explained(timing), faint=True),
         Block(tables=[_gaps(streams)]),
-        Block(heading="Intervals", drawings=_intervals(streams)) if _intervals(streams) else Block(),
+        Block(heading="Intervals", plots=_intervals(streams)) if _intervals(streams) else Block(),
     ]
     facts = [("All streams together", percent(timing.overlap_share, 0))] if len(streams) > 1 else []
-    absent = None if streams else "No stream has a time stamp."
+    absent = None if streams else "No stream has a timestamp."
     return Section(key="timing", name="Timing and gaps", absent=absent, facts=facts, blocks=blocks)
 
 
@@ -41,13 +41,13 @@ def _overview(timing: Timing) -> list[Drawing]:
     if svg is None:
         return []
     gaps = sum(stream.gap_count for stream in timing.streams)
-    told = "; ".join(
+    reported = "; ".join(
         f"{s.name} from {s.start:.2f} to {s.stop:.2f} s"
         for s in timing.streams[:MOST_STREAMS]
         if s.start is not None
     )
-    caption = "Bars: from the first stamp to the last. Red: gaps. Green behind: when all give something."
-    return [Drawing("Streams over time", f"{several(gaps, 'gap')}. {told}", svg, caption, kind="wide")]
+    caption = "Bars: from the first timestamp to the last. Red: gaps. Green behind: when all give something."
+    return [Drawing("Streams over time", f"{several(gaps, 'gap')}. {reported}", svg, caption, kind="wide")]
 
 
 def _row(stream: StreamTiming) -> list[str]:
@@ -67,16 +67,16 @@ def _row(stream: StreamTiming) -> list[str]:
 
 def _explained(timing: Timing) -> list[str]:
     references = {stream.phase.reference for stream in timing.streams if stream.phase is not None}
-    told = (
+    reported = (
         "Jitter is the standard deviation of the intervals that are no gaps; a gap is longer than 1.5 usual intervals; "
         "missing is how many would fill the gaps."
     )
     if references:
-        told += (
-            f" Beside the reference: how much later than the nearest stamp of {', '.join(map(str, references))} "
-            "stamps are, the middle one and what holds 95 % of them; stamps of sweeps are their starts."
+        reported += (
+            f" Beside the reference: how much later than the nearest timestamp of {', '.join(map(str, references))} "
+            "timestamps are, the middle one and what holds 95 % of them; timestamps of sweeps are their starts."
         )
-    return [told]
+    return [reported]
 
 
 def _gaps(streams: list[StreamTiming]) -> Table:
@@ -97,8 +97,8 @@ def _intervals(streams: list[StreamTiming]) -> list[Drawing]:
         if stream.bins is None or stream.period_ms is None or len(found) >= MOST_PLOTS or stream.count < 4:
             continue
         svg = histogram(stream.bins.edges_ms, stream.bins.counts, x_name="interval [ms]", y_name="count")
-        told = (
+        reported = (
             f"Most intervals are about {stream.period_ms:.2f} ms; the longest is {stream.longest_ms:.1f} ms"
         )
-        found.append(Drawing(f"Intervals of {stream.name}", told, svg))
+        found.append(Drawing(f"Intervals of {stream.name}", reported, svg))
     return found

@@ -1,20 +1,20 @@
 """Where the ego went."""
 
-from sceneloom.report.drawings import degrees_text, draw_plan, line_plot, middle_text
 from sceneloom.report.numbers.drive import DriveReport
-from sceneloom.report.numbers.ways import Fixes, Way, Ways
+from sceneloom.report.numbers.trajectories import Fixes, Trajectories, TrajectoryMetrics
 from sceneloom.report.page.content import Block, Column, Drawing, Section, Table
 from sceneloom.report.page.texts import NOTHING, count, fixed, percent
+from sceneloom.report.plots import degrees_text, draw_plan, line_plot, middle_text
 
-_WAYS = (
-    Column("Way", numeric=False),
+_TRAJECTORIES = (
+    Column("TrajectoryMetrics", numeric=False),
     Column("Poses"),
     Column("Seconds"),
     Column("Length [m]"),
     Column("Mean speed [m/s]"),
     Column("Top speed [m/s]"),
-    Column("Standing"),
-    Column("Turned [deg]"),
+    Column("Stationary"),
+    Column("Rotated [deg]"),
     Column("Heights [m]"),
     Column("Up / down [m]"),
 )
@@ -29,50 +29,57 @@ _FIXES = (
 
 
 def trajectory_section(report: DriveReport) -> Section:
-    """Draw the ways, and say how long, fast and high they are."""
-    ways = report.ways
-    plots = [*_over_time(ways)]
+    """Draw the trajectories, and state how long, fast and high they are."""
+    trajectories = report.trajectories
+    plots = [*_over_time(trajectories)]
     tables = [
-        Table("Ways of the ego", _WAYS, [_way_row(way) for way in ways.ways]),
-        Table("Satellite fixes", _FIXES, [_fixes_row(fixes) for fixes in ways.fixes]),
+        Table(
+            "Ways of the ego",
+            _TRAJECTORIES,
+            [_trajectory_row(trajectory) for trajectory in trajectories.trajectories],
+        ),
+        Table("Satellite fixes", _FIXES, [_fixes_row(fixes) for fixes in trajectories.fixes]),
     ]
     missing = report.left_out.get("trajectory")
     return Section(
         key="trajectory",
         name="Trajectory and map",
         missing=missing,
-        absent=None if ways.ways or ways.fixes else "There are neither poses of the ego nor satellite fixes.",
+        absent=None
+        if trajectories.trajectories or trajectories.fixes
+        else "There are neither poses of the ego nor satellite fixes.",
         blocks=[
-            Block(drawings=_plan(ways)),
-            Block(drawings=plots),
+            Block(plots=_plan(trajectories)),
+            Block(plots=plots),
             Block(tables=tables),
-            Block(lines=_north(ways), faint=True),
+            Block(lines=_north(trajectories), faint=True),
         ],
     )
 
 
-def _plan(ways: Ways) -> list[Drawing]:
-    svg = draw_plan(ways)
+def _plan(trajectories: Trajectories) -> list[Drawing]:
+    svg = draw_plan(trajectories)
     if svg is None:
         return []
-    told = "; ".join(
-        f"{way.name}: {way.metres:.1f} m in {way.seconds:.1f} s, at most {way.farthest:.1f} m from its start"
-        for way in ways.ways
+    reported = "; ".join(
+        f"{trajectory.name}: {trajectory.metres:.1f} m in {trajectory.seconds:.1f} s, at most "
+        f"{trajectory.farthest:.1f} m from its start"
+        for trajectory in trajectories.trajectories
     )
-    fixes = "; ".join(f"{each.usable} fixes of {each.sensor}" for each in ways.fixes)
+    fixes = "; ".join(f"{each.usable} fixes of {each.sensor}" for each in trajectories.fixes)
     north = (
         "North is up."
-        if ways.north or not ways.ways
+        if trajectories.north or not trajectories.trajectories
         else "x of the world to the right, y up; north is not known."
     )
-    middle = middle_text(ways)
+    middle = middle_text(trajectories)
     caption = (
         f"{north} Circle: start; square: end; dots: satellite fixes.{f' Middle: {middle}.' if middle else ''}"
     )
     return [
         Drawing(
             "The drive from above",
-            "; ".join(filter(None, (told, fixes))),
+            "; ".join(filter(None, (reported, fixes))),
             svg,
             caption,
             "map",
@@ -80,13 +87,13 @@ def _plan(ways: Ways) -> list[Drawing]:
     ]
 
 
-def _over_time(ways: Ways) -> list[Drawing]:
-    lines = [way.corners for way in ways.ways if len(way.corners) > 1]
+def _over_time(trajectories: Trajectories) -> list[Drawing]:
+    lines = [trajectory.corners for trajectory in trajectories.trajectories if len(trajectory.corners) > 1]
     if not lines:
         return []
     speeds = [[(corner.seconds, corner.speed) for corner in line] for line in lines]
     heights = [[(corner.seconds, corner.z) for corner in line] for line in lines]
-    first = ways.ways[0]
+    first = trajectories.trajectories[0]
     names = "" if len(lines) < 2 else "Colours as on the map."
     return [
         Drawing(
@@ -104,18 +111,18 @@ def _over_time(ways: Ways) -> list[Drawing]:
     ]
 
 
-def _way_row(way: Way) -> list[str]:
+def _trajectory_row(trajectory: TrajectoryMetrics) -> list[str]:
     return [
-        f"{way.name} (found now)" if way.found_now else way.name,
-        count(way.poses),
-        fixed(way.seconds, 2),
-        fixed(way.metres, 1),
-        fixed(way.mean_speed, 2),
-        fixed(way.top_speed, 2),
-        percent(way.standing_share, 0),
-        NOTHING if way.turned_deg is None else fixed(way.turned_deg, 0),
-        f"{fixed(way.lowest, 1)} to {fixed(way.highest, 1)}",
-        f"{way.climb:.1f} / {way.descent:.1f}",
+        f"{trajectory.name} (found now)" if trajectory.found_now else trajectory.name,
+        count(trajectory.poses),
+        fixed(trajectory.seconds, 2),
+        fixed(trajectory.metres, 1),
+        fixed(trajectory.mean_speed, 2),
+        fixed(trajectory.top_speed, 2),
+        percent(trajectory.stationary_share, 0),
+        NOTHING if trajectory.rotated_deg is None else fixed(trajectory.rotated_deg, 0),
+        f"{fixed(trajectory.lowest, 1)} to {fixed(trajectory.highest, 1)}",
+        f"{trajectory.climb:.1f} / {trajectory.descent:.1f}",
     ]
 
 
@@ -126,24 +133,26 @@ def _fixes_row(fixes: Fixes) -> list[str]:
     return [
         str(fixes.sensor),
         f"{fixes.count:,}" if fixes.usable == fixes.count else f"{fixes.usable:,} usable of {fixes.count:,}",
-        place_text(fixes.first_lla),
-        place_text(fixes.last_lla),
+        location_text(fixes.first_lla),
+        location_text(fixes.last_lla),
         f"{fixes.first_lla[2]:.1f} / {fixes.last_lla[2]:.1f}",
         accuracy,
     ]
 
 
-def place_text(lla: tuple[float, float, float]) -> str:
+def location_text(lla: tuple[float, float, float]) -> str:
     """Latitude and longitude."""
-    told = f"{degrees_text(lla[0], 'NS')}, {degrees_text(lla[1], 'EW')}"
-    return told.replace(" ", "\N{NO-BREAK SPACE}")
+    reported = f"{degrees_text(lla[0], 'NS')}, {degrees_text(lla[1], 'EW')}"
+    return reported.replace(" ", "\N{NO-BREAK SPACE}")
 
 
-def _north(ways: Ways) -> list[str]:
-    if ways.north is None or ways.north.rms is None:
+def _north(trajectories: Trajectories) -> list[str]:
+    if trajectories.north is None or trajectories.north.rms is None:
         return []
-    told = (
-        f"North is {ways.north.direction_deg:.1f}° counter-clockwise from x of the world: the fixes were laid onto "
-        f"“{ways.north.way}” by a shift and a turn, and lie {ways.north.rms:.2f} m from it (root of the mean square)."
+    reported = (
+        f"North is {trajectories.north.direction_deg:.1f}° counter-clockwise from x of the world: the fixes were laid "
+        f"onto "
+        f"“{trajectories.north.trajectory}” by a shift and a rotation, and lie {trajectories.north.rms:.2f} m from it "
+        f"(root of the mean square)."
     )
-    return [told]
+    return [reported]

@@ -4,16 +4,16 @@ from sceneloom.evaluate.report import TrajectoryReport
 from sceneloom.evaluate.tracking.comparison import TrackingReport
 from sceneloom.report.numbers.drive import DriveReport
 from sceneloom.report.page.content import Block, Column, Section, Table
-from sceneloom.report.page.texts import NOTHING, count, fixed, notice_text, percent
+from sceneloom.report.page.texts import NOTHING, count, fixed, percent, warning_text
 
-_WAYS = (
-    Column("Way", numeric=False),
+_TRAJECTORIES = (
+    Column("TrajectoryMetrics", numeric=False),
     Column("Against", numeric=False),
     Column("Pairs"),
     Column("Covered"),
     Column("Away, rms / largest [m]"),
     Column("Level / upright rms [m]"),
-    Column("Turned, rms [deg]"),
+    Column("Rotated, rms [deg]"),
     Column("Drift over 10 m [%]"),
     Column("KITTI [%]"),
 )
@@ -36,40 +36,40 @@ def truth_section(report: DriveReport) -> Section | None:
     missing = report.left_out.get("truth")
     if not metrics.trajectories and metrics.tracks is None and not metrics.skipped and missing is None:
         return None
-    ways = Table(
-        "Ways against their reference, aligned by shift and turn",
-        _WAYS,
-        [_way(w) for w in metrics.trajectories],
+    trajectories = Table(
+        "Ways against their reference, aligned by shift and rotate",
+        _TRAJECTORIES,
+        [_trajectory(w) for w in metrics.trajectories],
     )
-    remarks = [notice_text(notice) for way in metrics.trajectories for notice in way.notices]
+    notes = [warning_text(warning) for trajectory in metrics.trajectories for warning in trajectory.warnings]
     tracks = [] if metrics.tracks is None else [_tracks(metrics.tracks)]
     return Section(
         key="truth",
         name="Against the truth",
         missing=missing,
         blocks=[
-            Block(tables=[ways] if metrics.trajectories else []),
+            Block(tables=[trajectories] if metrics.trajectories else []),
             Block(tables=tracks),
-            Block(list_title=f"Remarks: {len(remarks)}", listed=remarks),
+            Block(list_title=f"Notes: {len(notes)}", listed=notes),
             Block(list_title=f"Could not be compared: {len(metrics.skipped)}", listed=metrics.skipped),
         ],
     )
 
 
-def _way(way: TrajectoryReport) -> list[str]:
-    away = way.absolute
-    ten = next((step for step in way.relative if step.delta == "10m"), None)
-    turned = away.rotation_deg
+def _trajectory(trajectory: TrajectoryReport) -> list[str]:
+    away = trajectory.absolute
+    ten = next((step for step in trajectory.relative if step.delta == "10m"), None)
+    rotated = away.rotation_deg
     return [
-        way.estimate,
-        way.reference,
-        count(way.pairs),
-        percent(way.coverage, 0),
+        trajectory.estimate,
+        trajectory.reference,
+        count(trajectory.pairs),
+        percent(trajectory.coverage, 0),
         f"{away.translation.rms:.3f} / {away.translation.max:.3f}",
         f"{away.horizontal.rms:.3f} / {away.vertical.rms:.3f}",
-        NOTHING if turned is None else fixed(turned.rms, 3),
+        NOTHING if rotated is None else fixed(rotated.rms, 3),
         NOTHING if ten is None else fixed(ten.translation_percent, 2),
-        NOTHING if way.kitti is None else fixed(way.kitti.overall.translation_percent, 2),
+        NOTHING if trajectory.kitti is None else fixed(trajectory.kitti.overall.translation_percent, 2),
     ]
 
 

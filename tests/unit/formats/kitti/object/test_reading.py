@@ -23,8 +23,8 @@ AROUND = "DontCare -1 -1 -10 1.00 2.00 3.00 4.00 -1 -1 -1 -1000 -1000 -1000 -10\
 def calibration(frame):
     rows = CALIBRATIONS[frame]
     velo = " ".join(
-        f"{turn} {shift}"
-        for turn, shift in zip(("0 -1 0", "0 0 -1", "1 0 0"), rows["T"].split(), strict=True)
+        f"{delta_rotation} {shift}"
+        for delta_rotation, shift in zip(("0 -1 0", "0 0 -1", "1 0 0"), rows["T"].split(), strict=True)
     )
     unit = "Tr_imu_to_velo: 1 0 0 -0.8 0 1 0 0.3 0 0 1 -0.8"
     return f"P2: {rows['P2']}\nR0_rect: {R0}\nTr_velo_to_cam: {velo}\n{unit}\n\n"
@@ -48,18 +48,18 @@ def rotation():
 
 
 @pytest.mark.parametrize(("row", "frame"), [(0, 3), (1, 7)])
-def test_each_picture_has_the_lens_and_mounting_of_its_frame(frames, row, frame):
+def test_each_image_has_the_camera_model_and_mounting_of_its_frame(frames, row, frame):
     scene = open_scene(frames)
     assert scene.format == "kitti-object"
-    picture = scene.sensor("camera2").pictures[row]
+    image = scene.sensor("camera2").images[row]
     projection = np.array(CALIBRATIONS[frame]["P2"].split(), float).reshape(3, 4)
     camera = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]) @ POINTS.T
     camera += np.array(CALIBRATIONS[frame]["T"].split(), float)[:, None]
     homogeneous = projection @ np.vstack([rotation() @ camera, np.ones(2)])
-    pixels, _ = project(picture.camera, picture.mount.inverse().apply(POINTS))
+    pixels, _ = project(image.camera, image.mount.inverse().apply(POINTS))
     np.testing.assert_allclose(pixels, (homogeneous[:2] / homogeneous[2]).T, atol=1e-9)
-    assert picture.rgb.shape == ((28, 36, 3), (24, 40, 3))[row]
-    assert picture.extras["file"] == f"image_2/{frame:06d}.png"
+    assert image.rgb.shape == ((28, 36, 3), (24, 40, 3))[row]
+    assert image.extras["file"] == f"image_2/{frame:06d}.png"
 
 
 def test_boxes_stand_where_the_kits_formula_puts_their_corners(frames):
@@ -67,12 +67,18 @@ def test_boxes_stand_where_the_kits_formula_puts_their_corners(frames):
     box = next(a for a in scene.annotations if a.id == "000007.0")
     poses = cuboid_poses(box, box.path.timestamps_ns)
     found = box_corners(poses.centers_world[0], poses.sizes_lwh[0], poses.quaternions_xyzw[0])
-    # corners of the kit: x along the length, y down from the bottom, turned about y, moved to the place
-    height, width, length, turn = 1.5, 1.6, 4.0, 0.8
+    # corners of the kit: x along the length, y down from the bottom, rotated about y, moved to the location
+    height, width, length, delta_rotation = 1.5, 1.6, 4.0, 0.8
     x = np.array([1, -1, -1, 1, 1, -1, -1, 1]) * length / 2
     y = np.array([0, 0, 0, 0, -1, -1, -1, -1]) * height
     z = np.array([1, 1, -1, -1, 1, 1, -1, -1]) * width / 2
-    about_y = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
+    about_y = np.array(
+        [
+            [np.cos(delta_rotation), 0, np.sin(delta_rotation)],
+            [0, 1, 0],
+            [-np.sin(delta_rotation), 0, np.cos(delta_rotation)],
+        ]
+    )
     rectified = (about_y @ np.array([x, y, z])).T + np.array([1.0, 1.7, 12.0])
     camera = rectified @ rotation()
     lidar = (camera - np.array(CALIBRATIONS[7]["T"].split(), float)) @ np.array(
@@ -83,7 +89,7 @@ def test_boxes_stand_where_the_kits_formula_puts_their_corners(frames):
     np.testing.assert_allclose(distances, 0, atol=1e-9)
 
 
-def test_what_labels_say_beside_places_is_kept(frames):
+def test_what_labels_state_beside_locations_is_kept(frames):
     scene = open_scene(frames)
     ids = [a.id for a in scene.annotations]
     assert ids == ["000003.0", "000003.1", "000007.0", "000007.1"]
@@ -91,7 +97,7 @@ def test_what_labels_say_beside_places_is_kept(frames):
     assert {a.name: a.values for a in car.attributes} == {
         "truncated": (0.25,), "occluded": (1,), "alpha": (-1.57,),
     }  # fmt: skip
-    # the text counts from the centre of the first pixel, boxes here from the picture's corner
+    # the text counts from the centre of the first pixel, boxes here from the image's corner
     assert car.projections[0].boxes.tolist() == [[6.0, 7.0, 14.75, 11.5]]
     assert (around.label, around.type, around.attributes) == ("DontCare", "box_2d", ())
     assert around.path.values.tolist() == [[1.5, 2.5, 2.0, 2.0]]
@@ -101,14 +107,14 @@ def test_frames_are_apart_and_share_no_world(frames):
     scene = open_scene(frames)
     assert scene.sensor("velodyne").frames.timestamps_ns.tolist() == [0, 10**9]
     assert scene.metadata["kitti"]["numbers"] == [3, 7]
-    assert [n.code for n in scene.notices] == ["frames-apart"]
+    assert [n.code for n in scene.warnings] == ["frames-apart"]
     assert not scene.trajectories["frames"].positions.any()
 
 
-def test_of_training_and_testing_the_former_is_read_with_a_notice(frames):
+def test_of_training_and_testing_the_former_is_read_with_a_warning(frames):
     (frames / "testing/image_2").mkdir(parents=True)
     Image.new("RGB", (36, 28)).save(frames / "testing/image_2/000000.png")
-    assert "other-part" in [n.code for n in open_scene(frames).notices]
+    assert "other-part" in [n.code for n in open_scene(frames).warnings]
 
 
 def test_a_frame_without_calibration_is_a_fault(frames):
@@ -118,7 +124,7 @@ def test_a_frame_without_calibration_is_a_fault(frames):
     assert len(open_scene(frames, lenient=True).sensor("velodyne").frames) == 1
 
 
-def test_a_folder_without_calibration_is_told_what_it_lacks(frames):
+def test_a_folder_without_calibration_is_reported_what_it_lacks(frames):
     for file in (frames / "training/calib").iterdir():
         file.unlink()
     with pytest.raises(DataError, match=r"without calibration: expected training/calib/000000.txt for each"):

@@ -42,15 +42,15 @@ def root(tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize("place", ["", "sequences", "sequences/04"])
-def test_a_sequence_is_found_from_every_folder(root, place):
-    scene = open_scene(root / place)
+@pytest.mark.parametrize("location", ["", "sequences", "sequences/04"])
+def test_a_sequence_is_found_from_every_folder(root, location):
+    scene = open_scene(root / location)
     assert scene.format == "kitti-odometry"
     assert list(scene.trajectories) == ["groundTruth"]
 
 
 def test_times_keep_their_nanoseconds(root):
-    assert open_scene(root).sensor("camera2").pictures.timestamps_ns.tolist() == [0, 103_736_000]
+    assert open_scene(root).sensor("camera2").images.timestamps_ns.tolist() == [0, 103_736_000]
 
 
 def test_points_lie_in_the_world_where_poses_of_the_camera_put_them(root):
@@ -75,29 +75,29 @@ def test_labels_are_points_of_classes_and_objects(root):
     assert [part.sensor_frame for part in car.labeled_points] == [0, 1]
     assert car.labeled_points[0].point_ids.tolist() == [1, 2]
     assert found["777"].label == "777"
-    assert "unknown-classes" in [n.code for n in scene.notices]
+    assert "unknown-classes" in [n.code for n in scene.warnings]
 
 
-def test_labels_can_be_left_aside_and_what_is_not_read_is_told(root):
+def test_labels_can_be_left_aside_and_what_is_not_read_is_reported(root):
     (root / "sequences/04/voxels").mkdir()
     scene = open_scene(root, labels="skip")
     assert scene.annotations == ()
-    told = {n.code: n for n in scene.notices}
-    assert told["labels-aside"].count == 2
+    reported = {n.code: n for n in scene.warnings}
+    assert reported["labels-aside"].count == 2
     with pytest.raises(OptionError, match=r"labels 'no'; expected one of read, skip"):
         open_scene(root, labels="no")
-    assert told["not-read"].message == "nothing is read of voxels"
+    assert reported["not-read"].message == "nothing is read of voxels"
 
 
-def test_without_a_lidar_the_ego_is_camera_0_turned_to_look_ahead(root):
+def test_without_a_lidar_the_ego_is_camera_0_rotated_to_look_ahead(root):
     for file in (root / "sequences/04/velodyne").iterdir():
         file.unlink()
     for file in (root / "sequences/04/labels").iterdir():
         file.unlink()
     (root / "sequences/04/calib.txt").write_text(CALIBRATION.split("Tr", maxsplit=1)[0])
-    way = open_scene(root).trajectories["groundTruth"]
+    trajectory = open_scene(root).trajectories["groundTruth"]
     # 1.3 m along the camera's axis is 1.3 m ahead, its x to the right, its y down
-    np.testing.assert_allclose(way.positions[1], [1.3, -0.05, 0.02], atol=1e-12)
+    np.testing.assert_allclose(trajectory.positions[1], [1.3, -0.05, 0.02], atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -113,20 +113,20 @@ def test_without_a_lidar_the_ego_is_camera_0_turned_to_look_ahead(root):
         ("sequences/04/labels/000001.label", "abc", "3 bytes for the 5 points of the sweep; expected 20"),
     ],
 )
-def test_a_fault_is_told_with_its_place(root, name, text, problem):
+def test_a_fault_is_reported_with_its_location(root, name, text, problem):
     (root / name).write_text(text)
     with pytest.raises(DataError) as caught:
         open_scene(root)
     assert problem in str(caught.value)
 
 
-def test_a_missing_calibration_is_told(root):
+def test_a_missing_calibration_is_reported(root):
     (root / "sequences/04/calib.txt").unlink()
     with pytest.raises(DataError, match=r"calib.txt: is missing; expected P0 to P3, and Tr"):
         open_scene(root)
 
 
-def test_a_sequence_that_is_not_there_is_told(root):
+def test_a_sequence_that_is_not_there_is_reported(root):
     with pytest.raises(OptionError, match=r"sequence '05': .* has 04"):
         open_scene(root, sequence="05")
 

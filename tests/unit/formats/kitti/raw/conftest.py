@@ -23,7 +23,7 @@ P_rect_02: 48 0 17 2.88 0 48 13 0.5 0 0 1 0.003
 """
 VELO_TO_CAM = "R: 0 -1 0 0 0 -1 1 0 0\nT: 0.01 -0.08 -0.27\ndelta_f: 0 0\ndelta_c: 0 0\n"
 IMU_TO_VELO = "calib_time: 25-May-2012 16:47:16\nR: 1 0 0 0 1 0 0 0 1\nT: -0.8 0.3 -0.8\n"
-STAMPS = "2011-09-26 13:02:25.594360375\n2011-09-26 13:02:25.698214100\n"
+TIMESTAMPS = "2011-09-26 13:02:25.594360375\n2011-09-26 13:02:25.698214100\n"
 STARTS = "2011-09-26 13:02:25.544360375\n2011-09-26 13:02:25.648214100\n"
 ENDS = "2011-09-26 13:02:25.644360375\n2011-09-26 13:02:25.748214100\n"
 OXTS = (
@@ -47,17 +47,17 @@ POINTS = np.array(
     [[-9, -0.001, 0, 0.1], [0, -5, 1, 0.25], [8, 0, -1, 0.5], [0, 6, 1, 0.75], [-7, 0.001, 0, 1.0]],
     np.float32,
 )
-"""Behind on the right, right, ahead, left, behind on the left: in the order in which the scanner turns."""
+"""Behind on the right, right, ahead, left, behind on the left: in the order in which the scanner rotates."""
 
 TEXTS = {
     f"{DAY}/calib_cam_to_cam.txt": CAM_TO_CAM,
     f"{DAY}/calib_velo_to_cam.txt": VELO_TO_CAM,
     f"{DAY}/calib_imu_to_velo.txt": IMU_TO_VELO,
-    f"{DAY}/{DRIVE}/image_02/timestamps.txt": STAMPS,
-    f"{DAY}/{DRIVE}/velodyne_points/timestamps.txt": STAMPS,
+    f"{DAY}/{DRIVE}/image_02/timestamps.txt": TIMESTAMPS,
+    f"{DAY}/{DRIVE}/velodyne_points/timestamps.txt": TIMESTAMPS,
     f"{DAY}/{DRIVE}/velodyne_points/timestamps_start.txt": STARTS,
     f"{DAY}/{DRIVE}/velodyne_points/timestamps_end.txt": ENDS,
-    f"{DAY}/{DRIVE}/oxts/timestamps.txt": STAMPS,
+    f"{DAY}/{DRIVE}/oxts/timestamps.txt": TIMESTAMPS,
     f"{DAY}/{DRIVE}/oxts/data/0000000000.txt": OXTS.format(yaw=0.3),
     f"{DAY}/{DRIVE}/oxts/data/0000000001.txt": OXTS.format(yaw=0.4),
     f"{DAY}/{DRIVE}/tracklet_labels.xml": TRACKLETS,
@@ -75,15 +75,15 @@ def raw_folder(tmp_path) -> Callable[..., Path]:
         named = {f"{DAY}/{name}".replace("DRIVE", DRIVE): text for name, text in (changed or {}).items()}
         for name, text in (TEXTS | named).items():
             if text is not None:
-                place = root / name.replace(DRIVE, drive)
-                place.parent.mkdir(parents=True, exist_ok=True)
-                place.write_text(text)
+                location = root / name.replace(DRIVE, drive)
+                location.parent.mkdir(parents=True, exist_ok=True)
+                location.write_text(text)
         folder = root / DAY / drive
         for kind in ("image_02", "velodyne_points"):
             (folder / kind / "data").mkdir(parents=True, exist_ok=True)
         for k in range(2):
-            picture = np.full((size[1], size[0], 3), 40 * k + np.arange(3), np.uint8)
-            Image.fromarray(picture).save(folder / "image_02" / "data" / f"{k:010d}.png")
+            image = np.full((size[1], size[0], 3), 40 * k + np.arange(3), np.uint8)
+            Image.fromarray(image).save(folder / "image_02" / "data" / f"{k:010d}.png")
             POINTS.tofile(folder / "velodyne_points" / "data" / f"{k:010d}.bin")
         return root
 

@@ -36,22 +36,22 @@ def pixels_of(scene, points_lidar):
 def test_times_keep_their_nanoseconds_and_sweeps_begin_at_their_start(raw_folder):
     scene = open_scene(raw_folder())
     assert scene.format == "kitti-raw"
-    assert scene.sensor("camera2").pictures.timestamps_ns.tolist() == [FIRST_NS, FIRST_NS + 103_853_725]
+    assert scene.sensor("camera2").images.timestamps_ns.tolist() == [FIRST_NS, FIRST_NS + 103_853_725]
     assert scene.sensor("velodyne").frames.timestamps_ns[0] == FIRST_NS - 50_000_000
     assert scene.sensor("gnss").timestamps_ns[0] == FIRST_NS
 
 
-def test_rectified_pictures_show_points_where_the_kits_formula_puts_them(raw_folder):
-    turn = matrix("0.99995 0.01 0 -0.01 0.99995 0 0 0 1")
-    u, _, vt = np.linalg.svd(turn[:3, :3])
-    turn[:3, :3] = u @ vt  # the file's numbers are rounded; a rotation is what is meant
+def test_rectified_images_show_points_where_the_kits_formula_puts_them(raw_folder):
+    delta_rotation = matrix("0.99995 0.01 0 -0.01 0.99995 0 0 0 1")
+    u, _, vt = np.linalg.svd(delta_rotation[:3, :3])
+    delta_rotation[:3, :3] = u @ vt  # the file's numbers are rounded; a rotation is what is meant
     projection = np.array([[48, 0, 17, 2.88], [0, 48, 13, 0.5], [0, 0, 1, 0.003]])
-    homogeneous = projection @ turn @ VELO @ np.column_stack([POINTS, np.ones(3)]).T
+    homogeneous = projection @ delta_rotation @ VELO @ np.column_stack([POINTS, np.ones(3)]).T
     found = pixels_of(open_scene(raw_folder()), POINTS)
     np.testing.assert_allclose(found, (homogeneous[:2] / homogeneous[2]).T, atol=1e-9)
 
 
-def test_pictures_as_recorded_are_distorted_as_opencv_does_it(raw_folder):
+def test_images_as_recorded_are_distorted_as_opencv_does_it(raw_folder):
     scene = open_scene(raw_folder(drive="2011_09_26_drive_0001_extract", size=(40, 30)))
     rotation = matrix("0.9998 -0.02 0 0.02 0.9998 0 0 0 1")[:3, :3]
     u, _, vt = np.linalg.svd(rotation)
@@ -60,20 +60,20 @@ def test_pictures_as_recorded_are_distorted_as_opencv_does_it(raw_folder):
     camera_from_velo = camera_from_velo @ VELO
     k = np.array([[50.0, 0, 19], [0, 51, 14], [0, 0, 1]])
     distortion = np.array([-0.3, 0.1, 0.001, -0.002, -0.02])
-    turn, _ = cv2.Rodrigues(camera_from_velo[:3, :3])
-    expected, _ = cv2.projectPoints(POINTS, turn, camera_from_velo[:3, 3], k, distortion)
+    delta_rotation, _ = cv2.Rodrigues(camera_from_velo[:3, :3])
+    expected, _ = cv2.projectPoints(POINTS, delta_rotation, camera_from_velo[:3, 3], k, distortion)
     assert scene.sensor("camera2").camera.model == "brown_conrady"
     np.testing.assert_allclose(pixels_of(scene, POINTS), expected[:, 0], atol=1e-9)
 
 
-def test_points_get_the_times_of_a_turn_from_behind_by_the_right(raw_folder, raw_points):
+def test_points_get_the_times_of_a_rotation_from_behind_by_the_right(raw_folder, raw_points):
     scene = open_scene(raw_folder())
     frame = scene.sensor("velodyne").frames[0]
     np.testing.assert_array_equal(frame.points.positions, raw_points[:, :3])
     assert frame.points.intensities.tolist() == [26, 64, 128, 191, 255]
     quarters = (frame.points.timestamps_ns - frame.timestamp_ns) / 25_000_000
     np.testing.assert_allclose(quarters, [0, 1, 2, 3, 4], atol=2e-4)  # the points behind are 0.001 m aside
-    assert [n.code for n in scene.notices] == ["point-times"]
+    assert [n.code for n in scene.warnings] == ["point-times"]
 
 
 def test_without_starts_and_ends_points_have_no_times(raw_folder):
@@ -82,18 +82,18 @@ def test_without_starts_and_ends_points_have_no_times(raw_folder):
     frame = scene.sensor("velodyne").frames[0]
     assert frame.points.timestamps_ns is None
     assert frame.timestamp_ns == FIRST_NS
-    assert [n.code for n in scene.notices] == ["sweep-start"]
+    assert [n.code for n in scene.warnings] == ["sweep-start"]
 
 
-def test_oxts_lines_are_fixes_inertial_values_and_a_way(raw_folder):
+def test_oxts_lines_are_fixes_inertial_values_and_a_trajectory(raw_folder):
     scene = open_scene(raw_folder())
-    imu, gnss, way = scene.sensor("imu"), scene.sensor("gnss"), scene.trajectories["oxts"]
+    imu, gnss, trajectory = scene.sensor("imu"), scene.sensor("gnss"), scene.trajectories["oxts"]
     assert imu.streams["accelerometer"].values.tolist() == [[0.1, 0.2, 9.8]] * 2
     assert imu.streams["gyroscope"].values.tolist() == [[0.01, 0.02, 0.03]] * 2
     assert imu.streams["oxtsStatus"].values[0].tolist() == [0.07, 4, 10, 5, 4, 0]
     assert gnss.positions_lla[0].tolist() == [49, 8, 110]
     assert gnss.accuracies.tolist() == [0.5, 0.5]
-    forward = way.poses.interpolate(way.timestamps_ns[:1]).quaternions_xyzw[0]
+    forward = trajectory.poses.interpolate(trajectory.timestamps_ns[:1]).quaternions_xyzw[0]
     # yaw 0.3 from the east to the north, nose down by the pitch of -0.02: positive is front down
     x, y, z, w = forward
     ahead = [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)]
@@ -117,24 +117,24 @@ def test_tracklets_stand_on_their_bottom_in_the_lidars_frame(raw_folder):
     expected = [[9, 2] + along * dx + across * dy for dx, dy in ((2, 0.8), (-2, 0.8), (-2, -0.8), (2, -0.8))]
     np.testing.assert_allclose(found[:4, :2], expected, atol=1e-9)
     np.testing.assert_allclose(found[:, 2], [-1.7] * 4 + [-0.2] * 4, atol=1e-9)
-    told = {attribute.name: attribute.values for attribute in box.attributes}
-    assert told == {"state": (2, 1), "occlusion": (0, 1), "occlusion_kf": (0, 0), "truncation": (1, 0)}
+    reported = {attribute.name: attribute.values for attribute in box.attributes}
+    assert reported == {"state": (2, 1), "occlusion": (0, 1), "occlusion_kf": (0, 0), "truncation": (1, 0)}
 
 
 def test_without_the_oxts_units_mounting_boxes_are_placed_as_if_the_ego_stood(raw_folder):
     scene = open_scene(raw_folder({"calib_imu_to_velo.txt": None}))
-    assert list(scene.trajectories) == ["standing"]
-    assert {n.code for n in scene.notices} >= {"no-imu-mounting", "ego-stands"}
+    assert list(scene.trajectories) == ["stationary"]
+    assert {n.code for n in scene.warnings} >= {"no-imu-mounting", "ego-stands"}
     np.testing.assert_allclose(scene.annotations[0].path.values[0, 3:6], [10, 2, -0.95])
 
 
-def test_frames_that_are_missing_between_others_are_told(raw_folder):
+def test_frames_that_are_missing_between_others_are_reported(raw_folder):
     root = raw_folder()
     folder = next(root.glob("*/*_sync/velodyne_points"))
     (folder / "data" / "0000000000.bin").unlink()
     scene = open_scene(root)
     assert len(scene.sensor("velodyne").frames) == 1
-    assert "frames-missing" in [n.code for n in scene.notices]
+    assert "frames-missing" in [n.code for n in scene.warnings]
 
 
 def test_files_that_end_before_their_times_are_a_fault(raw_folder):
@@ -177,13 +177,13 @@ def test_several_drives_are_listed_and_one_can_be_chosen(raw_folder):
         ({"DRIVE/tracklet_labels.xml": "<!DOCTYPE a [<!ENTITY b 'c'>]><a/>"}, "declares entities"),
     ],
 )
-def test_a_fault_is_told_with_its_place(raw_folder, changed, problem):
+def test_a_fault_is_reported_with_its_location(raw_folder, changed, problem):
     with pytest.raises(DataError) as caught:
         open_scene(raw_folder(changed))
     assert problem in str(caught.value)
 
 
-def test_a_sweep_that_is_cut_off_is_told_when_it_is_read(raw_folder):
+def test_a_sweep_that_is_cut_off_is_reported_when_it_is_read(raw_folder):
     root = raw_folder()
     file = next(root.glob("*/*_sync/velodyne_points/data/*1.bin"))
     file.write_bytes(file.read_bytes()[:-3])

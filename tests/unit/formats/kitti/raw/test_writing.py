@@ -1,4 +1,4 @@
-"""Drives of KITTI's raw data that are read and written again: the same files, as far as they say something."""
+"""Drives of KITTI's raw data that are read and written again: the same files, as far as they state something."""
 
 from dataclasses import replace
 
@@ -40,8 +40,8 @@ def test_a_drive_comes_back_file_by_file(raw_folder, tmp_path, kind, size):
     for name in (name.replace("DRIVE", drive) for name in KEPT):
         assert (again / name).read_text() == (day / name).read_text(), name
     for k in range(2):
-        picture, sweep = f"{drive}/image_02/data/{k:010d}.png", f"{drive}/velodyne_points/data/{k:010d}.bin"
-        assert (again / picture).read_bytes() == (day / picture).read_bytes()
+        image, sweep = f"{drive}/image_02/data/{k:010d}.png", f"{drive}/velodyne_points/data/{k:010d}.bin"
+        assert (again / image).read_bytes() == (day / image).read_bytes()
         np.testing.assert_allclose(
             np.fromfile(again / sweep, np.float32), np.fromfile(day / sweep, np.float32), atol=1 / 510
         )  # reflectance has 256 steps
@@ -60,20 +60,21 @@ def test_tracklets_and_times_of_points_come_back(raw_folder, tmp_path):
     (box,), (again,) = before.annotations, after.annotations
     np.testing.assert_array_equal(again.path.timestamps_ns, box.path.timestamps_ns)
     np.testing.assert_allclose(again.path.values, box.path.values, atol=1e-9)
-    told = {attribute.name: attribute.values for attribute in box.attributes}
-    assert {attribute.name: attribute.values for attribute in again.attributes} == told
+    reported = {attribute.name: attribute.values for attribute in box.attributes}
+    assert {attribute.name: attribute.values for attribute in again.attributes} == reported
 
 
-def test_a_changed_lens_makes_new_calibration_files(raw_folder, tmp_path):
+def test_a_changed_camera_model_makes_new_calibration_files(raw_folder, tmp_path):
     scene = open_scene(raw_folder())
     camera = scene.sensor("camera2")
-    lens = replace(camera.camera, fx=49.0)
+    camera_model = replace(camera.camera, fx=49.0)
     changed = replace(
-        scene, sensors=tuple(replace(s, camera=lens) if s.id == "camera2" else s for s in scene.sensors)
+        scene,
+        sensors=tuple(replace(s, camera=camera_model) if s.id == "camera2" else s for s in scene.sensors),
     )
     write_scene(changed, tmp_path / "out", format="kitti-raw")
     again = open_scene(tmp_path / "out").sensor("camera2")
-    assert again.camera == lens
+    assert again.camera == camera_model
     np.testing.assert_allclose(again.mount.matrix, camera.mount.matrix, atol=1e-12)
 
 
@@ -83,7 +84,7 @@ def test_boxes_of_the_last_sweep_lie_on_the_way(tmp_path):
     )  # moments jitter by 0.2 ms
     write_scene(drive.scene, tmp_path / "out", format="kitti-raw")
     after = open_scene(tmp_path / "out")
-    assert not [notice for notice in after.notices if notice.code == "boxes-beyond-way"]
+    assert not [warning for warning in after.warnings if warning.code == "boxes-beyond-trajectory"]
     lidar = after.sensor("velodyne")
     np.testing.assert_array_equal(lidar.poses.timestamps_ns, lidar.frames.timestamps_ns)
     np.testing.assert_array_equal(after.trajectories["oxts"].timestamps_ns, lidar.frames.timestamps_ns)

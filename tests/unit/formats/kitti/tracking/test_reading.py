@@ -46,7 +46,7 @@ def test_tracks_are_boxes_over_time_with_their_numbers_as_ids(folder):
     )
 
 
-def test_files_are_of_the_frames_that_their_numbers_say(folder):
+def test_files_are_of_the_frames_that_their_numbers_state(folder):
     scene = open_scene(folder)
     assert scene.sensor("velodyne").frames.timestamps_ns.tolist() == [0, 100_000_000, 300_000_000]
     assert scene.sensor("velodyne").frames[2].points.positions[0, 0] == 3
@@ -68,16 +68,16 @@ def test_several_sequences_are_listed_and_one_can_be_chosen(folder):
 def test_without_oxts_boxes_are_placed_as_if_the_ego_stood(folder):
     (folder / "oxts/0002.txt").unlink()
     scene = open_scene(folder)
-    assert list(scene.trajectories) == ["standing"]
-    assert "ego-stands" in [n.code for n in scene.notices]
+    assert list(scene.trajectories) == ["stationary"]
+    assert "ego-stands" in [n.code for n in scene.warnings]
 
 
-def test_boxes_beyond_the_way_are_left_out_and_counted(folder):
+def test_boxes_beyond_the_trajectory_are_left_out_and_counted(folder):
     (folder / "oxts/0002.txt").write_text(OXTS * 2)
     scene = open_scene(folder)
     assert scene.annotations[0].path.timestamps_ns.tolist() == [0, 100_000_000]
-    counts = {n.code: n.count for n in scene.notices}
-    assert counts["boxes-beyond-way"] == 1
+    counts = {n.code: n.count for n in scene.warnings}
+    assert counts["boxes-beyond-trajectory"] == 1
 
 
 @pytest.mark.parametrize(
@@ -89,14 +89,14 @@ def test_boxes_beyond_the_way_are_left_out_and_counted(folder):
         ("oxts", "1 2\n", "line 1: 2 values; expected 30"),
     ],
 )
-def test_a_fault_is_told_with_its_place(folder, name, text, problem):
+def test_a_fault_is_reported_with_its_location(folder, name, text, problem):
     (folder / name / "0002.txt").write_text(text)
     with pytest.raises(DataError) as caught:
         open_scene(folder)
     assert problem in str(caught.value)
 
 
-def test_a_sequence_without_calibration_is_told_so(folder):
+def test_a_sequence_without_calibration_is_reported_so(folder):
     (folder / "calib/0002.txt").unlink()
     with pytest.raises(DataError, match=r"without calibration: expected .*/calib/0000.txt for each"):
         open_scene(folder)

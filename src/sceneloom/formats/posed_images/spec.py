@@ -1,0 +1,74 @@
+"""What COLMAP and nerfstudio share as formats: options, supported fields, and that they are only written."""
+
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from sceneloom.errors import OptionError
+from sceneloom.formats.loss import KEPT, Supports, approximated, converted, dropped
+from sceneloom.formats.option_values import as_positive
+from sceneloom.formats.spec import option
+
+IMAGES = ("jpg", "png", "none")
+ONLY_WRITTEN = "{} is only written; its poses hold no times that a drive could be read from"
+"""Of a format, why it is not read."""
+
+
+@dataclass(frozen=True, slots=True)
+class PosedSettings:
+    """How images and points are written; numbers may come as texts.
+
+    Raises:
+        OptionError: a value cannot be followed.
+    """
+
+    images: str = option(
+        default="jpg",
+        help="jpg copies a camera's own JPEG files, and encodes what has none; png loses nothing; or none.",
+    )
+    voxel: float = option(default=0.1, help="Side of the cubes of which one point stays [m].")
+    points: int = option(default=500_000, help="The most points.")
+    trajectory: str | None = option(
+        default=None, help="Name of the ego's trajectory, where sensors are mounted on it."
+    )
+
+    def __post_init__(self) -> None:
+        if self.images not in IMAGES:
+            raise OptionError(f"images {self.images!r}; expected one of {', '.join(IMAGES)}")
+        object.__setattr__(self, "voxel", as_positive("voxel", self.voxel))
+        object.__setattr__(self, "points", _count("points", self.points))
+
+
+def _count(name: str, value: str | int) -> int:
+    try:
+        number = int(value)
+    except ValueError:
+        number = -1
+    if number < 0:
+        raise OptionError(f"{name} {value!r}; expected a whole number of 0 or more")
+    return number
+
+
+_IMAGES_ONLY = dropped("left out: the target holds images with camera models and poses, and points")
+_THINNED = approximated("one point per cube, in the world as at the time of its sweep")
+
+SUPPORTS: Supports = MappingProxyType(
+    {
+        "": _IMAGES_ONLY,
+        "sensors.camera.id": converted("the folder of the camera's images"),
+        "sensors.camera.camera": converted("the target's own model, pixels counted from the image's corner"),
+        "sensors.camera.poses": converted("the pose of each image in the world"),
+        "sensors.camera.mount": converted("the pose of each image in the world"),
+        "sensors.camera.coordinates": converted("the pose of each image in the world"),
+        "sensors.camera.video": approximated("single images"),
+        "sensors.camera.images.timestamp_ns": converted("in the name of the image's file"),
+        "sensors.camera.images.camera": KEPT,
+        "sensors.camera.images.mount": converted("the pose of each image in the world"),
+        "sensors.camera.images.rgb": KEPT,
+        "sensors.camera.images.encoded": KEPT,
+        "sensors.lidar.frames.points.positions": _THINNED,
+        "sensors.lidar.frames.points.colors": _THINNED,
+        "sensors.lidar.frames.points.intensities": approximated("grey, where points have no colours"),
+        "sensors.points.positions": _THINNED,
+        "sensors.points.colors": _THINNED,
+    }
+)

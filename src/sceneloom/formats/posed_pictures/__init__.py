@@ -1,1 +1,0 @@
-"""What programs of photogrammetry and radiance fields are given: pictures with lenses and poses, and points."""

@@ -1,0 +1,1 @@
+"""Images of what is stated about a scene: in the images, from above, and over time."""

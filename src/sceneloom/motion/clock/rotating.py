@@ -1,0 +1,244 @@
+"""How a body rotated over time, as each kind of sensor reports it, and between its samples."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.geometry.rotations import (
+    conjugate_quaternion,
+    multiply_quaternions,
+    normalise_quaternion,
+    quaternion_from_rotation_vector,
+    rotation_vector_from_quaternion,
+)
+from sceneloom.motion.imu_samples import measured_rows
+from sceneloom.motion.inertial import running_product
+
+LONGEST_STEPS = 5.5
+"""So many usual steps without a sample are a gap, across which nothing is known of the rotating."""
+
+LEAST_KNOTS = 4
+"""A piece without gaps needs so many samples for a cubic curve."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rotating:
+    """The orientations of a body at some times; across a gap nothing relates them.
+
+    Attributes:
+        timestamps_ns: (N,) int64 [ns], strictly increasing.
+        quaternions_xyzw: (N, 4) float64 unit, from the body into a frame that is stationary within each piece.
+        chunks: (N,) int64, number of the piece without gaps that each belongs to, ascending.
+    """
+
+    timestamps_ns: Int64Array
+    quaternions_xyzw: Float64Array
+    chunks: Int64Array
+
+    @classmethod
+    def of_poses(cls, timestamps_ns: Int64Array, quaternions_xyzw: Float64Array) -> "Rotating":
+        """Take the orientations of a path, (N,) [ns] strictly increasing and (N, 4)."""
+        return cls(timestamps_ns, normalise_quaternion(quaternions_xyzw), numbered_chunks(timestamps_ns))
+
+    @classmethod
+    def of_rates(cls, timestamps_ns: Int64Array, rates: Float64Array) -> "Rotating":
+        """Integrate yaw rates, (N,) [ns] and (N, 3) [rad/s] in the body's frame; samples that are none are left out.
+
+        Between samples the rates go along a cubic curve.
+
+        Source: de Boor 1978, "A Practical Guide to Splines", chapter IV; the last term is the coning correction of
+        Savage 1998, "Strapdown Inertial Navigation Integration Algorithm Design, Part 1", for a linear rate.
+        """
+        usable = np.flatnonzero(measured_rows(rates))
+        times, first = np.unique(timestamps_ns[usable], return_index=True)
+        values, chunks = rates[usable[first]], numbered_chunks(times)
+        rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1))
+        for piece in piece_slices(chunks):
+            if piece.stop - piece.start >= LEAST_KNOTS:
+                rotations[piece] = _integrated(times[piece], values[piece])
+        return cls(times, rotations, chunks)
+
+    @classmethod
+    def of_steps(cls, timestamps_ns: Int64Array, vectors: Float64Array) -> "Rotating":
+        """Chain the rotations (N - 1, 3) [rad] from each of (N,) times [ns] to the next; NaN where one is not known."""
+        known = finite_rows(vectors)
+        steps = quaternion_from_rotation_vector(np.where(known[:, None], vectors, 0.0))
+        rotations = running_product(np.vstack([[[0.0, 0.0, 0.0, 1.0]], steps]))
+        chunks = numbered_chunks(timestamps_ns)
+        chunks[1:] += np.cumsum(~known)
+        return cls(timestamps_ns, rotations, chunks)
+
+    def __len__(self) -> int:
+        return len(self.timestamps_ns)
+
+    @property
+    def step_ns(self) -> int:
+        """The usual time between samples [ns]; 0 where there are none."""
+        return int(np.median(np.diff(self.timestamps_ns))) if len(self) > 1 else 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Steps:
+    """Rotates of a body from one time to another, and which of them are taken as one.
+
+    Attributes:
+        starts, stops: (N,) float64 [s] after an origin that is distinguished.
+        vectors: (N, 3) float64 [rad], rotation vectors in the body's frame.
+        begins: (G,) int64, number of the first rotation of each group; a group ends where the next begins.
+        chunks: (G,) int64, which piece without gaps each group lies in.
+    """
+
+    starts: Float64Array
+    stops: Float64Array
+    vectors: Float64Array
+    begins: Int64Array
+    chunks: Int64Array
+
+    def __len__(self) -> int:
+        return len(self.begins)
+
+    def mean(self, values: Float64Array) -> Float64Array:
+        """Give the mean (G, …) over each group of something that each rotation has, (N, …)."""
+        counts = np.diff(np.append(self.begins, len(values)))
+        means: Float64Array = np.add.reduceat(values, self.begins, axis=0) / counts.reshape(
+            -1, *[1] * (values.ndim - 1)
+        )
+        return means
+
+
+def steps_of(rotating: Rotating, origin_ns: int, least: float) -> Steps:
+    """Give the rotations from each sample to the next one that is at least `least` seconds later.
+
+    As many as overlap are one group, so that noise of single orientations averages out.
+    """
+    stride = 1
+    if least > 0 and rotating.step_ns > 0:
+        stride = max(1, int(np.ceil(least * 1e9 / rotating.step_ns - 1e-3)))
+    first: list[Int64Array] = []
+    begins: list[Int64Array] = []
+    count = 0
+    for piece in piece_slices(rotating.chunks):
+        rows = np.arange(piece.start, piece.stop - stride)
+        # groups of one length: what is left over at the end of a piece is left out
+        rows = rows[: len(rows) - len(rows) % stride]
+        begins.append(count + np.arange(0, len(rows), stride))
+        first.append(rows)
+        count += len(rows)
+    starting = np.concatenate([*first, np.zeros(0, np.int64)]).astype(np.int64)
+    grouped = np.concatenate([*begins, np.zeros(0, np.int64)]).astype(np.int64)
+    seconds = np.asarray((rotating.timestamps_ns - origin_ns) * 1e-9, np.float64)
+    rotations = _rotation(rotating.quaternions_xyzw[starting], rotating.quaternions_xyzw[starting + stride])
+    chunks = rotating.chunks[starting[grouped]] if len(grouped) else np.zeros(0, np.int64)
+    return Steps(seconds[starting], seconds[starting + stride], rotations, grouped, chunks)
+
+
+def rate_noise(rotating: Rotating) -> Float64Array:
+    """The power of the white noise in the rates of a rotating, (3,) [rad²/s]: what samples jump about, at most.
+
+    Source: second differences of white noise have six times its variance.
+    """
+    steps = steps_of(rotating, int(rotating.timestamps_ns[0]), 0.0)
+    if len(steps) < LEAST_KNOTS:
+        return np.full(3, np.inf)
+    lengths = steps.stops - steps.starts
+    jumps = np.diff(steps.vectors / lengths[:, None], n=2, axis=0)
+    variance = (1.4826 * np.median(np.abs(jumps), axis=0)) ** 2 / 6.0
+    return np.asarray(variance * np.median(lengths), np.float64)
+
+
+class RotationCurve:
+    """A rotating between its samples: a smooth curve through the orientations of each piece."""
+
+    def __init__(self, rotating: Rotating, origin_ns: int) -> None:
+        """Lay cubic splines through the quaternions; times are seconds after `origin_ns`.
+
+        Source: de Boor 1978, chapter IV: the error of a cubic spline is of the fourth order in the step.
+        """
+        from scipy.interpolate import CubicSpline
+
+        self._chunks = []
+        for piece in piece_slices(rotating.chunks):
+            if piece.stop - piece.start < LEAST_KNOTS:
+                continue
+            seconds = (rotating.timestamps_ns[piece] - origin_ns) * 1e-9
+            signed = _on_one_side(rotating.quaternions_xyzw[piece])
+            self._chunks.append((seconds[0], seconds[-1], CubicSpline(seconds, signed)))
+        self._begins = np.array([begin for begin, _, _ in self._chunks])
+        self.span = (self._begins[0], self._chunks[-1][1]) if self._chunks else (0.0, 0.0)
+
+    def __bool__(self) -> bool:
+        return bool(self._chunks)
+
+    def rotations(self, starts: Float64Array, stops: Float64Array) -> Float64Array:
+        """Give the rotations (N, 3) [rad] from some times to others, (N,) [s]; NaN where a gap lies between."""
+        first, of_first = self._at(starts)
+        last, of_last = self._at(stops)
+        vectors = np.full((len(starts), 3), np.nan)
+        known = (of_first >= 0) & (of_first == of_last)
+        if known.any():
+            vectors[known] = _rotation(first[known], last[known])
+        return vectors
+
+    def rates(self, seconds: Float64Array, window: float) -> Float64Array:
+        """Give the mean yaw rates (N, 3) [rad/s] over a window around some times (N,) [s]; NaN where not known."""
+        rotated = self.rotations(seconds - window / 2, seconds + window / 2)
+        rates: Float64Array = rotated / window
+        return rates
+
+    def orientations(self, seconds: Float64Array) -> tuple[Float64Array, Int64Array]:
+        """Give unit quaternions (N, 4) at some times (N,) [s], and which piece each is of, -1 where in none."""
+        return self._at(seconds)
+
+    def _at(self, seconds: Float64Array) -> tuple[Float64Array, Int64Array]:
+        quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (len(seconds), 1))
+        of = np.full(len(seconds), -1, np.int64)
+        numbers = np.searchsorted(self._begins, seconds, side="right") - 1
+        for number in np.unique(numbers[numbers >= 0]).tolist():
+            _, end, curve = self._chunks[number]
+            inside = (numbers == number) & (seconds <= end)
+            quaternions[inside] = curve(seconds[inside])
+            of[inside] = number
+        return normalise_quaternion(quaternions), of
+
+
+def finite_rows(values: Float64Array) -> BoolArray:
+    """Which rows of (N, K) hold numbers only."""
+    return np.asarray(np.isfinite(values).all(axis=1), np.bool_)
+
+
+def _rotation(first: Float64Array, last: Float64Array) -> Float64Array:
+    return rotation_vector_from_quaternion(multiply_quaternions(conjugate_quaternion(first), last))
+
+
+def numbered_chunks(timestamps_ns: Int64Array) -> Int64Array:
+    """Number the chunks without gaps that times (N,) [ns] fall into, ascending."""
+    numbers = np.zeros(len(timestamps_ns), np.int64)
+    if len(timestamps_ns) > 1:
+        steps = np.diff(timestamps_ns)
+        numbers[1:] = np.cumsum(steps > LONGEST_STEPS * np.median(steps))
+    return numbers
+
+
+def piece_slices(chunks: Int64Array) -> list[slice]:
+    """The rows of each piece, from their numbers (N,)."""
+    edges = [0, *(np.flatnonzero(np.diff(chunks)) + 1).tolist(), len(chunks)]
+    return [slice(a, b) for a, b in pairwise(edges) if b > a]
+
+
+def _integrated(timestamps_ns: Int64Array, rates: Float64Array) -> Float64Array:
+    from scipy.interpolate import CubicSpline
+
+    seconds = (timestamps_ns - timestamps_ns[0]) * 1e-9
+    angles = CubicSpline(seconds, rates).antiderivative()(seconds)
+    coning = np.diff(seconds)[:, None] ** 2 / 12.0 * np.cross(rates[:-1], rates[1:])
+    steps = quaternion_from_rotation_vector(np.diff(angles, axis=0) + coning)
+    return running_product(np.vstack([[[0.0, 0.0, 0.0, 1.0]], steps]))
+
+
+def _on_one_side(quaternions_xyzw: Float64Array) -> Float64Array:
+    """Choose the signs so that each is near the one before."""
+    rotated: BoolArray = (quaternions_xyzw[1:] * quaternions_xyzw[:-1]).sum(axis=1) < 0
+    signs = np.concatenate([[1.0], np.cumprod(np.where(rotated, -1.0, 1.0))])
+    return np.asarray(quaternions_xyzw * signs[:, None], np.float64)

@@ -1,1 +1,0 @@
-"""Pictures of what is said about a scene: in the photographs, from above, and over time."""

@@ -1,0 +1,408 @@
+"""Which image belongs to which line, and what single lines state about their images."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sceneloom
+from sceneloom.errors import CalibrationError, DataError, OptionError
+from sceneloom.formats.recording.image_files import choose_images
+from sceneloom.formats.recording.spec import FORMAT
+from sceneloom.scene import CameraSensor, Scene, WarningKind
+
+GREY_STEP = 10
+"""Image k of the test videos is grey 10 k."""
+
+
+def frames(number: int, time: float, *entries: dict[str, Any], **further: Any) -> dict[str, Any]:
+    return {"frames": list(entries or ({"cameraInd": 0},)), "number": number, "time": time, **further}
+
+
+def shown(camera: CameraSensor) -> list[int]:
+    """Which images of the video the camera shows, by their grey."""
+    return [int(image.rgb[0, 0, 0]) // GREY_STEP for image in camera.images]
+
+
+def codes(scene: Scene) -> list[str]:
+    return [warning.code for warning in scene.warnings]
+
+
+@pytest.mark.parametrize(
+    ("numbers", "count", "indices"),
+    [
+        ([0, 1, 2, 3], 4, [0, 1, 2, 3]),
+        ([28, 29, 30], 3, [0, 1, 2]),
+        ([5, 7, 8], 4, [0, 2, 3]),
+        ([2, 0, 1], 3, [2, 0, 1]),
+        ([-4, -3, -1], 4, [0, 1, 3]),
+        ([7], 1, [0]),
+        ([], 0, []),
+    ],
+)
+def test_images_are_counted_by_number_from_the_first(numbers, count, indices):
+    choice = choose_images(np.array(numbers, np.int64), count)
+    assert choice.indices.tolist() == indices
+    assert choice.problem is None
+    assert not choice.by_line
+
+
+def test_a_number_that_stands_in_two_lines_means_one_image():
+    choice = choose_images(np.array([5, 6, 6, 7]), 3)
+    assert choice.indices.tolist() == [0, 1, 1, 2]
+    assert choice.problem is None
+
+
+@pytest.mark.parametrize(
+    ("numbers", "count", "indices"),
+    [([5, 7, 8], 3, [0, 1, 2]), ([0, 1, 0, 1], 4, [0, 1, 2, 3]), ([9, 5, 7], 3, [2, 0, 1])],
+)
+def test_images_are_counted_by_line_where_numbers_have_gaps_and_the_counts_agree(numbers, count, indices):
+    choice = choose_images(np.array(numbers, np.int64), count)
+    assert choice.indices.tolist() == indices
+    assert choice.by_line
+    assert choice.problem is None
+
+
+@pytest.mark.parametrize(
+    ("numbers", "count", "indices"),
+    [
+        ([0, 1, 2, 3], 3, [0, 1, 2, -1]),
+        ([0, 1, 2, 3], 5, [0, 1, 2, 3]),
+        ([5, 7, 9], 4, [0, 2, -1]),
+        ([0, 0, 1], 4, [0, 1, 2]),
+        ([], 2, []),
+    ],
+)
+def test_other_counts_are_a_problem_that_names_both(numbers, count, indices):
+    choice = choose_images(np.array(numbers, np.int64), count)
+    assert choice.indices.tolist() == indices
+    assert choice.problem is not None
+    assert f"{count} images" in choice.problem
+    assert (f"{len(numbers)} frames lines" if numbers else "no frames line") in choice.problem
+
+
+@pytest.mark.parametrize("kind", ["video", "pngs"])
+def test_images_are_those_of_the_video_or_the_png_folder(recording, pinhole, kind):
+    if kind == "video":
+        recording.video("data.mkv", 4)
+    else:
+        recording.pngs("frames1", 4)
+    scene = FORMAT.open(recording.lines([frames(k, 0.1 * k) for k in range(4)]).calibration([pinhole]).path)
+    camera = scene.cameras[0]
+    assert camera.id == "camera0"
+    assert shown(camera) == [0, 1, 2, 3]
+    assert camera.images.timestamps_ns.tolist() == [0, 100_000_000, 200_000_000, 300_000_000]
+    assert camera.images[2].extras == {"file_seconds": 0.2, "number": 2}
+    assert scene.warnings == ()
+    scene.close()
+
+
+def test_a_camera_passes_its_video_on(recording, pinhole):
+    recording.video("data.mkv", 3).lines([frames(k, 0.1 * k) for k in range(3)])
+    with FORMAT.open(recording.calibration([pinhole]).path) as scene:
+        video = scene.cameras[0].video
+        assert video is not None
+        assert (video.codec, video.frame_indices) == ("ffv1", None)
+        with video.open() as file:
+            assert file.read() == (recording.path / "data.mkv").read_bytes()
+
+
+def test_lines_without_a_camera_or_without_its_bitmap_still_use_up_an_image(recording, pinhole):
+    recording.video("data.mkv", 4).video("data2.mkv", 4).lines(
+        [
+            frames(0, 0.0, {"cameraInd": 0}, {"cameraInd": 1}),
+            frames(1, 0.1, {"cameraInd": 1}),
+            frames(2, 0.2, {"cameraInd": 0}, {"cameraInd": 1, "missingBitmap": True}),
+            frames(3, 0.3, {"cameraInd": 0}, {"cameraInd": 1}),
+        ]
+    )
+    with FORMAT.open(recording.calibration([pinhole, pinhole]).path) as scene:
+        assert [shown(camera) for camera in scene.cameras] == [[0, 2, 3], [0, 1, 3]]
+        assert scene.cameras[1].images.timestamps_ns.tolist() == [0, 100_000_000, 300_000_000]
+        assert scene.cameras[0].video is not None
+        assert scene.cameras[0].video.frame_indices == (0, 2, 3)
+        (warning,) = scene.warnings
+        assert (warning.code, warning.kind, warning.count) == ("missing-bitmaps", WarningKind.SKIPPED, 1)
+
+
+def test_a_gap_in_the_numbers_is_a_gap_in_the_video_where_the_counts_report_it(recording, pinhole):
+    recording.video("data.mkv", 4).lines([frames(10, 0.0), frames(12, 0.2), frames(13, 0.3)])
+    with FORMAT.open(recording.calibration([pinhole]).path) as scene:
+        assert shown(scene.cameras[0]) == [0, 2, 3]
+
+
+def test_numbers_with_gaps_are_not_used_where_images_and_lines_are_equally_many(recording, pinhole):
+    recording.video("data.mkv", 3).lines([frames(10, 0.0), frames(12, 0.2), frames(13, 0.3)])
+    with FORMAT.open(recording.calibration([pinhole]).path) as scene:
+        assert shown(scene.cameras[0]) == [0, 1, 2]
+        assert [(n.code, n.kind) for n in scene.warnings] == [
+            ("frame-numbers-not-used", WarningKind.REPAIRED)
+        ]
+
+
+@pytest.mark.parametrize(("images", "kept", "left_out"), [(3, [0, 1, 2], 2), (7, [0, 1, 2, 3, 4], 1)])
+def test_a_count_that_does_not_fit_is_a_fault_with_both_counts(recording, pinhole, images, kept, left_out):
+    recording.video("data.mkv", images).lines([frames(k, 0.1 * k) for k in range(5)])
+    recording.calibration([pinhole])
+    with pytest.raises(DataError, match=rf"data\.mkv: {images} images, but data\.jsonl has 5 frames lines"):
+        FORMAT.open(recording.path)
+    with FORMAT.open(recording.path, lenient=True) as scene:
+        assert shown(scene.cameras[0]) == kept
+        assert [(n.code, n.count) for n in scene.warnings] == [("unmatched-images", left_out)]
+
+
+def test_the_time_of_an_entry_goes_before_that_of_its_line(recording, pinhole):
+    entry = {"cameraInd": 0, "time": 0.125}
+    recording.video("data.mkv", 1).lines([frames(0, 0.25, entry)]).calibration([pinhole])
+    with FORMAT.open(recording.path) as scene:
+        image = scene.cameras[0].images[0]
+        assert image.timestamp_ns == 125_000_000
+        assert image.extras == {"file_seconds": 0.125, "line_seconds": 0.25, "number": 0}
+
+
+def test_unsorted_lines_show_their_own_images_in_the_order_of_time(recording, pinhole):
+    recording.video("data.mkv", 3).lines([frames(2, 0.2), frames(0, 0.0), frames(1, 0.1)]).calibration(
+        [pinhole]
+    )
+    with FORMAT.open(recording.path) as scene:
+        assert shown(scene.cameras[0]) == [0, 1, 2]
+        assert scene.cameras[0].images.timestamps_ns.tolist() == [0, 100_000_000, 200_000_000]
+
+
+def test_a_line_brings_along_a_camera_model_and_a_mounting(recording, pinhole):
+    shifted = [[1.0, 0, 0, 0.5], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1]]
+    own = {
+        "cameraInd": 0,
+        "cameraParameters": {"focalLengthX": 25.0, "focalLengthY": 26.0},
+        "imuToCamera": shifted,
+    }
+    other = {
+        "cameraInd": 0,
+        "cameraParameters": {
+            "distortionModel": "KANNALA_BRANDT4",
+            "distortionCoefficients": [1e-3, 2e-3, 3e-3, 4e-3],
+        },
+    }
+    lines = [frames(0, 0.0), frames(1, 0.1, own), frames(2, 0.2, other), frames(3, 0.3, own)]
+    recording.video("data.mkv", 4).lines(lines).calibration([pinhole])
+    with FORMAT.open(recording.path) as scene:
+        camera = scene.cameras[0]
+        plain, zoomed, fisheye, again = camera.images
+        assert plain.camera == camera.camera
+        assert plain.mount is None
+        assert (zoomed.camera.fx, zoomed.camera.fy, zoomed.camera.cx) == (25.0, 26.0, camera.camera.cx)
+        assert zoomed.mount is not None
+        assert zoomed.mount.translation.tolist() == [-0.5, 0.0, 0.0]
+        assert fisheye.camera.model == "fisheye"
+        assert fisheye.camera.coefficients == (1e-3, 2e-3, 3e-3, 4e-3)
+        assert fisheye.camera.fx == camera.camera.fx
+        assert again.camera == zoomed.camera
+
+
+@pytest.mark.parametrize(
+    ("model", "model_here", "coefficients"),
+    [("PINHOLE", "brown_conrady", (-0.2, 0.1, 0.0, 0.0, 0.05)), ("KannalaBrandt4", "fisheye", ())],
+)
+def test_coefficients_of_the_calibration_hold_for_a_line_of_the_same_model_only(
+    recording, pinhole, model, model_here, coefficients
+):
+    bent = pinhole | {"distortionCoefficients": [-0.2, 0.1, 0.05]}
+    own = {"cameraInd": 0, "cameraParameters": {"focalLengthX": 25.0, "distortionModel": model}}
+    recording.video("data.mkv", 1).lines([frames(0, 0.0, own)]).calibration([bent])
+    with FORMAT.open(recording.path) as scene:
+        camera_model = scene.cameras[0].images[0].camera
+        assert (camera_model.model, camera_model.fx, camera_model.coefficients) == (
+            model_here,
+            25.0,
+            coefficients,
+        )
+
+
+def test_a_camera_model_of_a_line_is_scaled_like_that_of_the_calibration(recording, pinhole):
+    doubled = pinhole | {"imageWidth": 64, "imageHeight": 32}
+    own = {"cameraInd": 0, "cameraParameters": {"focalLengthX": 50.0, "principalPointX": 31.5}}
+    recording.video("data.mkv", 1).lines([frames(0, 0.0, own)]).calibration([doubled])
+    with FORMAT.open(recording.path) as scene:
+        camera_model = scene.cameras[0].images[0].camera
+        assert (camera_model.width, camera_model.fx, camera_model.cx) == (32, 25.0, 15.5)
+
+
+def test_a_recording_may_have_all_its_parameters_in_the_lines(recording, pinhole):
+    mount = [[1.0, 0, 0, 0.5], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1]]
+    parameters = {key: value for key, value in pinhole.items() if key.startswith(("focal", "principal"))}
+    parameters["distortionModel"] = "PINHOLE"
+    entry = {"cameraInd": 0, "cameraParameters": parameters, "imuToCamera": mount}
+    recording.video("data.mkv", 2).lines([frames(k, 0.1 * k, entry) for k in range(2)])
+    with FORMAT.open(recording.path) as scene:
+        camera = scene.cameras[0]
+        assert (camera.camera.model, camera.camera.width, camera.camera.fx) == ("pinhole", 32, 20.0)
+        assert camera.mount is not None
+        assert camera.mount.translation.tolist() == [-0.5, 0.0, 0.0]
+        assert scene.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("entry", "kind", "words"),
+    [
+        (
+            {"cameraParameters": {"focalLengthX": "x"}},
+            DataError,
+            ["line 2", "cameraParameters.focalLengthX", '"x"'],
+        ),
+        ({"cameraParameters": {"focalLengthX": -1}}, CalibrationError, ["line 2", "focal lengths -1"]),
+        ({"cameraParameters": 3}, DataError, ["line 2", "cameraParameters", "3"]),
+        ({"imuToCamera": "x"}, DataError, ["line 2", "imuToCamera", '"x"']),
+        (
+            {"imuToCamera": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]},
+            CalibrationError,
+            ["line 2", "off"],
+        ),
+    ],
+)
+def test_unusable_parameters_of_a_line_are_named_with_it(recording, pinhole, entry, kind, words):
+    lines = [frames(0, 0.0), frames(1, 0.1, {"cameraInd": 0, **entry}), frames(2, 0.2)]
+    recording.video("data.mkv", 3).lines(lines).calibration([pinhole])
+    with pytest.raises(kind) as caught:
+        FORMAT.open(recording.path)
+    for word in ["data.jsonl", *words]:
+        assert word in str(caught.value)
+    with FORMAT.open(recording.path, lenient=True) as scene:
+        assert shown(scene.cameras[0]) == [0, 2]
+        assert [(n.code, n.count) for n in scene.warnings] == [("unusable-frame-parameters", 1)]
+
+
+def test_what_a_line_says_further_is_read_with_the_image(recording, pinhole):
+    entry = {"cameraInd": 0, "exposureTimeSeconds": 0.01, "features": [{"id": 1, "x": 2.5}]}
+    recording.video("data.mkv", 2).lines([frames(0, 0.0), frames(1, 0.1, entry, note="é")]).calibration(
+        [pinhole]
+    )
+    with FORMAT.open(recording.path) as scene:
+        first, second = scene.cameras[0].images
+        assert set(first.extras) == {"file_seconds", "number"}
+        assert second.extras["exposureTimeSeconds"] == 0.01
+        assert second.extras["features"] == [{"id": 1, "x": 2.5}]
+        assert second.extras["line"] == {"note": "é"}
+        (recording.path / "data.jsonl").write_text("")
+        with pytest.raises(DataError, match="changed after it was opened"):
+            _ = scene.cameras[0].images[1]
+
+
+@pytest.mark.parametrize("calibration", [None, []])
+def test_frames_without_a_calibration_are_an_error_that_says_what_to_do(recording, calibration):
+    recording.video("data.mkv", 1).lines([frames(0, 0.0)])
+    if calibration is not None:
+        recording.calibration(calibration)
+    with pytest.raises(
+        DataError, match=r"calibration\.json: .*missing, while data\.jsonl has frames .*write its entry"
+    ):
+        FORMAT.open(recording.path)
+
+
+def test_frames_without_images_are_an_error_that_names_the_files_to_be_there(recording, pinhole):
+    lines = [frames(0, 0.0, {"cameraInd": 0}, {"cameraInd": 1})]
+    recording.video("data.mkv", 1).lines(lines).calibration([pinhole, pinhole])
+    with pytest.raises(
+        DataError, match=r"no images of camera 1, .*data2\.\{mkv,mp4,mov,avi,ts\} or frames2/"
+    ):
+        FORMAT.open(recording.path)
+    with FORMAT.open(recording.path, lenient=True) as scene:
+        assert [(camera.id, len(camera.images)) for camera in scene.cameras] == [
+            ("camera0", 1),
+            ("camera1", 0),
+        ]
+        assert codes(scene) == ["missing-videos"]
+
+
+@pytest.mark.parametrize("name", ["video.mkv", "data.MKV"])
+def test_a_video_of_another_name_is_reported_where_one_is_missing(recording, pinhole, name):
+    recording.video("data.mkv", 1).lines([frames(0, 0.0, {"cameraInd": 0})]).calibration([pinhole])
+    (recording.path / "data.mkv").rename(recording.path / name)
+    with pytest.raises(DataError, match=f"in the folder there is {name}"):
+        FORMAT.open(recording.path)
+
+
+@pytest.mark.parametrize("content", [b"", b"no video at all", b"\x1aE\xdf\xa3 almost"])
+def test_a_video_that_is_none_is_a_fault_of_its_file(recording, pinhole, content):
+    recording.lines([frames(0, 0.0)]).calibration([pinhole])
+    (recording.path / "data.mkv").write_bytes(content)
+    with pytest.raises(DataError, match=r"data\.mkv"):
+        FORMAT.open(recording.path)
+    with FORMAT.open(recording.path, lenient=True) as scene:
+        assert len(scene.cameras[0].images) == 0
+        assert codes(scene) == ["unreadable-videos"]
+
+
+def test_two_videos_of_one_camera_are_a_fault(recording, pinhole):
+    recording.video("data.mkv", 1).video("data.avi", 1).lines([frames(0, 0.0)]).calibration([pinhole])
+    with pytest.raises(DataError, match=r"data\.mkv, data\.avi for camera 0; expected one"):
+        FORMAT.open(recording.path)
+    with FORMAT.open(recording.path, lenient=True) as scene:
+        assert shown(scene.cameras[0]) == [0]
+        assert codes(scene) == ["repeated-videos"]
+
+
+def test_videos_that_nothing_names_are_reported(recording):
+    recording.video("data.mkv", 1).pngs("frames3", 1).lines(
+        [json.dumps({"sensor": {"type": "a", "values": [1]}, "time": 0})]
+    )
+    (warning,) = FORMAT.open(recording.path).warnings
+    assert (warning.code, warning.count) == ("videos-not-used", 2)
+    assert "data.mkv, frames3" in warning.message
+
+
+def test_a_closed_scene_gives_no_images(recording, pinhole):
+    recording.video("data.mkv", 1).lines([frames(0, 0.0)]).calibration([pinhole])
+    scene = FORMAT.open(recording.path)
+    image = scene.cameras[0].images[0]
+    scene.close()
+    with pytest.raises(DataError, match="closed"):
+        _ = image.rgb
+
+
+@pytest.mark.parametrize(
+    ("alignment", "greys"), [("number", [20, 30, 50]), ("first", [0, 10, 30]), ("line", [0, 10, 20])]
+)
+def test_where_counts_do_not_agree_the_trajectory_that_was_taken_is_named_and_others_can_be(
+    recording, pinhole, alignment, greys
+):
+    numbers = [2, 3, 5]
+    recording.video("data.mkv", 7).calibration([pinhole]).lines(
+        {"frames": [{"cameraInd": 0}], "number": number, "time": 0.1 * number} for number in numbers
+    )
+    with pytest.raises(DataError, match=r"7 images.*3 frames lines with numbers from 2 to 5") as caught:
+        FORMAT.open(recording.path)
+    for words in (
+        "a lenient reading takes --image-index first",
+        "--image-index number (`number` is the image's index, from 0)",
+        "--image-index line",
+    ):
+        assert words in caught.value.problem
+    with FORMAT.open(recording.path, lenient=True) as scene:
+        assert "takes --image-index first" in scene.warnings[0].message
+    with FORMAT.open(recording.path, image_index=alignment) as scene:
+        assert [int(np.median(image.rgb)) for image in scene.cameras[0].images] == greys
+        assert scene.warnings == ()
+    report = sceneloom.validate(recording.path, image_index=alignment, rules=["unmatched-images"])
+    assert report.passed
+    fixed = sceneloom.validate(recording.path, fix=recording.path.parent / "fixed")
+    (left,) = [finding for finding in fixed.left_out if finding.rule == "unmatched-images"]
+    assert "--image-index first" in left.message
+
+
+def test_lines_that_mean_no_image_by_the_way_that_is_asked_for_are_a_fault(recording, pinhole):
+    recording.video("data.mkv", 4).calibration([pinhole]).lines(
+        {"frames": [{"cameraInd": 0}], "number": number, "time": 0.1 * number} for number in (2, 3, 4)
+    )
+    with pytest.raises(
+        DataError, match=r"1 of 3 frames lines mean images that are not there.*image 4, while"
+    ):
+        FORMAT.open(recording.path, image_index="number")
+    with FORMAT.open(recording.path, image_index="number", lenient=True) as scene:
+        assert len(scene.cameras[0].images) == 2
+        assert scene.warnings[0].count == 1
+    with pytest.raises(
+        OptionError, match="image_index 'nearest'; expected one of: auto, number, first, line"
+    ):
+        FORMAT.open(recording.path, image_index="nearest")

@@ -1,0 +1,354 @@
+"""Images that bring camera model and mounting along: whatever the target, both are of one rig, that of the image.
+
+The numbers are those of the examples in the recording format's description, whose `data.jsonl` and `calibration.json`
+are of different rigs: by the calibration the first camera looks the other way.
+"""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import CalibrationError
+from sceneloom.formats import open_scene, write_scene
+from sceneloom.formats.loss import Support
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import CameraCalibration, Coordinates, LazyFrames, Poses, Scene
+from sceneloom.scene.pose_source import PoseSource
+from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
+
+SIZE = (83, 80)
+CALIBRATED = [
+    [-0.004028958399374893, -0.9999835791608805, 0.0040754021655989925, 0.00026667580381220524],
+    [-0.9999788711605716, 0.004049663285094152, 0.0050850230782564345, 0.03338442163595494],
+    [-0.005101443584432566, -0.004054828710638873, -0.9999787665933124, 0.0011383544698017876],
+    [0.0, 0.0, 0.0, 1.0],
+]
+OF_LINES = [
+    [0.01486, 0.9995, -0.02577, 0.06522],
+    [-0.9998, 0.01496, 0.003756, -0.0207],
+    [0.00414, 0.02571, 0.9996, -0.008054],
+    [0, 0, 0, 1],
+]
+COUNT = 3
+CALIBRATION = {
+    "model": "pinhole", "focalLengthX": 54.7, "focalLengthY": 54.7, "principalPointX": 67.2, "principalPointY": 49.0,
+    "imageWidth": 134, "imageHeight": 97, "imuToCamera": CALIBRATED,
+}  # fmt: skip
+CAMERA_MODEL = {
+    "focalLengthX": 28.49, "focalLengthY": 28.52, "principalPointX": 41.6, "principalPointY": 39.6,
+    "distortionModel": "pinhole",
+}  # fmt: skip
+
+
+def rotated(k):
+    """The mounting of the lines, rotated by k times 10 degrees around the camera's axis."""
+    c, s = np.cos(np.radians(10 * k)), np.sin(np.radians(10 * k))
+    return (np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]) @ np.array(OF_LINES)).tolist()
+
+
+@pytest.fixture
+def recording(tmp_path):
+    """Make a recording whose lines bring camera models and mountings along, equal or different ones."""
+
+    def make(*, different):
+        folder = tmp_path / "recording"
+        (folder / "frames1").mkdir(parents=True)
+        (folder / "calibration.json").write_text(json.dumps({"cameras": [CALIBRATION]}))
+        lines = []
+        for k in range(10):
+            rotation = {"w": np.cos(0.02 * k), "x": 0.0, "y": 0.0, "z": np.sin(0.02 * k)}
+            pose = {"position": {"x": 0.1 * k, "y": 0.0, "z": 0.0}, "orientation": rotation}
+            lines.append({"groundTruth": pose, "time": 0.1 * k})
+        for k in range(COUNT):
+            Image.new("RGB", SIZE, (10 * k, 0, 0)).save(folder / "frames1" / f"{k:08d}.png")
+            camera_model = CAMERA_MODEL | {
+                "focalLengthX": CAMERA_MODEL["focalLengthX"] + (k if different else 0)
+            }
+            entry = {
+                "cameraInd": 0,
+                "cameraParameters": camera_model,
+                "imuToCamera": rotated(k if different else 0),
+            }
+            lines.append({"frames": [entry], "number": k, "time": 0.25 + 0.2 * k})
+        lines.sort(key=lambda line: line["time"])
+        (folder / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+        return folder
+
+    return make
+
+
+def expected(different):
+    """`ego_from_camera` and focal length of each image, straight from the numbers of the lines."""
+    for k in range(COUNT):
+        rotation, _ = RigidTransform.nearest(np.array(rotated(k if different else 0)))
+        yield rotation.inverse(), CAMERA_MODEL["focalLengthX"] + (k if different else 0)
+
+
+def world_from_images(scene):
+    """Where each image was taken from, as whoever computes with the scene finds it."""
+    (camera,), trajectory = scene.cameras, next(iter(scene.trajectories.values())).poses
+    assert camera.coordinates is Coordinates.WORLD
+    for image in camera.images:
+        own = image.mount or camera.mount
+        samples = PoseSource(trajectory, own).at(np.array([image.timestamp_ns]))
+        along = camera.poses.interpolate(np.array([image.timestamp_ns]))
+        np.testing.assert_allclose(samples.positions, along.positions, atol=1e-6)
+        yield own, image.camera
+
+
+@pytest.mark.parametrize("different", [False, True], ids=["equal", "different"])
+@pytest.mark.parametrize("name", ["drive.mcap", "drive.bag", "drive.ros2", "drive.sfs", "copy"])
+def test_a_target_has_camera_model_and_mounting_of_each_image(recording, tmp_path, name, different):
+    if name in ("drive.bag", "drive.ros2"):
+        pytest.importorskip("rosbags")
+    with open_scene(recording(different=different)) as scene:
+        report = write_scene(scene, tmp_path / name)
+    assert not [
+        loss for loss in report.losses if loss.field.endswith("mount") and loss.support is Support.DROPPED
+    ]
+    with open_scene(tmp_path / name) as read:
+        found = list(world_from_images(read))
+    assert len(found) == COUNT
+    for (mount, camera_model), (ego_from_camera, focal_length) in zip(
+        found, expected(different), strict=True
+    ):
+        np.testing.assert_allclose(mount.matrix, ego_from_camera.matrix, atol=1e-9)
+        assert camera_model.fx == pytest.approx(focal_length)
+
+
+def transforms_of(path):
+    """The transforms of a bag by topic and child, as another program reads them."""
+    highlevel = pytest.importorskip("rosbags.highlevel")
+    with highlevel.AnyReader([path]) as bag:
+        for connection, _, raw in bag.messages():
+            if connection.topic in ("/tf", "/tf_static"):
+                for one in bag.deserialize(raw, connection.msgtype).transforms:
+                    time = one.header.stamp.sec + one.header.stamp.nanosec * 1e-9
+                    yield connection.topic, one.child_frame_id, time, one.transform.rotation
+
+
+def test_other_programs_find_one_fixed_transform_for_equal_mountings(recording, tmp_path):
+    with open_scene(recording(different=False)) as scene:
+        write_scene(scene, tmp_path / "drive.bag")
+    ((topic, _, _, rotation),) = [row for row in transforms_of(tmp_path / "drive.bag") if row[1] == "camera0"]
+    assert topic == "/tf_static"
+    ((ego_from_camera, _), *_) = expected(different=False)
+    found = [rotation.x, rotation.y, rotation.z, rotation.w]
+    assert abs(np.dot(found, ego_from_camera.quaternion_xyzw)) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_other_programs_find_a_transform_at_the_time_of_each_image(recording, tmp_path):
+    with open_scene(recording(different=True)) as scene:
+        write_scene(scene, tmp_path / "drive.bag")
+    rows = [row for row in transforms_of(tmp_path / "drive.bag") if row[1] == "camera0"]
+    assert [(row[0], round(row[2], 6)) for row in rows] == [("/tf", 0.25), ("/tf", 0.45), ("/tf", 0.65)]
+    for (_, _, _, rotation), (ego_from_camera, _) in zip(rows, expected(different=True), strict=True):
+        found = [rotation.x, rotation.y, rotation.z, rotation.w]
+        assert abs(np.dot(found, ego_from_camera.quaternion_xyzw)) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_openlabel_says_where_the_camera_was_at_each_image(recording, tmp_path):
+    with open_scene(recording(different=True)) as scene:
+        write_scene(scene, tmp_path / "drive.json", format="openlabel")
+        poses = {image.timestamp_ns: image for image in scene.cameras[0].images}
+        reported = json.loads((tmp_path / "drive.json").read_text())["openlabel"]
+        assert "pose_wrt_parent" not in reported["coordinate_systems"]["camera0"]
+        frames = list(reported["frames"].values())
+        assert len(frames) == len(poses)
+        for frame, image in zip(frames, poses.values(), strict=True):
+            properties = frame["frame_properties"]
+            matrix = properties["transforms"]["camera0_to_world"]["transform_src_to_dst"]["matrix4x4"]
+            pose = scene.cameras[0].poses.interpolate(np.array([image.timestamp_ns]))
+            np.testing.assert_allclose(np.reshape(matrix, (4, 4))[:3, 3], pose.positions[0], atol=1e-9)
+            camera_model = properties["streams"]["camera0"]["stream_properties"].get("intrinsics_pinhole")
+            fx = scene.cameras[0].camera.fx if camera_model is None else camera_model["camera_matrix_3x4"][0]
+            assert fx == pytest.approx(image.camera.fx)
+
+
+@pytest.mark.parametrize("name", ["kitti-raw", "kitti-tracking", "kitti-odometry"])
+def test_a_target_with_one_mounting_for_all_images_refuses_different_ones(recording, tmp_path, name):
+    with (
+        open_scene(recording(different=True)) as scene,
+        pytest.raises(CalibrationError, match="images have mountings of their own"),
+    ):
+        write_scene(scene, tmp_path / "out", format=name)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_calibration_that_no_image_uses_is_reported(recording):
+    with open_scene(recording(different=False)) as scene:
+        messages = [warning.message for warning in scene.warnings if warning.code == "calibration-not-used"]
+    assert len(messages) == 2
+    assert "179 degrees" in messages[1]
+
+
+def test_whole_parameters_without_a_size_are_those_of_the_images_as_they_are(recording):
+    with open_scene(recording(different=False)) as scene:
+        camera = scene.cameras[0].camera
+    assert (camera.width, camera.height) == SIZE
+    assert (camera.fx, camera.cx) == (CAMERA_MODEL["focalLengthX"], CAMERA_MODEL["principalPointX"])
+
+
+def drifting() -> Poses:
+    """A correction that drifts by 0.3 m and 11 degrees while five images are taken, reported at three times."""
+    angles = np.array([-0.1, 0.0, 0.1])
+    zeros = np.zeros(3)
+    rotations = np.stack([zeros, np.sin(angles / 2), zeros, np.cos(angles / 2)], axis=1)
+    times = np.array([1_050_000_000, 1_200_000_000, 1_400_000_000], np.int64)
+    return Poses(times, np.stack([np.array([0.0, 0.1, 0.3]), zeros, zeros], axis=1), rotations)
+
+
+@cache
+def street() -> Scene:
+    camera_model = Camera("pinhole", 80, 48, 45.0, 45.0, 39.5, 23.5)
+    drive = simulate_street(
+        1, frames=5, lidar=LidarSpec(beams=8, steps=60), cameras=(CameraSpec(camera_model),)
+    ).scene
+    return replace(drive, annotations=())
+
+
+def corrected_over_time(kind: str) -> Scene:
+    """A drive whose camera moves on the vehicle: by a correction, as its poses state, or as each image says."""
+    drive = street()
+    correction = CameraCalibration("drift", "camera0", drifting())
+    if kind == "poses":
+        (camera,) = replace(drive, annotations=(correction,)).corrected().cameras
+        return replace(drive, sensors=tuple(camera if one.id == camera.id else one for one in drive.sensors))
+    if kind == "mountings":
+        (camera,) = drive.cameras
+        shots = camera.images
+        own = LazyFrames(shots.timestamps_ns, lambda k: replace(shots[k], mount=camera.mount))
+        rigged = replace(camera, images=own)
+        drive = replace(drive, sensors=tuple(rigged if one.id == rigged.id else one for one in drive.sensors))
+    return replace(drive, annotations=(correction,))
+
+
+def mountings(scene: Scene, injected: Scene) -> np.ndarray:
+    """`ego_from_camera` at each image, (N, 4, 4), seen from the first one, whatever the ego's frame is."""
+    (camera,) = scene.cameras
+    timestamps = injected.cameras[0].images.timestamps_ns
+    found = []
+    for k, timestamp in enumerate(timestamps):
+        own = camera.images[k].mount if len(camera.images) else None
+        mount = own or camera.mount
+        if mount is None:
+            trajectories = scene.trajectories or injected.trajectories
+            at = np.array([timestamp], np.int64)
+            ego, there = (path.held(at) for path in (next(iter(trajectories.values())).poses, camera.poses))
+            ego, there = (
+                RigidTransform.from_quaternion(p.positions[0], p.quaternions_xyzw[0]) for p in (ego, there)
+            )
+            mount = there if camera.coordinates is Coordinates.EGO else ego.inverse() @ there
+        found.append(mount.matrix)
+    return np.linalg.inv(found[0]) @ np.array(found)
+
+
+def expected_mountings() -> np.ndarray:
+    (camera,) = street().cameras
+    held = drifting().held(camera.images.timestamps_ns)
+    pairs = zip(held.positions, held.quaternions_xyzw, strict=True)
+    matrices = [(camera.mount @ RigidTransform.from_quaternion(*pair)).matrix for pair in pairs]
+    return np.linalg.inv(matrices[0]) @ np.array(matrices)
+
+
+@pytest.mark.parametrize("kind", ["correction", "poses", "mountings"])
+@pytest.mark.parametrize(
+    ("name", "keeps"),
+    [
+        ("d.sfs", True), ("recording", True), ("d.mcap", True), ("d.bag", True), ("d.ros2", True),
+        ("nuscenes", True), ("kitti-object", True),
+        ("kitti-raw", False), ("kitti-tracking", False), ("kitti-odometry", False),
+    ],
+)  # fmt: skip
+@pytest.mark.few(15)
+def test_a_camera_that_moves_on_the_vehicle_does_so_in_the_target_or_is_a_loss(name, keeps, kind, tmp_path):
+    if name in ("d.bag", "d.ros2"):
+        pytest.importorskip("rosbags")
+    injected = corrected_over_time(kind)
+    right = expected_mountings()
+    assert np.abs(right - np.eye(4)).max() > 0.2
+    np.testing.assert_allclose(mountings(injected.corrected(), injected), right, atol=1e-7)
+    target = tmp_path / name
+    form = None if "." in name else name
+    if kind == "mountings" and not keeps:
+        with pytest.raises(
+            CalibrationError, match=r"images have mountings of their own, up to 0\.3 m and 11"
+        ):
+            write_scene(injected, target, format=form)
+        return
+    report = write_scene(injected, target, format=form)
+    lost = [
+        loss
+        for loss in report
+        if loss.field == "sensors[camera0].poses" and loss.support is Support.APPROXIMATED
+    ]
+    if not keeps:
+        (loss,) = lost
+        assert loss.largest_error == pytest.approx(0.3)
+        return
+    with open_scene(target) as read:
+        np.testing.assert_allclose(mountings(read.corrected(), injected), right, atol=1e-5)
+    assert not lost
+
+
+def shared(loss_field, report):
+    return [loss for loss in report if loss.field == loss_field and loss.support is Support.APPROXIMATED]
+
+
+@pytest.mark.parametrize("kind", ["correction", "poses", "mountings"])
+def test_openlabel_lists_how_far_poses_at_its_frames_are_off_at_the_images_times(kind, tmp_path):
+    injected = corrected_over_time(kind)
+    report = write_scene(injected, tmp_path / "d.json", format="openlabel")
+    (loss,) = shared("sensors[camera0].poses", report)
+    left = [one for one in report if one.field == "sensors[camera0].poses" and one.support is Support.DROPPED]
+    times = injected.cameras[0].images.timestamps_ns
+    with open_scene(tmp_path / "d.json") as read:
+        found = read.cameras[0].poses.interpolate(times)
+    right = injected.corrected().cameras[0].poses.interpolate(times)
+    off = np.linalg.norm(found.positions - right.positions, axis=1)
+    assert loss.largest_error == pytest.approx(np.nanmax(off), abs=1e-9)
+    assert loss.largest_error > 1e-3
+    assert [one.count for one in left] == [np.isnan(off).sum()] == [1]
+
+
+def test_openlabel_with_frames_at_the_images_times_has_their_poses(tmp_path):
+    injected = corrected_over_time("poses")
+    injected = replace(injected, sensors=injected.cameras)
+    report = write_scene(injected, tmp_path / "d.json", format="openlabel")
+    assert not shared("sensors[camera0].poses", report)
+    with open_scene(tmp_path / "d.json") as read:
+        np.testing.assert_allclose(mountings(read, injected), expected_mountings(), atol=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["correction", "poses", "mountings"])
+@pytest.mark.parametrize("name", ["colmap", "nerfstudio"])
+def test_images_of_a_camera_that_moves_on_the_vehicle_stand_where_each_was(name, kind, tmp_path):
+    injected = corrected_over_time(kind)
+    report = write_scene(injected, tmp_path / "out", format=name)
+    assert not shared("sensors[camera0].poses", report)
+    if name == "colmap":
+        lines = (tmp_path / "out/sparse/0/images.txt").read_text().splitlines()
+        rows = [line.split() for line in lines if line.endswith(".jpg")]
+        numbers = [list(map(float, row[1:8])) for row in sorted(rows, key=lambda row: row[9])]
+        found = [
+            RigidTransform.from_quaternion(np.array(row[4:]), np.array([*row[1:4], row[0]])).inverse().matrix
+            for row in numbers
+        ]
+    else:
+        reported = json.loads((tmp_path / "out/transforms.json").read_text())["frames"]
+        frames = sorted(reported, key=lambda frame: frame["file_path"])
+        # its camera axes are x right, y up, z back
+        found = [np.array(frame["transform_matrix"]) @ np.diag([1, -1, -1, 1]) for frame in frames]
+    times = injected.cameras[0].images.timestamps_ns
+    held = next(iter(injected.trajectories.values())).poses.held(times)
+    egos = [
+        RigidTransform.from_quaternion(*pair).matrix
+        for pair in zip(held.positions, held.quaternions_xyzw, strict=True)
+    ]
+    mounts = np.linalg.inv(egos) @ np.array(found)
+    np.testing.assert_allclose(np.linalg.inv(mounts[0]) @ mounts, expected_mountings(), atol=1e-5)

@@ -1,0 +1,88 @@
+"""Tests of images of tracked drives, and of the sweep's points that position what images alone show."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.pipeline.detections.detected import DetectedCamera, DetectedDrive, moments
+from sceneloom.pipeline.detections.sweep_points import SweepPoints
+from sceneloom.pipeline.tracking.images import save_tracking_images
+from sceneloom.pipeline.tracking.job import track
+from sceneloom.scene import Boxes2D, Boxes3D, PointsFrame, Scene
+from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.sensor_sources import sensor_source
+from sceneloom.simulate import CameraSpec, LidarSpec, detect_2d, detect_3d, simulate_street
+
+
+@pytest.fixture(scope="module")
+def scene_and_drive():
+    """A short drive with the lists of its detectors."""
+    camera = CameraSpec(Camera("pinhole", 320, 200, 180.0, 180.0, 159.5, 99.5))
+    simulated = simulate_street(4, frames=3, lidar=LidarSpec(beams=32, steps=600), cameras=(camera,))
+    scene = simulated.scene
+    ego = EgoMotion.of(next(iter(scene.trajectories.values())))
+    lidar, camera = scene.lidars[0], scene.cameras[0]
+    source, eye = (sensor_source(scene, sensor, ego, reach_ns=10**8) for sensor in (lidar, camera))
+    drive = DetectedDrive(
+        "street",
+        lidar.id,
+        source,
+        tuple(one.boxes for one in detect_3d(simulated)),
+        {camera.id: DetectedCamera(camera.camera, eye, tuple(one.boxes for one in detect_2d(simulated)))},
+        points=SweepPoints.of(scene, lidar.id, source),
+    )
+    return scene, drive
+
+
+def test_a_dozen_moments_are_drawn_over_images_and_from_above(scene_and_drive, tmp_path):
+    scene, drive = scene_and_drive
+    tracked = track(drive)
+    paths = save_tracking_images(scene, drive, tracked.moments, tmp_path / "drawn", count=2)
+    assert [path.name for path in paths] == [
+        "000000_above.png",
+        "000000_camera0.png",
+        "000002_above.png",
+        "000002_camera0.png",
+    ]
+    with Image.open(paths[1]) as image:
+        assert image.width >= 320
+    bare = save_tracking_images(Scene(()), drive, tracked.moments, tmp_path / "bare", count=1)
+    assert [path.name for path in bare] == ["000000_above.png"]
+
+
+def test_pairs_have_the_points_of_their_sweep_where_images_show_something(scene_and_drive):
+    scene, drive = scene_and_drive
+    for k, moment in enumerate(moments(drive)):
+        (pair,) = moment.pairs_with_points().values()
+        np.testing.assert_array_equal(pair.points_lidar, scene.lidars[0].frames[k].points.positions)
+    blind = {
+        camera_id: replace(camera, boxes=tuple(Boxes2D.empty(one.timestamp_ns) for one in camera.boxes))
+        for camera_id, camera in drive.cameras.items()
+    }
+    for moment in moments(replace(drive, cameras=blind)):
+        assert next(iter(moment.pairs_with_points().values())).points_lidar is None
+
+
+def test_points_of_the_world_are_taken_to_the_lidar(scene_and_drive):
+    scene, drive = scene_and_drive
+    lidar, time_ns = scene.lidars[0], drive.boxes[1].timestamp_ns
+    frame, pose = lidar.frames[1], drive.source.at(np.array([time_ns], np.int64))
+    assert isinstance(drive.boxes[1], Boxes3D)
+    in_world = replace(lidar, points_frame=PointsFrame.WORLD)
+    found = SweepPoints(in_world, drive.source, 10**8).at(time_ns)
+    # a point of the world at the lidar's own location is its origin
+    moved = frame.points.positions - pose.positions[0]
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), np.linalg.norm(moved, axis=1), rtol=1e-4)
+
+
+def test_sweeps_of_other_times_and_points_on_the_ego_are_none(scene_and_drive):
+    scene, drive = scene_and_drive
+    points = drive.points
+    assert points.at(0) is None
+    assert points.at(drive.boxes[-1].timestamp_ns + 10**9) is None
+    on_ego = replace(scene.lidars[0], points_frame=PointsFrame.EGO)
+    assert SweepPoints.of(replace(scene, sensors=(on_ego,)), on_ego.id, drive.source) is None
+    assert SweepPoints.of(scene, "other", drive.source) is None

@@ -1,0 +1,103 @@
+"""Lengths, speeds, rotates and north, held against ways that are known as formulas."""
+
+from dataclasses import replace
+
+import numpy as np
+import pymap3d
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sceneloom.report.numbers.trajectories import MOST_CORNERS, trajectories_of
+from sceneloom.scene import GnssSensor, Scene, Trajectory
+
+RADIUS, SPEED, SECONDS = 40.0, 8.0, 20.0
+
+
+def circle(count: int = 401) -> Trajectory:
+    """A part of a circle at a constant speed, rising by 2 m; the ego looks ahead."""
+    t = np.linspace(0.0, SECONDS, count)
+    angle = SPEED * t / RADIUS
+    locations = np.column_stack([RADIUS * np.sin(angle), RADIUS * (1 - np.cos(angle)), 0.1 * t])
+    rotations = Rotation.from_euler("z", angle[:, None]).as_quat()
+    return Trajectory("trajectory", np.rint(t * 1e9).astype(np.int64), locations, rotations)
+
+
+def fixes(trajectory: Trajectory, north_deg: float) -> GnssSensor:
+    """What a receiver on the ego reports where north lies so much counter-clockwise from the world's x axis."""
+    north = np.radians(north_deg)
+    x, y, z = trajectory.positions.T
+    along_north = x * np.cos(north) + y * np.sin(north)
+    along_east = x * np.sin(north) - y * np.cos(north)
+    lla = np.column_stack(pymap3d.enu2geodetic(along_east, along_north, z, 52.5, 13.4, 40.0))
+    accuracies = np.full(len(lla), 0.5)
+    return GnssSensor("gnss", trajectory.timestamps_ns, lla, accuracies, accuracies)
+
+
+def test_length_speed_rotate_and_climb_are_those_of_the_formula():
+    (found,) = trajectories_of(Scene((), trajectories={"trajectory": circle()}), start_ns=0).trajectories
+    # the trajectory rises by 0.1 m/s beside 8 m/s; chords of 0.05 s are 1e-6 shorter than arcs
+    length = np.hypot(SPEED, 0.1) * SECONDS
+    assert found.metres == pytest.approx(length, rel=1e-4)
+    assert found.mean_speed == pytest.approx(length / SECONDS, rel=1e-4)
+    # over half a second the chord is 0.05 % shorter than the arc
+    assert found.top_speed == pytest.approx(SPEED, rel=2e-3)
+    assert found.rotated_deg == pytest.approx(np.degrees(SPEED * SECONDS / RADIUS), rel=1e-3)
+    assert (found.climb, found.descent) == (pytest.approx(2.0, abs=0.06), 0.0)  # steps below 5 cm are noise
+    assert found.farthest == pytest.approx(2 * RADIUS, rel=1e-3)
+    assert found.stationary_share == 0.0
+
+
+def test_an_ego_that_stands_is_stated_to_stand():
+    trajectory = replace(circle(), positions=np.tile([5.0, 6.0, 7.0], (401, 1)))
+    (found,) = trajectories_of(Scene((), trajectories={"trajectory": trajectory}), start_ns=0).trajectories
+    assert (found.stationary_share, found.metres, found.mean_speed) == (1.0, 0.0, 0.0)
+
+
+def test_a_long_way_is_known_by_few_corners():
+    (found,) = trajectories_of(
+        Scene((), trajectories={"trajectory": circle(20_001)}), start_ns=0
+    ).trajectories
+    assert len(found.corners) <= MOST_CORNERS
+    assert found.corners[-1].seconds == SECONDS
+
+
+@pytest.mark.parametrize("north_deg", [90.0, 25.0, -140.0])
+def test_north_is_found_from_the_fixes(north_deg):
+    trajectory = circle()
+    scene = Scene((fixes(trajectory, north_deg),), trajectories={"trajectory": trajectory})
+    found = trajectories_of(scene, start_ns=0)
+    assert (found.north.direction_deg - north_deg + 180) % 360 - 180 == pytest.approx(0.0, abs=0.01)
+    assert found.north.rms < 0.01
+    assert found.fixes[0].first_lla == pytest.approx((52.5, 13.4, 40.0))
+    assert found.fixes[0].accuracy_m == 0.5
+
+
+def test_fixes_of_an_ego_that_stands_do_not_report_north():
+    trajectory = circle()
+    still = replace(trajectory, positions=np.zeros_like(trajectory.positions))
+    assert (
+        trajectories_of(Scene((fixes(still, 90.0),), trajectories={"trajectory": still}), start_ns=0).north
+        is None
+    )
+
+
+def test_a_scene_without_anything_has_no_ways():
+    assert trajectories_of(Scene(()), start_ns=0).trajectories == ()
+
+
+def test_fixes_without_reception_are_no_locations():
+    trajectory = circle()
+    known = fixes(trajectory, 90.0)
+    lla = known.positions_lla.copy()
+    lla[:100, :2] = 0.0
+    found = trajectories_of(Scene((replace(known, positions_lla=lla),)), start_ns=0)
+    assert (found.fixes[0].usable, found.fixes[0].count) == (301, 401)
+
+
+def test_north_is_taken_as_the_scene_states_it():
+    trajectory = circle()
+    stated = {"sceneloom": {"enu_origin": {"latitude": 52.5, "longitude": 13.4, "altitude": 40.0}}}
+    scene = Scene((fixes(trajectory, 90.0),), trajectories={"trajectory": trajectory}, metadata=stated)
+    found = trajectories_of(scene, start_ns=0).north
+    assert (found.direction_deg, found.rms) == (90.0, None)
+    assert found.shift == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
